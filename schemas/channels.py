@@ -1,0 +1,179 @@
+"""One row per published topic: its schema, its Zenoh key, how a value becomes bytes.
+
+`CHANNELS` is an extension point: the log's schemas, the Zenoh keys, the comparison of live with replay and the
+documentation all come from it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message as ProtoMessage
+
+from tilth.schemas import flow
+from tilth.schemas.proto import tilth_pb2 as pb
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    topic: str
+    message: type[ProtoMessage]
+    encode: Callable[[Any], bytes]
+    key: str | None = None  # below <prefix>/<machine>/; None: logged only
+    identical: bool = True  # replay gives the same bytes on the same machine
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh encoding of the payload."""
+        return f"application/protobuf;{self.message.DESCRIPTOR.full_name}"
+
+
+_SKIPPED = {"origin", "t_ns", "rx_ns", "pgn", "sid", "sd"}
+
+
+def _set_present(target: Any, value: Any, names: tuple[str, ...]) -> None:
+    for name in names:
+        item = getattr(value, name)
+        if item is not None:
+            setattr(target, name, item)
+
+
+def _measurement_encoder(kind: type[flow.Measurement]) -> Callable[[Any], bytes]:
+    own = tuple(f.name for f in fields(kind) if f.name not in _SKIPPED)
+    common = ("sid", "sd") if "sd" in kind.__dataclass_fields__ else ("sid",)
+
+    def encode(value: flow.Measurement) -> bytes:
+        origin = value.origin
+        message = pb.Measurement(
+            t_ns=value.t_ns, rx_ns=value.rx_ns, bus=origin.bus, source=origin.source, pgn=value.pgn
+        )
+        if origin.name is not None:
+            message.name = origin.name
+        if origin.mount is not None:
+            message.mount = origin.mount.value
+        _set_present(message, value, common)
+        _set_present(message, value, own)
+        return message.SerializeToString()
+
+    return encode
+
+
+_BODY_FIELDS = tuple(f.name for f in fields(flow.BodyPose))
+_POSE_FIELDS = (
+    "articulation", "sd_articulation", "wheel_angle", "sd_wheel_angle", "utc_ns",
+)  # fmt: skip
+
+
+def _encode_pose(pose: flow.Pose) -> bytes:
+    message = pb.Pose(
+        t_ns=pose.t_ns,
+        origin_latitude_deg=pose.origin_latitude_deg,
+        origin_longitude_deg=pose.origin_longitude_deg,
+        direction=pose.direction,
+        receivers=pose.receivers,
+        flags=pose.flags,
+    )
+    _set_present(message, pose, _POSE_FIELDS)
+    message.tractor.SetInParent()
+    _set_present(message.tractor, pose.tractor, _BODY_FIELDS)
+    message.implement.SetInParent()
+    _set_present(message.implement, pose.implement, _BODY_FIELDS)
+    return message.SerializeToString()
+
+
+def _encode_estimate(estimate: flow.Estimate) -> bytes:
+    message = pb.SoilTireEstimate(
+        t_ns=estimate.t_ns,
+        method=estimate.method,
+        model=estimate.model,
+        log_covariance=estimate.log_covariance,
+        rank=estimate.rank,
+        window_s=estimate.window_s,
+    )
+    if estimate.condition is not None:
+        message.condition = estimate.condition
+    per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
+    for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
+        row = message.parameters.add(name=name, status=int(parameter.status), reason=parameter.reason)
+        _set_present(row, parameter, ("value", "sd", "age_s"))
+        if ratio is not None:
+            row.per_mass = ratio
+    for name, (value, sd) in estimate.nuisances.items():
+        message.nuisances.add(name=name, value=value, sd=sd)
+    for name, amount in estimate.excitation.items():
+        message.excitation.add(name=name, value=amount)
+    return message.SerializeToString()
+
+
+def _encode_event(event: flow.Event) -> bytes:
+    return pb.Event(t_ns=event.t_ns, kind=event.kind, text=event.text).SerializeToString()
+
+
+def _encode_fix(position: flow.Position) -> bytes:
+    variance = position.sd**2
+    message = LocationFix(
+        latitude=position.latitude_deg,
+        longitude=position.longitude_deg,
+        altitude=position.altitude_m or 0.0,
+        frame_id=position.origin.mount or "",
+        position_covariance=[variance, 0, 0, 0, variance, 0, 0, 0, 4 * variance],
+        position_covariance_type=LocationFix.APPROXIMATED,
+    )
+    message.timestamp.FromNanoseconds(position.rx_ns)
+    return message.SerializeToString()
+
+
+KINDS: tuple[tuple[str, type[flow.Measurement]], ...] = (
+    ("position", flow.Position),
+    ("velocity", flow.Velocity),
+    ("heading", flow.Heading),
+    ("yaw_rate", flow.YawRate),
+    ("attitude", flow.Attitude),
+    ("fix", flow.Fix),
+    ("time", flow.UtcTime),
+    ("wheel_angle", flow.WheelAngle),
+    ("hand_wheel_angle", flow.HandWheelAngle),
+    ("curvature", flow.Curvature),
+    ("vehicle_speed", flow.VehicleSpeed),
+    ("address_claim", flow.AddressClaim),
+)
+
+TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for name, kind in KINDS}
+
+CHANNELS: tuple[Channel, ...] = (
+    *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
+    *(Channel(f"/gnss/{mount.value}", LocationFix, _encode_fix) for mount in flow.Mount),
+    Channel("/pose", pb.Pose, _encode_pose, key="pose"),
+    Channel("/soil_tire", pb.SoilTireEstimate, _encode_estimate, key="soil_tire"),
+    Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
+    Channel("/event", pb.Event, _encode_event, key="event", identical=False),
+    Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
+)
+
+CHANNEL: dict[str, Channel] = {channel.topic: channel for channel in CHANNELS}
+
+
+def payload(publication: flow.Publication) -> bytes:
+    """The bytes of a publication, as logged and as put on Zenoh."""
+    return CHANNEL[publication.topic].encode(publication.value)
+
+
+def file_descriptor_set(descriptor: Descriptor) -> bytes:
+    """Serialised FileDescriptorSet of a message with all that it imports: an MCAP protobuf schema."""
+    result = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: FileDescriptor) -> None:
+        if file.name in seen:
+            return
+        seen.add(file.name)
+        for dependency in file.dependencies:
+            add(dependency)
+        file.CopyToProto(result.file.add())
+
+    add(descriptor.file)
+    return result.SerializeToString()

@@ -1,0 +1,273 @@
+"""What flows through Tilth: frames in, publications out. Every type that crosses a layer is here.
+
+    Frame ─decode─► Message ─► Measurement ─align, geometry─► Pose ─► Estimate ─► Publication
+
+Units are SI and radians; a unit that is not is in the field's name. Times are integer nanoseconds of the
+log's own clock. World frame W: x north, y east. Body frames: x forward, y right, z down. Headings and courses
+clockwise from north, right turns and right-hand wheel angles positive, roll positive right side down.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+Word = float | int | str
+
+
+class Mount(StrEnum):
+    """Where a receiver sits. The order is the order of every array over receivers."""
+
+    TRACTOR_FRONT = "tractor_front"
+    TRACTOR_REAR = "tractor_rear"
+    IMPLEMENT_FRONT = "implement_front"
+    IMPLEMENT_REAR = "implement_rear"
+
+
+class FixType(StrEnum):
+    """Quality of a position solution, in the words of the command line."""
+
+    NONE = "none"
+    GNSS = "gnss"
+    DGNSS = "dgnss"
+    PRECISE = "precise"
+    RTK_FIXED = "rtk_fixed"
+    RTK_FLOAT = "rtk_float"
+    DEAD_RECKONING = "dead_reckoning"
+    MANUAL = "manual"
+    SIMULATED = "simulated"
+
+
+class Status(IntEnum):
+    """What a published number may be used for."""
+
+    UNESTIMATED = 0
+    ESTIMATED = 1
+    STALE = 2
+    INVALID = 3
+
+
+PARAMETERS = ("C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i")
+"""The six soil-tyre parameters in the order of every array over them: N/rad (whole axle) and m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One CAN frame, exactly what is logged. `data` is at most 8 bytes, or a whole message where a foreign
+    log holds it already assembled."""
+
+    t_ns: int  # when the loop took it: orders everything, never decreases within a log
+    rx_ns: int  # the kernel's or adapter's receive stamp on the clock of t_ns: what the physics uses
+    bus: str
+    can_id: int
+    extended: bool
+    error: bool
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Who sent a message."""
+
+    bus: str
+    source: int  # J1939 source address; -1 for a frame that has none
+    name: int | None = None  # 64-bit NAME, where an address claim told it
+    mount: Mount | None = None  # the receiver of the machine file that it is, if any
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One decoded message: the words it carries, absent where not available."""
+
+    t_ns: int  # of the first frame
+    rx_ns: int  # of the first frame
+    origin: Origin
+    pgn: int
+    sid: int | None  # NMEA 2000 sequence identifier: ties messages of one device to one instant
+    values: Mapping[str, Word]  # keys: schemas.messages.WORDS
+    repeat: bool = False  # a position that repeats the one before: not a new measurement
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What every kind of measurement carries."""
+
+    t_ns: int
+    rx_ns: int
+    origin: Origin
+    pgn: int
+    sid: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Position(Measurement):
+    latitude_deg: float
+    longitude_deg: float
+    sd: float  # horizontal, per axis, m
+    altitude_m: float | None = None
+    repeat: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity(Measurement):
+    """Over ground, at the antenna."""
+
+    course: float  # rad, true
+    speed: float  # m/s
+    sd: float  # per horizontal axis, m/s
+
+
+@dataclass(frozen=True, slots=True)
+class Heading(Measurement):
+    heading: float  # rad, true
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class YawRate(Measurement):
+    yaw_rate: float  # rad/s
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude(Measurement):
+    roll: float | None  # rad
+    pitch: float | None  # rad, positive nose up
+    sd: float  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Fix(Measurement):
+    fix: FixType
+    satellites: int | None = None
+    hdop: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class UtcTime(Measurement):
+    utc_ns: int  # nanoseconds since 1970
+    sd: float  # s: the resolution of the message
+
+
+@dataclass(frozen=True, slots=True)
+class WheelAngle(Measurement):
+    """Mean road-wheel angle of the front axle, zero and sign applied."""
+
+    angle: float  # rad
+    sd: float  # rad, white noise; the zero's own uncertainty is the machine file's
+
+
+@dataclass(frozen=True, slots=True)
+class HandWheelAngle(Measurement):
+    """The driver's wheel; never used as a road-wheel angle."""
+
+    angle: float  # rad
+
+
+@dataclass(frozen=True, slots=True)
+class Curvature(Measurement):
+    """Estimated by the steering system; logged, not used as a wheel angle."""
+
+    curvature: float  # 1/m, positive right
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSpeed(Measurement):
+    """Speed and direction of travel from the wheels (65096) or a ground sensor (65097)."""
+
+    speed: float  # m/s, magnitude
+    direction: str | None  # "forward" | "reverse"
+
+
+@dataclass(frozen=True, slots=True)
+class AddressClaim(Measurement):
+    """A device said which source address it uses; the NAME is origin.name."""
+
+    manufacturer: int
+    identity: int
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPose:
+    """One body at one instant, referred to its centre of gravity. None: could not be given, see flags."""
+
+    x: float | None  # m north of the pose's origin
+    y: float | None  # m east
+    sd_position: float | None  # per axis, m
+    heading: float | None  # rad
+    sd_heading: float | None
+    forward_velocity: float | None  # u, m/s, along the body
+    lateral_velocity: float | None  # v, m/s, to its right
+    sd_velocity: float | None  # of u, m/s
+    sd_lateral_velocity: float | None  # of v: holds the heading's error as well
+    yaw_rate: float | None  # rad/s
+    sd_yaw_rate: float | None
+    roll: float | None  # rad
+    sd_roll: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Both bodies at one instant. `t_ns` is the instant itself, on the clock of Frame.rx_ns."""
+
+    t_ns: int
+    origin_latitude_deg: float
+    origin_longitude_deg: float
+    tractor: BodyPose
+    implement: BodyPose
+    articulation: float | None  # psi_t - psi_i, rad
+    sd_articulation: float | None
+    wheel_angle: float | None  # rad
+    sd_wheel_angle: float | None
+    direction: int  # +1 forward, -1 reverse, 0 standstill or unknown
+    utc_ns: int | None
+    receivers: int  # how many of them this pose rests on
+    flags: tuple[str, ...]  # e.g. "lost:implement_rear"; see docs/notation.md
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """One of PARAMETERS. `value` and `sd` are None unless the data support them."""
+
+    value: float | None
+    sd: float | None
+    status: Status
+    reason: str
+    age_s: float | None = None  # since data last informed it
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What one estimator says of the six parameters at one instant."""
+
+    t_ns: int
+    method: str
+    model: str
+    parameters: tuple[ParameterEstimate, ...]  # in the order of PARAMETERS
+    log_covariance: tuple[float, ...]  # 6 x 6, natural logarithms, row by row; empty where there is none
+    per_mass: tuple[float | None, ...]  # C_af/m_t, C_ar/m_t, C_ai/m_i, 1/(rad) m/s^2
+    nuisances: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # name -> value, sd (SI)
+    rank: int = 0  # of what the data determine among the parameters estimated
+    condition: float | None = None
+    excitation: Mapping[str, float] = field(default_factory=dict)
+    window_s: float = 0.0  # data used, s
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened and will be asked about later."""
+
+    t_ns: int
+    kind: str
+    text: str
+
+
+Payload = Measurement | Pose | Estimate | Event
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """What sinks understand: a value on a channel (a row of schemas.channels.CHANNELS), encoded there."""
+
+    t_ns: int  # of the frame that caused it
+    topic: str
+    value: Payload

@@ -1,0 +1,333 @@
+"""The machine file: one TOML text describes a rig.
+
+A quantity is a number or `{ value = …, sd = … }`. A wrong file raises MachineError with one line that names
+the key, the value, what is allowed and the nearest right key. This module reads text; files are opened by
+`tilth.logger.machine_file`.
+"""
+
+import difflib
+import string
+import tomllib
+import typing
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from tilth.schemas.flow import Mount
+
+
+class MachineError(Exception):
+    """The machine file is wrong; the text says where and what to do."""
+
+
+class Quantity(BaseModel):
+    """A number with its standard deviation, both in the unit of the key."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    value: float
+    sd: float = Field(default=0.0, ge=0.0)
+
+
+def _quantity(default_sd: float = 0.0) -> BeforeValidator:
+    def widen(raw: Any) -> Any:
+        if isinstance(raw, (int, float)) and not isinstance(raw, bool):
+            return {"value": raw, "sd": default_sd}
+        return raw
+
+    return BeforeValidator(widen, json_schema_input_type=float | Quantity)
+
+
+Exact = Annotated[Quantity, _quantity()]
+Length = Annotated[Quantity, _quantity()]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MachineName(_Section):
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="part of every Zenoh key")
+
+
+class Tractor(_Section):
+    """Distances from the tractor's CG, m (dissertation, Table 5.1)."""
+
+    a: Length = Field(description="CG to the front axle, m")
+    b: Length = Field(description="CG to the rear axle, m")
+    c: Length = Field(description="CG to the hitch, behind, m")
+    mass: Exact = Field(description="kg")
+    yaw_inertia: Exact = Field(description="kg m^2")
+    cg_height: Length = Field(description="above ground, m")
+    kingpin_distance: float | None = Field(
+        default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
+    )
+
+
+class Implement(_Section):
+    """Distances of the towed single-axle implement, m."""
+
+    d: Length = Field(description="hitch to its CG, m")
+    e: Length = Field(description="CG to the axle, behind, m")
+    mass: Exact = Field(description="kg")
+    yaw_inertia: Exact = Field(description="kg m^2")
+    cg_height: Length = Field(description="above ground, m")
+
+
+class Tyre(_Section):
+    """Prior of one axle: log-normal about these values."""
+
+    cornering_stiffness: float = Field(gt=0, description="whole axle, N/rad")
+    relaxation_length: float = Field(gt=0, description="m")
+    log_sd: float = Field(default=0.7, gt=0, description="sd of the natural logarithm of both")
+
+
+class Tyres(_Section):
+    front: Tyre
+    rear: Tyre
+    implement: Tyre
+
+
+class Bus(_Section):
+    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    interface: str = Field(description="any python-can interface")
+    channel: str | int
+    bitrate: int = Field(default=250_000, gt=0)
+    options: dict[str, str | int | float | bool] = Field(
+        default_factory=dict, description="further arguments of that python-can interface"
+    )
+
+
+def _hexadecimal(raw: Any) -> int:
+    if isinstance(raw, str) and len(raw) == 16 and set(raw) <= set(string.hexdigits):
+        return int(raw, 16)
+    raise ValueError("a NAME is written as 16 hexadecimal digits in quotes, such as \"A00017000421E240\"")
+
+
+_HexName = Annotated[
+    int,
+    BeforeValidator(_hexadecimal, json_schema_input_type=Annotated[str, Field(pattern="^[0-9A-Fa-f]{16}$")]),
+]
+
+
+class Receiver(_Section):
+    mount: Mount
+    bus: str
+    name: _HexName | None = Field(default=None, description="64-bit NAME as 16 hexadecimal digits")
+    source: int | None = Field(default=None, ge=0, le=253, description="source address where no claim is heard")
+    manufacturer: int | None = Field(default=None, ge=0, le=2047, description="whose source address it is")
+    position: tuple[float, float, float] = Field(
+        description="forward and right of that body's CG, above the ground, m"
+    )
+    position_sd: float = Field(default=0.025, gt=0, description="of an RTK-fixed position, per axis, m")
+    velocity_sd: float = Field(default=0.05, gt=0, description="of the velocity over ground, per axis, m/s")
+    yaw_rate_sd: float = Field(default=0.3, gt=0, description="deg/s")
+    heading_sd: float = Field(default=0.5, gt=0, description="of a heading the receiver reports, deg")
+    roll_sd: float = Field(default=0.5, gt=0, description="deg")
+    roll_corrected: bool = Field(
+        default=False, description="true where the receiver already reports the point on the ground below it"
+    )
+    latency: Annotated[Quantity, _quantity(0.05)] = Field(
+        default=Quantity(value=0.1, sd=0.05), description="from measurement to first frame, s"
+    )
+
+    @model_validator(mode="after")
+    def _someone(self) -> Self:
+        if self.name is None and self.source is None:
+            raise ValueError("give name = \"16 hexadecimal digits\" or source = 0..253, so that it can be told apart")
+        return self
+
+
+class WheelAngle(_Section):
+    """A sensor as a row (id …), as a signal of a DBC file (dbc, signal), or as PGN 127245 (pgn, source)."""
+
+    bus: str
+    id: int | None = Field(default=None, ge=0, le=0x1FFFFFFF)
+    mask: int = Field(default=0x1FFFFFFF, ge=0, le=0x1FFFFFFF, description="bits of id that must match")
+    extended: bool = Field(default=True, description="29-bit identifier")
+    dbc: str | None = Field(default=None, description="DBC file, relative to this one")
+    dbc_text: str | None = Field(default=None, description="the text of that file; filled in when it is read")
+    signal: str | None = None
+    pgn: Literal[127245] | None = None
+    source: int | None = Field(default=None, ge=0, le=253)
+    instance: int | None = Field(default=None, ge=0, le=252, description="of PGN 127245")
+    byte_order: Literal["big", "little"] = "little"
+    start_byte: int | None = Field(default=None, ge=0, le=63)
+    start_bit: int | None = Field(
+        default=None, ge=0, le=511, description="as in a DBC file: least significant bit, or most if big endian"
+    )
+    bits: int = Field(default=16, ge=1, le=32)
+    signed: bool = True
+    scale: float = Field(default=1.0, description="degrees per bit; with a dbc, degrees per unit of the signal")
+    offset: float = Field(default=0.0, description="degrees")
+    sign: Literal[1, -1] = Field(default=1, description="+1 where a right turn is positive")
+    lookup: list[tuple[float, float]] | None = Field(
+        default=None, description="linkage: [reading, wheel angle] in degrees, ascending, linear between"
+    )
+    not_available: int | list[int] | None = Field(
+        default=None, description="raw value, or [lowest, highest], that means no data (as read, unsigned)"
+    )
+    kingpin: Literal["mean", "left", "right"] = Field(
+        default="mean", description="which wheel carries the sensor"
+    )
+    zero: Annotated[Quantity, _quantity(0.5)] = Field(
+        default=Quantity(value=0.0, sd=0.5), description="the reading when straight, after sign, deg"
+    )
+    sd: float = Field(default=0.1, gt=0, description="white noise, deg")
+    delay: float = Field(default=0.01, ge=0, description="from measurement to frame, s")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        ways = [self.id is not None, self.dbc is not None, self.pgn is not None]
+        if sum(ways) != 1:
+            raise ValueError("give exactly one of id, dbc (with signal) or pgn = 127245 (with source)")
+        if self.id is not None and (self.start_byte is None) == (self.start_bit is None):
+            raise ValueError("a sensor given by id needs start_byte or start_bit (one of them)")
+        if self.dbc is not None and self.signal is None:
+            raise ValueError("a sensor given by dbc needs signal = \"its name\"")
+        if self.pgn is not None and self.source is None:
+            raise ValueError("pgn = 127245 needs source = 0..253")
+        if self.lookup is not None and (
+            len(self.lookup) < 2
+            or any(after[0] <= before[0] for before, after in zip(self.lookup, self.lookup[1:], strict=False))
+        ):
+            raise ValueError("lookup needs two or more rows with ascending readings")
+        return self
+
+
+class Log(_Section):
+    folder: str = "logs"
+    rotate_megabytes: float = Field(default=256.0, gt=0)
+    rotate_minutes: float = Field(default=10.0, gt=0)
+    chunk_kilobytes: int = Field(default=64, ge=1, le=4096)
+
+
+class Zenoh(_Section):
+    prefix: str = Field(default="tilth", pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$")
+    listen: list[str] = Field(default=["tcp/127.0.0.1:7447"], description="Zenoh endpoints of the daemon")
+    connect: list[str] = Field(default_factory=list, description="Zenoh routers to reach")
+
+
+class Machine(_Section):
+    """A whole machine file."""
+
+    machine: MachineName
+    tractor: Tractor
+    implement: Implement
+    tyres: Tyres
+    bus: list[Bus] = Field(min_length=1)
+    receiver: list[Receiver] = Field(min_length=1, max_length=4)
+    wheel_angle: WheelAngle
+    log: Log = Log()
+    zenoh: Zenoh = Zenoh()
+
+    @property
+    def name(self) -> str:
+        return self.machine.name
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names = [bus.name for bus in self.bus]
+        for twice in {name for name in names if names.count(name) > 1}:
+            raise ValueError(f"bus: the name \"{twice}\" is used twice; each bus needs its own")
+        for user, bus in [
+            *((f"receiver {r.mount}", r.bus) for r in self.receiver),
+            ("wheel_angle", self.wheel_angle.bus),
+        ]:
+            if bus not in names:
+                raise ValueError(f"{user}: bus = \"{bus}\" is no [[bus]] of this file; there are {', '.join(names)}")
+        mounts = [r.mount for r in self.receiver]
+        for mount in {m for m in mounts if mounts.count(m) > 1}:
+            raise ValueError(f"receiver: two of them have mount = \"{mount}\"; each place holds one")
+        if self.wheel_angle.kingpin != "mean" and self.tractor.kingpin_distance is None:
+            raise ValueError("wheel_angle.kingpin: a sensor on one kingpin needs tractor.kingpin_distance in m")
+        self._positive_lengths()
+        self._receivers_apart()
+        return self
+
+    def _positive_lengths(self) -> None:
+        for body, keys in (("tractor", "a b c mass yaw_inertia cg_height"), ("implement", "d mass yaw_inertia cg_height")):
+            for key in keys.split():
+                value = getattr(getattr(self, body), key).value
+                if value <= 0:
+                    raise ValueError(f"{body}.{key} = {value:g}: must be above zero")
+
+    def _receivers_apart(self) -> None:
+        identities = [(r.bus, r.name, r.source) for r in self.receiver]
+        for one in identities:
+            if identities.count(one) > 1:
+                raise ValueError("receiver: two of them have the same bus, name and source; they cannot be told apart")
+        for body in ("tractor", "implement"):
+            pair = [r for r in self.receiver if r.mount.value.startswith(body)]
+            if len(pair) == 2:
+                apart = sum((p - q) ** 2 for p, q in zip(pair[0].position[:2], pair[1].position[:2], strict=True))
+                if apart < 0.25:
+                    raise ValueError(f"receiver: the two on the {body} are less than 0.5 m apart; no heading from that")
+
+
+def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
+    """Machine from the TOML text of a machine file and the text of the DBC file it names, if any.
+
+    Raises MachineError.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MachineError(f"not a TOML file: {error}") from None
+    if dbc_text is not None and isinstance(raw.get("wheel_angle"), dict):
+        raw["wheel_angle"]["dbc_text"] = dbc_text
+    try:
+        return Machine.model_validate(raw)
+    except ValidationError as error:
+        raise MachineError(_sentence(error, raw)) from None
+
+
+def _sentence(error: ValidationError, raw: dict[str, Any]) -> str:
+    """The first problem of a validation, in a person's words."""
+    problems = error.errors()
+    # A key that is not known is what the person typed; a missing one is often just its other half.
+    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    where = [part for part in first["loc"] if part not in ("function-before[widen()]", "Quantity")]
+    key = ".".join(_number(part) for part in where).replace(".[", "[")
+    if first["type"] == "extra_forbidden":
+        known = _keys_at(where[:-1])
+        near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
+        hint = f"; did you mean \"{near[0]}\"?" if near else ""
+        return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
+    if first["type"] == "missing":
+        given = _keys_given(raw, where[:-1])
+        near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
+        return f"{key}: missing" + (f" (there is \"{near[0]}\")" if near else "")
+    message = first["msg"].removeprefix("Value error, ")
+    value = first.get("input")
+    shown = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"
+    return f"{key}{shown}: {message}" if key else message
+
+
+def _number(part: int | str) -> str:
+    return f"[{part + 1}]" if isinstance(part, int) else str(part)
+
+
+def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
+    for part in path:
+        raw = raw[part]
+    return list(raw) if isinstance(raw, dict) else []
+
+
+def _keys_at(path: list[int | str]) -> list[str]:
+    """Keys that the section at `path` may have."""
+    model: Any = Machine
+    for part in path:
+        if isinstance(part, int) or not hasattr(model, "model_fields") or part not in model.model_fields:
+            continue
+        model = _section_of(model.model_fields[part].annotation)
+    return list(model.model_fields) if hasattr(model, "model_fields") else []
+
+
+def _section_of(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in typing.get_args(annotation):
+        found = _section_of(inner)
+        if found is not None:
+            return found
+    return None

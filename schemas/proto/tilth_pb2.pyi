@@ -1,0 +1,307 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class ParameterStatus(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    UNESTIMATED: _ClassVar[ParameterStatus]
+    ESTIMATED: _ClassVar[ParameterStatus]
+    STALE: _ClassVar[ParameterStatus]
+    INVALID: _ClassVar[ParameterStatus]
+UNESTIMATED: ParameterStatus
+ESTIMATED: ParameterStatus
+STALE: ParameterStatus
+INVALID: ParameterStatus
+
+class CanFrame(_message.Message):
+    __slots__ = ("rx_ns", "can_id", "extended", "error", "data")
+    RX_NS_FIELD_NUMBER: _ClassVar[int]
+    CAN_ID_FIELD_NUMBER: _ClassVar[int]
+    EXTENDED_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    rx_ns: int
+    can_id: int
+    extended: bool
+    error: bool
+    data: bytes
+    def __init__(self, rx_ns: _Optional[int] = ..., can_id: _Optional[int] = ..., extended: _Optional[bool] = ..., error: _Optional[bool] = ..., data: _Optional[bytes] = ...) -> None: ...
+
+class Measurement(_message.Message):
+    __slots__ = ("t_ns", "rx_ns", "bus", "source", "name", "mount", "pgn", "sid", "sd", "latitude_deg", "longitude_deg", "altitude_m", "repeat", "course", "speed", "heading", "yaw_rate", "roll", "pitch", "fix", "satellites", "hdop", "utc_ns", "angle", "curvature", "direction", "manufacturer", "identity")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    RX_NS_FIELD_NUMBER: _ClassVar[int]
+    BUS_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MOUNT_FIELD_NUMBER: _ClassVar[int]
+    PGN_FIELD_NUMBER: _ClassVar[int]
+    SID_FIELD_NUMBER: _ClassVar[int]
+    SD_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    ALTITUDE_M_FIELD_NUMBER: _ClassVar[int]
+    REPEAT_FIELD_NUMBER: _ClassVar[int]
+    COURSE_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    HEADING_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_FIELD_NUMBER: _ClassVar[int]
+    ROLL_FIELD_NUMBER: _ClassVar[int]
+    PITCH_FIELD_NUMBER: _ClassVar[int]
+    FIX_FIELD_NUMBER: _ClassVar[int]
+    SATELLITES_FIELD_NUMBER: _ClassVar[int]
+    HDOP_FIELD_NUMBER: _ClassVar[int]
+    UTC_NS_FIELD_NUMBER: _ClassVar[int]
+    ANGLE_FIELD_NUMBER: _ClassVar[int]
+    CURVATURE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    MANUFACTURER_FIELD_NUMBER: _ClassVar[int]
+    IDENTITY_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    rx_ns: int
+    bus: str
+    source: int
+    name: int
+    mount: str
+    pgn: int
+    sid: int
+    sd: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    repeat: bool
+    course: float
+    speed: float
+    heading: float
+    yaw_rate: float
+    roll: float
+    pitch: float
+    fix: str
+    satellites: int
+    hdop: float
+    utc_ns: int
+    angle: float
+    curvature: float
+    direction: str
+    manufacturer: int
+    identity: int
+    def __init__(self, t_ns: _Optional[int] = ..., rx_ns: _Optional[int] = ..., bus: _Optional[str] = ..., source: _Optional[int] = ..., name: _Optional[int] = ..., mount: _Optional[str] = ..., pgn: _Optional[int] = ..., sid: _Optional[int] = ..., sd: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., altitude_m: _Optional[float] = ..., repeat: _Optional[bool] = ..., course: _Optional[float] = ..., speed: _Optional[float] = ..., heading: _Optional[float] = ..., yaw_rate: _Optional[float] = ..., roll: _Optional[float] = ..., pitch: _Optional[float] = ..., fix: _Optional[str] = ..., satellites: _Optional[int] = ..., hdop: _Optional[float] = ..., utc_ns: _Optional[int] = ..., angle: _Optional[float] = ..., curvature: _Optional[float] = ..., direction: _Optional[str] = ..., manufacturer: _Optional[int] = ..., identity: _Optional[int] = ...) -> None: ...
+
+class BodyPose(_message.Message):
+    __slots__ = ("x", "y", "sd_position", "heading", "sd_heading", "forward_velocity", "lateral_velocity", "sd_velocity", "sd_lateral_velocity", "yaw_rate", "sd_yaw_rate", "roll", "sd_roll")
+    X_FIELD_NUMBER: _ClassVar[int]
+    Y_FIELD_NUMBER: _ClassVar[int]
+    SD_POSITION_FIELD_NUMBER: _ClassVar[int]
+    HEADING_FIELD_NUMBER: _ClassVar[int]
+    SD_HEADING_FIELD_NUMBER: _ClassVar[int]
+    FORWARD_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    LATERAL_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    SD_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    SD_LATERAL_VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_FIELD_NUMBER: _ClassVar[int]
+    SD_YAW_RATE_FIELD_NUMBER: _ClassVar[int]
+    ROLL_FIELD_NUMBER: _ClassVar[int]
+    SD_ROLL_FIELD_NUMBER: _ClassVar[int]
+    x: float
+    y: float
+    sd_position: float
+    heading: float
+    sd_heading: float
+    forward_velocity: float
+    lateral_velocity: float
+    sd_velocity: float
+    sd_lateral_velocity: float
+    yaw_rate: float
+    sd_yaw_rate: float
+    roll: float
+    sd_roll: float
+    def __init__(self, x: _Optional[float] = ..., y: _Optional[float] = ..., sd_position: _Optional[float] = ..., heading: _Optional[float] = ..., sd_heading: _Optional[float] = ..., forward_velocity: _Optional[float] = ..., lateral_velocity: _Optional[float] = ..., sd_velocity: _Optional[float] = ..., sd_lateral_velocity: _Optional[float] = ..., yaw_rate: _Optional[float] = ..., sd_yaw_rate: _Optional[float] = ..., roll: _Optional[float] = ..., sd_roll: _Optional[float] = ...) -> None: ...
+
+class Pose(_message.Message):
+    __slots__ = ("t_ns", "origin_latitude_deg", "origin_longitude_deg", "tractor", "implement", "articulation", "sd_articulation", "wheel_angle", "sd_wheel_angle", "direction", "utc_ns", "receivers", "flags")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    TRACTOR_FIELD_NUMBER: _ClassVar[int]
+    IMPLEMENT_FIELD_NUMBER: _ClassVar[int]
+    ARTICULATION_FIELD_NUMBER: _ClassVar[int]
+    SD_ARTICULATION_FIELD_NUMBER: _ClassVar[int]
+    WHEEL_ANGLE_FIELD_NUMBER: _ClassVar[int]
+    SD_WHEEL_ANGLE_FIELD_NUMBER: _ClassVar[int]
+    DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    UTC_NS_FIELD_NUMBER: _ClassVar[int]
+    RECEIVERS_FIELD_NUMBER: _ClassVar[int]
+    FLAGS_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    origin_latitude_deg: float
+    origin_longitude_deg: float
+    tractor: BodyPose
+    implement: BodyPose
+    articulation: float
+    sd_articulation: float
+    wheel_angle: float
+    sd_wheel_angle: float
+    direction: int
+    utc_ns: int
+    receivers: int
+    flags: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, t_ns: _Optional[int] = ..., origin_latitude_deg: _Optional[float] = ..., origin_longitude_deg: _Optional[float] = ..., tractor: _Optional[_Union[BodyPose, _Mapping]] = ..., implement: _Optional[_Union[BodyPose, _Mapping]] = ..., articulation: _Optional[float] = ..., sd_articulation: _Optional[float] = ..., wheel_angle: _Optional[float] = ..., sd_wheel_angle: _Optional[float] = ..., direction: _Optional[int] = ..., utc_ns: _Optional[int] = ..., receivers: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Parameter(_message.Message):
+    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    SD_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    AGE_S_FIELD_NUMBER: _ClassVar[int]
+    PER_MASS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    sd: float
+    status: ParameterStatus
+    reason: str
+    age_s: float
+    per_mass: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ...) -> None: ...
+
+class Nuisance(_message.Message):
+    __slots__ = ("name", "value", "sd")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    SD_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    sd: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ...) -> None: ...
+
+class Excitation(_message.Message):
+    __slots__ = ("name", "value")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+
+class SoilTireEstimate(_message.Message):
+    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    METHOD_FIELD_NUMBER: _ClassVar[int]
+    MODEL_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    LOG_COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    NUISANCES_FIELD_NUMBER: _ClassVar[int]
+    RANK_FIELD_NUMBER: _ClassVar[int]
+    CONDITION_FIELD_NUMBER: _ClassVar[int]
+    EXCITATION_FIELD_NUMBER: _ClassVar[int]
+    WINDOW_S_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    method: str
+    model: str
+    parameters: _containers.RepeatedCompositeFieldContainer[Parameter]
+    log_covariance: _containers.RepeatedScalarFieldContainer[float]
+    nuisances: _containers.RepeatedCompositeFieldContainer[Nuisance]
+    rank: int
+    condition: float
+    excitation: _containers.RepeatedCompositeFieldContainer[Excitation]
+    window_s: float
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ...) -> None: ...
+
+class Event(_message.Message):
+    __slots__ = ("t_ns", "kind", "text")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    kind: str
+    text: str
+    def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ...) -> None: ...
+
+class BusStatus(_message.Message):
+    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_PER_S_FIELD_NUMBER: _ClassVar[int]
+    SILENT_S_FIELD_NUMBER: _ClassVar[int]
+    REOPENED_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FRAMES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    state: str
+    frames: int
+    frames_per_s: float
+    silent_s: float
+    reopened: int
+    error_frames: int
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ...) -> None: ...
+
+class ReceiverStatus(_message.Message):
+    __slots__ = ("mount", "state", "fix", "age_s", "source")
+    MOUNT_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    FIX_FIELD_NUMBER: _ClassVar[int]
+    AGE_S_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    mount: str
+    state: str
+    fix: str
+    age_s: float
+    source: int
+    def __init__(self, mount: _Optional[str] = ..., state: _Optional[str] = ..., fix: _Optional[str] = ..., age_s: _Optional[float] = ..., source: _Optional[int] = ...) -> None: ...
+
+class Count(_message.Message):
+    __slots__ = ("reason", "count")
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    reason: str
+    count: int
+    def __init__(self, reason: _Optional[str] = ..., count: _Optional[int] = ...) -> None: ...
+
+class Status(_message.Message):
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    UPTIME_S_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENTS_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
+    BUSES_FIELD_NUMBER: _ClassVar[int]
+    RECEIVERS_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_FIELD_NUMBER: _ClassVar[int]
+    RECORDING_FIELD_NUMBER: _ClassVar[int]
+    LOG_FILE_FIELD_NUMBER: _ClassVar[int]
+    LOG_BYTES_FIELD_NUMBER: _ClassVar[int]
+    DISK_FREE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    PROBLEMS_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    run: str
+    version: str
+    uptime_s: float
+    frames: int
+    measurements: int
+    poses: int
+    buses: _containers.RepeatedCompositeFieldContainer[BusStatus]
+    receivers: _containers.RepeatedCompositeFieldContainer[ReceiverStatus]
+    rejected: _containers.RepeatedCompositeFieldContainer[Count]
+    recording: bool
+    log_file: str
+    log_bytes: int
+    disk_free_bytes: float
+    problems: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Snapshot(_message.Message):
+    __slots__ = ("t_ns", "machine_sha256", "state_json")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    STATE_JSON_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    machine_sha256: str
+    state_json: str
+    def __init__(self, t_ns: _Optional[int] = ..., machine_sha256: _Optional[str] = ..., state_json: _Optional[str] = ...) -> None: ...
