@@ -4,13 +4,31 @@ Nothing here may ask whether it runs live: the result is a function of the machi
 their order.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import json
+from dataclasses import dataclass, field, replace
 
+from tilth.estimator import aligner, steady_state
+from tilth.estimator.aligner import Aligner
+from tilth.estimator.plain import from_plain, to_plain
+from tilth.estimator.pose import poses
+from tilth.estimator.steady_state import SteadyState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Estimate, Frame, Pose, Publication
+from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
 from tilth.schemas.machine import Machine
+
+REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
+
+_FLAG_TEXT = {
+    "lost": "gives no usable position",
+    "waiting": "has not been heard",
+    "floating": "lost its RTK fix (float)",
+    "no_rtk": "has no RTK fix",
+    "no_fix": "has no position fix",
+    "repeating": "repeats old positions",
+    "swapped": "stands in another's place: two receivers are exchanged",
+    "moved": "is not where the machine file says",
+}
 
 
 @dataclass(slots=True)
@@ -19,35 +37,108 @@ class State:
 
     machine: Machine
     decoder: Decoder
+    aligner: Aligner
+    steady_state: SteadyState
     frames: int = 0
     measurements: int = 0
     poses: int = 0
-    rejected: dict[str, int] = field(default_factory=dict)  # reason -> count, of every layer
+    clock_steps: int = 0
+    latest_ns: int = 0  # t_ns of the last frame
+    flags: tuple[str, ...] = ()  # of the last pose
     last_pose: Pose | None = None
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest
-    started: Callable[[], None] | None = None
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Reason -> count, of what was not used."""
+        counts = dict(self.decoder.rejected)
+        if self.clock_steps:
+            counts["clock_step"] = self.clock_steps
+        return counts
 
 
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
-    return State(machine, Decoder(machine))
+    return State(machine, Decoder(machine), aligner.initial(machine), steady_state.initial(machine))
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
     """Take one frame: change the state in place, return what is to be published, in order."""
-    state.frames += 1
     out: list[Publication] = []
-    for measurement in state.decoder.measurements(frame):
-        state.measurements += 1
-        out.append(Publication(frame.t_ns, TOPIC_OF[type(measurement)], measurement))
+    if frame.t_ns < state.latest_ns - REWIND_NS:
+        _clock_stepped(state, frame, out)
+    state.latest_ns = frame.t_ns
+    state.frames += 1
+    measurements = state.decoder.measurements(frame)
+    for measurement in measurements:
+        _take(state, frame.t_ns, measurement, out)
+    due_ns = state.aligner.due_ns
+    if due_ns and (measurements or frame.rx_ns >= due_ns + aligner.DEADLINE_NS):
+        for pose in poses(state.aligner, frame.rx_ns):
+            _pose(state, frame.t_ns, pose, out)
     return out
+
+
+def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> None:
+    state.measurements += 1
+    out.append(Publication(t_ns, TOPIC_OF[type(measurement)], measurement))
+    if isinstance(measurement, Position) and measurement.origin.mount is not None:
+        out.append(Publication(t_ns, f"/gnss/{measurement.origin.mount.value}", measurement))
+    aligner.take(state.aligner, measurement)
+
+
+def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
+    state.poses += 1
+    state.last_pose = pose
+    out.append(Publication(t_ns, "/pose", pose))
+    for flag in pose.flags:
+        kind, _, who = flag.partition(":")
+        if flag not in state.flags and kind in _FLAG_TEXT:
+            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who} {_FLAG_TEXT[kind]}")))
+    for flag in state.flags:
+        kind, _, who = flag.partition(":")
+        if flag not in pose.flags and kind in _FLAG_TEXT:
+            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who}: over")))
+    state.flags = pose.flags
+    estimate = steady_state.take(state.steady_state, state.machine, pose)
+    if estimate is not None:
+        # Of one estimator, the recommended one is that one; the rule is written where there are more.
+        recommended = replace(estimate, method="recommended")
+        state.estimates = {estimate.method: estimate, recommended.method: recommended}
+        out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
+        out.append(Publication(t_ns, "/soil_tire", recommended))
+
+
+def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
+    """Time ran back: what was kept belongs to another time. What was learned of the soil stays."""
+    seconds = (state.latest_ns - frame.t_ns) * 1e-9
+    state.clock_steps += 1
+    state.aligner = aligner.initial(state.machine)
+    state.steady_state.window.clear()
+    state.steady_state.seen_ns = 0
+    state.steady_state.published_ns = 0
+    text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"
+    out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "clock_step", text)))
+
+
+_REBUILT = frozenset({"machine", "decoder", "last_pose", "estimates"})
 
 
 def snapshot(state: State) -> str:
     """The state as JSON text: `restore(machine, snapshot(s))` goes on exactly as `s` would."""
-    raise NotImplementedError
+    plain = to_plain(state, skip=_REBUILT)
+    plain["decoder"] = state.decoder.dump()
+    return json.dumps(plain, separators=(",", ":"))
 
 
 def restore(machine: Machine, text: str) -> State:
     """The state that `snapshot` wrote. Raises ValueError where the text is not such a state."""
-    raise NotImplementedError
+    plain = json.loads(text)
+    if not isinstance(plain, dict) or "decoder" not in plain:
+        raise ValueError("this is no stored state of the fold")
+    decoder = Decoder(machine)
+    decoder.load(plain.pop("decoder"))
+    given = {"machine": machine, "decoder": decoder, "last_pose": None, "estimates": {}}
+    state = from_plain(State, plain, given)
+    assert isinstance(state, State)
+    return state

@@ -223,7 +223,7 @@ class Event(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ...) -> None: ...
 
 class BusStatus(_message.Message):
-    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames")
+    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason")
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -231,6 +231,8 @@ class BusStatus(_message.Message):
     SILENT_S_FIELD_NUMBER: _ClassVar[int]
     REOPENED_FIELD_NUMBER: _ClassVar[int]
     ERROR_FRAMES_FIELD_NUMBER: _ClassVar[int]
+    LOST_FRAMES_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: str
     frames: int
@@ -238,7 +240,9 @@ class BusStatus(_message.Message):
     silent_s: float
     reopened: int
     error_frames: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ...) -> None: ...
+    lost_frames: int
+    reason: str
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ..., lost_frames: _Optional[int] = ..., reason: _Optional[str] = ...) -> None: ...
 
 class ReceiverStatus(_message.Message):
     __slots__ = ("mount", "state", "fix", "age_s", "source")
@@ -263,7 +267,7 @@ class Count(_message.Message):
     def __init__(self, reason: _Optional[str] = ..., count: _Optional[int] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems")
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -279,6 +283,7 @@ class Status(_message.Message):
     LOG_BYTES_FIELD_NUMBER: _ClassVar[int]
     DISK_FREE_BYTES_FIELD_NUMBER: _ClassVar[int]
     PROBLEMS_FIELD_NUMBER: _ClassVar[int]
+    WHEEL_ANGLE_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     run: str
     version: str
@@ -294,7 +299,8 @@ class Status(_message.Message):
     log_bytes: int
     disk_free_bytes: float
     problems: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ...) -> None: ...
+    wheel_angle: ReceiverStatus
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ...) -> None: ...
 
 class Snapshot(_message.Message):
     __slots__ = ("t_ns", "machine_sha256", "state_json")

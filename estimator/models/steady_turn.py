@@ -1,0 +1,48 @@
+"""Steady turning of a tractor with a towed single-axle implement, in closed form.
+
+Source: Karkee (2009), section 3.6, eqs. 3.122 to 3.128, with gravity along the slope added. Small angles,
+linear tyres F = −C α; relaxation lengths drop out. Valid forward, above about 1 m/s and below about 10° of
+slip.
+
+Unknowns: lateral velocity v of the tractor's CG (m/s), yaw rate r of both bodies (rad/s), articulation
+λ = ψ_t − ψ_i (rad).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+GRAVITY = 9.80665  # m/s^2
+
+Array = NDArray[np.float64]
+
+INPUTS = ("C_af", "C_ar", "C_ai", "m_t", "m_i", "u", "delta", "roll_t", "roll_i")
+"""Columns of the input of `steady_turn`: N/rad, kg, m/s, rad."""
+
+
+def steady_turn(inputs: Array, a: float, b: float, c: float, d: float, e: float) -> Array:
+    """[v, r, λ] for each row of inputs.
+
+    inputs: [n, 9] in the order of INPUTS. Returns [n, 3]. Geometry in m as in docs/notation.md.
+    Raises numpy.linalg.LinAlgError where there is no steady turn (an oversteering rig's critical speed).
+    """
+    c_f, c_r, c_i, m_t, m_i, u, delta, roll_t, roll_i = inputs.T
+    weight_t = m_t * GRAVITY * np.sin(roll_t)
+    weight_i = m_i * GRAVITY * np.sin(roll_i)
+    # Axle forces are linear in the unknowns: F = F_v v + F_r r + F_λ λ + F_0.
+    zero = np.zeros_like(u)
+    front = np.stack([-c_f / u, -c_f * a / u, zero, c_f * delta])
+    rear = np.stack([-c_r / u, c_r * b / u, zero, zero])
+    cart = np.stack([-c_i / u, c_i * (c + d + e) / u, -c_i, zero])
+    inertia_t = np.stack([zero, -m_t * u, zero, weight_t])
+    inertia_i = np.stack([zero, -m_i * u, zero, weight_i])
+    hitch = cart + inertia_i  # force of the implement on the tractor
+    balance = np.stack(
+        [
+            front + rear + inertia_t + hitch,  # 3.122: lateral forces
+            a * front - b * rear - c * hitch,  # 3.123: moments about the tractor's CG
+            -e * cart - d * hitch,  # 3.124: moments about the implement's CG
+        ]
+    )  # [3 equations, 4 coefficients, n]
+    matrix = np.moveaxis(balance[:, :3, :], -1, 0)
+    right = -balance[:, 3, :].T[..., None]
+    return np.asarray(np.linalg.solve(matrix, right)[..., 0])

@@ -1,0 +1,316 @@
+"""Three cornering stiffnesses from steady driving, recursively.
+
+In a steady turn the relaxation lengths drop out (Karkee 2009, section 3.6). Yaw rate and articulation alone
+carry two numbers about three stiffnesses, at any speed: rank 2. With the lateral velocity of the tractor's CG
+as third output the rank is 3. This filter says which of the two it is before it says a number.
+
+States: natural logarithms of the three stiffnesses; zero error of the wheel angle; heading error of either
+antenna pair, which is its misalignment and its multipath; logarithms of both masses, which data cannot tell
+from stiffness and which therefore carry the machine file's uncertainty into it. Straight driving is a steady
+turn too, and the one that tells zero and misalignment.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from filterpy.kalman import update
+from numpy.typing import NDArray
+
+from tilth.estimator.models.steady_turn import steady_turn
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.machine import Machine, Tyre
+
+Array = NDArray[np.float64]
+
+METHOD = "steady_state"
+MODEL = "steady_turn"
+STATES = ("C_af", "C_ar", "C_ai", "wheel_zero", "pair_tractor", "pair_implement", "mass_t", "mass_i")
+OUTPUTS = ("yaw_rate", "articulation", "lateral_velocity")
+
+SLOWEST = 2.0  # m/s: below, slip is too small against noise
+WINDOW_NS = 1_000_000_000  # over which the driving must be steady
+SETTLING_LENGTHS = 6.0  # in lengths d + e that an implement needs to fall in line: e^-6 of a step is left
+SETTLING_S = 3.0
+STEER_RANGE = math.radians(1.2)  # of the wheel angle within the window
+YAW_ACCELERATION = 0.08  # rad/s^2
+SPEED_RANGE = 0.4  # m/s
+LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
+CORRELATED_SHARE = 0.4  # of a position's sd that stays for PAIR_MEMORY and does not cancel in a pair
+PAIR_MEMORY_S = 20.0
+DRIFT_M = 50_000.0  # distance over which the soil forgets itself
+GATE = 16.0  # chi-square of three outputs, 0.1 %
+SUPPORTED = 0.5  # posterior over prior sd of the logarithm: above, the data do not support a number
+RANK_GAIN = 3.0  # information over prior information, for a direction to count as determined
+STALE_S = 300.0
+PUBLISH_NS = 1_000_000_000
+UNKNOWN_ROLL = math.radians(1.5)  # sd, where nobody measures it
+
+_RELAXATION = ParameterEstimate(
+    None, None, Status.UNESTIMATED, "steady driving carries no relaxation-length information"
+)
+
+
+@dataclass(slots=True)
+class SteadyState:
+    """State of the filter. Angles rad, times ns."""
+
+    x: Array  # [8] in the order of STATES
+    p: Array  # [8, 8]
+    prior: Array  # [8] sd
+    window: deque[tuple[int, float, float, float]] = field(default_factory=lambda: deque(maxlen=8))
+    unsettled_m: float = 0.0  # distance still to go until the implement is in line
+    unsettled_s: float = 0.0
+    seen_ns: int = 0
+    informed_ns: int = 0
+    published_ns: int = 0
+    used: int = 0
+    sideslip_used: int = 0
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
+    reason: str = "no steady driving yet"  # of the latest pose
+
+
+def initial(machine: Machine) -> SteadyState:
+    """At the machine file's priors."""
+    tyres = _tyres(machine)
+    mean = [math.log(t.cornering_stiffness) for t in tyres]
+    sd = [t.log_sd for t in tyres]
+    pairs = [_pair_sd(machine, body) for body in ("tractor", "implement")]
+    masses = (machine.tractor.mass, machine.implement.mass)
+    prior = np.array(
+        [*sd, math.radians(machine.wheel_angle.zero.sd), *pairs, *(max(m.sd / m.value, 1e-4) for m in masses)]
+    )
+    x = np.array([*mean, 0.0, 0.0, 0.0, *(math.log(m.value) for m in masses)])
+    return SteadyState(x, np.diag(prior**2), prior)
+
+
+def _pair_sd(machine: Machine, body: str) -> float:
+    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline."""
+    pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
+    if len(pair) < 2:
+        return math.radians(2.0)
+    length = math.dist(pair[0].position[:2], pair[1].position[:2])
+    return CORRELATED_SHARE * math.hypot(*(r.position_sd for r in pair)) / length
+
+
+def take(state: SteadyState, machine: Machine, pose: Pose) -> Estimate | None:
+    """Take one pose; an estimate each PUBLISH_NS."""
+    seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else 0.0
+    state.seen_ns = pose.t_ns
+    _drift(state, seconds, pose)
+    reason = _refusal(state, machine, pose, seconds)
+    state.reason = reason
+    if reason:
+        state.refused[reason] = state.refused.get(reason, 0) + 1
+    elif _learn(state, machine, pose):
+        state.informed_ns = pose.t_ns
+    if pose.t_ns - state.published_ns < PUBLISH_NS:
+        return None
+    state.published_ns = pose.t_ns
+    return estimate(state, machine, pose.t_ns)
+
+
+def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
+    """Ornstein-Uhlenbeck drift: stiffness over distance, pair errors over time, both towards the prior."""
+    seconds = min(max(seconds, 0.0), 3600.0)
+    distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
+    keep = np.ones(len(STATES))
+    keep[:3] = math.exp(-distance / DRIFT_M)
+    keep[4:6] = math.exp(-seconds / PAIR_MEMORY_S)
+    # Stiffness forgets what it knew, not where it stood: only its covariance returns to the prior.
+    state.x[4:6] *= keep[4:6]
+    state.p = state.p * np.outer(keep, keep) + np.diag((1 - keep**2) * state.prior**2)
+
+
+def _refusal(state: SteadyState, machine: Machine, pose: Pose, seconds: float) -> str:
+    """Why this pose teaches nothing; empty if it does."""
+    unusable = _unusable(pose)
+    u, rate, delta = pose.tractor.forward_velocity, pose.tractor.yaw_rate, pose.wheel_angle
+    if unusable or u is None or rate is None or delta is None or seconds > 1.0:
+        state.window.clear()
+        _unsettle(state, machine)
+        return unusable or "gap in the poses"
+    state.unsettled_m -= u * seconds
+    state.unsettled_s -= seconds
+    state.window.append((pose.t_ns, u, rate, delta))
+    while pose.t_ns - state.window[0][0] > WINDOW_NS:
+        state.window.popleft()
+    if pose.t_ns - state.window[0][0] < 0.75 * WINDOW_NS:
+        return "settling"
+    speeds, rates, deltas = zip(*((row[1], row[2], row[3]) for row in state.window), strict=True)
+    span = (state.window[-1][0] - state.window[0][0]) * 1e-9
+    half = len(rates) // 2
+    ramp = (sum(rates[-half:]) - sum(rates[:half])) / half / (span / 2)
+    if max(deltas) - min(deltas) > STEER_RANGE or abs(ramp) > YAW_ACCELERATION:
+        _unsettle(state, machine)
+        return "turning in or out"
+    if max(speeds) - min(speeds) > SPEED_RANGE:
+        return "speed not steady"
+    if state.unsettled_m > 0 or state.unsettled_s > 0:
+        return "settling"
+    return ""
+
+
+def _unsettle(state: SteadyState, machine: Machine) -> None:
+    length = machine.implement.d.value + machine.implement.e.value
+    state.unsettled_m = SETTLING_LENGTHS * length
+    state.unsettled_s = SETTLING_S
+
+
+def _unusable(pose: Pose) -> str:
+    """A reason that needs no history."""
+    kinds = {flag.partition(":")[0] for flag in pose.flags}
+    if kinds & {"swapped", "moved", "doubtful"}:
+        return "receivers do not fit the rig"
+    if kinds & {"floating", "no_rtk", "no_fix"}:
+        return "no RTK fix"
+    if kinds & {"late"}:
+        return "late receiver"
+    if pose.direction < 0:
+        return "reverse"
+    u = pose.tractor.forward_velocity
+    if u is not None and u < SLOWEST:
+        return "too slow"
+    if pose.wheel_angle is None:
+        return "no wheel angle"
+    if pose.articulation is None or pose.tractor.yaw_rate is None or u is None:
+        return "pose incomplete"
+    if any(kind.startswith("heading_by_") for kind in kinds):
+        return "heading not from two receivers"
+    if max(abs(pose.wheel_angle), abs(pose.articulation)) > LARGEST_ANGLE:
+        return "outside the small-angle model"
+    return ""
+
+
+def _learn(state: SteadyState, machine: Machine, pose: Pose) -> bool:
+    """One update. False where the outputs are too far from what was expected."""
+    predicted, slope, spread = _linearise(state, machine, pose)
+    measured, noise = _outputs(pose, spread)
+    innovation = measured - predicted
+    rows = [0, 1, 2] if pose.tractor.lateral_velocity is not None else [0, 1]
+    innovation, slope, noise = innovation[rows], slope[rows], noise[np.ix_(rows, rows)]
+    expected = slope @ state.p @ slope.T + noise
+    if float(innovation @ np.linalg.solve(expected, innovation)) > GATE:
+        state.reason = "outlier"
+        state.refused["outlier"] = state.refused.get("outlier", 0) + 1
+        return False
+    state.x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)
+    state.p = (p + p.T) / 2
+    state.used += 1
+    state.sideslip_used += len(rows) == 3
+    return True
+
+
+def _linearise(state: SteadyState, machine: Machine, pose: Pose) -> tuple[Array, Array, Array]:
+    """(outputs [3], their slope over STATES [3, 8], their covariance from noisy inputs [3, 3])."""
+    u, delta = pose.tractor.forward_velocity or 0.0, pose.wheel_angle or 0.0
+    rolls = (pose.tractor.roll or 0.0, pose.implement.roll or 0.0)
+    point = np.array([*np.exp(state.x[:3]), *np.exp(state.x[6:8]), u, delta - state.x[3], *rolls])
+    step = 1e-4
+    nudges = np.zeros((9, 9))
+    nudges[range(5), range(5)] = point[:5] * step  # logarithms: stiffness, masses
+    nudges[range(5, 9), range(5, 9)] = step  # speed, wheel angle, rolls
+    t, i = machine.tractor, machine.implement
+    z = steady_turn(
+        np.vstack([point, point + nudges, point - nudges]),
+        t.a.value,
+        t.b.value,
+        t.c.value,
+        i.d.value,
+        i.e.value,
+    )[:, [1, 2, 0]]
+    gradient = (z[1:10] - z[10:19]).T / (2 * step)  # [3, 9] in the order of steady_turn.INPUTS
+    slope = np.zeros((3, 8))
+    slope[:, :3] = gradient[:, :3]
+    slope[:, 3] = -gradient[:, 6]
+    slope[:, 4] = 0.0, 1.0, -u  # a pair that shows too large a heading: more articulation, less sideslip
+    slope[:, 5] = 0.0, -1.0, 0.0
+    slope[:, 6:8] = gradient[:, 3:5]
+    predicted = z[0] + slope[:, 4:6] @ state.x[4:6]
+    sd_rolls = [UNKNOWN_ROLL if b.sd_roll is None else b.sd_roll for b in (pose.tractor, pose.implement)]
+    sd = (pose.tractor.sd_velocity or 0.0, pose.sd_wheel_angle or 0.0, *sd_rolls)
+    driven = gradient[:, 5:9] * np.array(sd)
+    return predicted, slope, driven @ driven.T
+
+
+def _outputs(pose: Pose, spread: Array) -> tuple[Array, Array]:
+    """(measured [3], white noise covariance [3, 3]) in the order of OUTPUTS."""
+    tractor = pose.tractor
+    u = tractor.forward_velocity or 0.0
+    measured = np.array([tractor.yaw_rate or 0.0, pose.articulation or 0.0, tractor.lateral_velocity or 0.0])
+    # One heading error enters both articulation and lateral velocity.
+    mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -u, 0.0, 1.0]])
+    sd = np.array(
+        [tractor.sd_yaw_rate or 0.0, tractor.sd_heading or 0.0, pose.implement.sd_heading or 0.0,
+         tractor.sd_velocity or 0.0]
+    )  # fmt: skip
+    noise = mixing * sd
+    return measured, noise @ noise.T + spread
+
+
+def identifiability(state: SteadyState) -> tuple[int, float | None]:
+    """(rank, condition) of what the data, without the prior, say of the three logarithms.
+
+    Directions whose information exceeds RANK_GAIN times the prior's count.
+    """
+    scaled = state.p[:3, :3] / np.outer(state.prior[:3], state.prior[:3])
+    information = np.linalg.eigvalsh(np.linalg.inv(scaled)) - 1.0
+    rank = int(np.sum(information > RANK_GAIN))
+    if information[0] <= 0:
+        return rank, None
+    return rank, float(information[-1] / information[0])
+
+
+def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
+    """What can be said now."""
+    rank, condition = identifiability(state)
+    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
+    parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = state.p[:3, :3]
+    covariance[3:, 3:] = np.diag([t.log_sd**2 for t in _tyres(machine)])
+    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
+    return Estimate(
+        t_ns=t_ns,
+        method=METHOD,
+        model=MODEL,
+        parameters=(*parameters, _RELAXATION, _RELAXATION, _RELAXATION),
+        log_covariance=tuple(covariance.ravel().tolist()),
+        per_mass=tuple(p.value / m if p.value else None for p, m in zip(parameters, masses, strict=True)),
+        nuisances={
+            name: (float(state.x[k]), math.sqrt(state.p[k, k])) for k, name in enumerate(STATES) if 3 <= k < 6
+        },
+        rank=rank,
+        condition=condition,
+        excitation={"steady_s": state.used * 0.2, "sideslip_s": state.sideslip_used * 0.2},
+        window_s=state.used * 0.2,
+    )
+
+
+def _tyres(machine: Machine) -> tuple[Tyre, Tyre, Tyre]:
+    return (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
+
+
+def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
+    """One stiffness: a number only where the data support it."""
+    sd_log = math.sqrt(state.p[k, k])
+    if age is None:
+        return ParameterEstimate(None, None, Status.UNESTIMATED, state.reason or "no steady driving yet")
+    if rank < 3 or sd_log > SUPPORTED * state.prior[k]:
+        return ParameterEstimate(None, None, Status.UNESTIMATED, _what_lacks(state, rank), age)
+    value = math.exp(state.x[k])
+    if age > STALE_S:
+        return ParameterEstimate(
+            value, value * sd_log, Status.STALE, f"no steady driving for {age:.0f} s", age
+        )
+    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
+
+
+def _what_lacks(state: SteadyState, rank: int) -> str:
+    if rank < 3 and state.sideslip_used == 0:
+        return f"rank {rank} of 3: without sideslip three stiffnesses cannot be told apart"
+    return f"rank {rank} of 3: more steady turns to both sides are needed"
+
+
+assert PARAMETERS[:3] == STATES[:3]

@@ -1,0 +1,63 @@
+"""The straight line of layers, and what the two inner ones must not know."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("schemas", "estimator", "logger", "replay", "cli")
+PURE = ("schemas", "estimator")
+IMPURE = {
+    "asyncio", "can", "concurrent", "datetime.datetime.now", "io", "logging", "mcap", "multiprocessing", "os",
+    "pathlib", "random", "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile",
+    "threading", "time", "urllib", "zenoh",
+}  # fmt: skip
+
+
+def _modules() -> list[Path]:
+    return [path for layer in LAYERS for path in (ROOT / layer).rglob("*.py") if "_pb2" not in path.name]
+
+
+def _imports(tree: ast.AST) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _faults(layer: str, source: str) -> list[str]:
+    """What this source of that layer may not do."""
+    tree = ast.parse(source)
+    outer = LAYERS[LAYERS.index(layer) + 1 :]
+    found = [name for name in _imports(tree) if name.startswith(tuple(f"tilth.{o}" for o in outer))]
+    if layer in PURE:
+        found += [name for name in _imports(tree) if name.split(".")[0] in IMPURE]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in {"open", "datetime.now", "input", "print"}:
+                found.append(ast.unparse(node))
+            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("np.random"):
+                found.append(ast.unparse(node))
+    return found
+
+
+@pytest.mark.parametrize("path", _modules(), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
+    assert _faults(path.relative_to(ROOT).parts[0], path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    ("layer", "source"),
+    [
+        ("schemas", "from tilth.estimator.fold import step"),
+        ("estimator", "import time"),
+        ("estimator", "import tilth.logger.buses"),
+        ("schemas", "def f():\n    open('x')"),
+        ("estimator", "import numpy as np\nnp.random.normal()"),
+        ("logger", "from tilth.replay import readers"),
+    ],
+)
+def test_the_check_sees_what_it_is_for(layer: str, source: str) -> None:
+    assert _faults(layer, source)
