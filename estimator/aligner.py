@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from tilth.estimator import latency, plausibility
 from tilth.estimator.geometry import to_plane
 from tilth.estimator.latency import Latency
-from tilth.estimator.track import Sample, Track
+from tilth.estimator.track import NEAR_NS, Sample, Track
 from tilth.schemas.flow import Measurement, Mount, Position, VehicleSpeed, WheelAngle
 from tilth.schemas.machine import Machine
 
@@ -108,7 +108,7 @@ def _ready(state: Aligner, now_ns: int) -> bool:
     if now_ns >= state.due_ns + DEADLINE_NS:
         return True
     return all(
-        track.positions[-1][0] - state.latency.excess_ns(index) >= state.due_ns
+        track.positions[-1][0] - state.latency.excess_ns(index) >= state.due_ns - NEAR_NS
         for index, track in _alive(state, now_ns)
     )
 

@@ -7,14 +7,18 @@ period. The machine file's latency leads from that envelope back to the instant 
 Arrival times alone would put 10 to 30 ms of jitter (4 to 13 cm at 4.5 m/s) into every position.
 """
 
-from collections import deque
 from dataclasses import dataclass, field
 
 CLUMP_NS = 50_000_000  # frames of one epoch come within this, unless their SID ties them
 SAME_SID_NS = 200_000_000
 LEAK = 300e-6  # the envelope rises by this share of time: above any quartz's skew (100 ppm)
-PERIODS = 15  # intervals whose median is the period
-RESET_NS = 500_000_000  # arrivals this far off the grid: the device's timing has changed
+QUEUE_S = 0.03  # how late a clump may queue: what the period's estimate may be off by, over its baseline
+FIRST_INTERVALS = 5  # their median is the first idea of the period
+COMMON_PERIODS_NS = (50_000_000, 100_000_000, 200_000_000, 250_000_000, 500_000_000, 1_000_000_000)
+COMMON_SHARE = 0.04  # a period this close to a common one is that one
+WHOLE_MS_AFTER = 120  # epochs after which the mean interval tells the millisecond
+OFF_GRID_LIMIT = 8
+RESET_NS = 5_000_000_000  # a silence this long, or any step back in time, starts the grid anew
 PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
 
 
@@ -27,7 +31,11 @@ class EpochClock:
     group_pgns: list[int] = field(default_factory=list)
     epoch_ns: int = 0  # the current clump's time on the lower envelope
     period_ns: int = 0  # 0: not known yet
-    intervals: deque[int] = field(default_factory=lambda: deque(maxlen=PERIODS))
+    period_sure: bool = False  # common, or measured to the millisecond
+    first_intervals: list[int] = field(default_factory=list)
+    anchor_ns: int = 0  # arrival from which the period is measured
+    anchor_epochs: int = 0  # epochs since
+    off_grid: int = 0  # clumps between epochs, less those on them
     jitter_ns: float = 20e6  # mean lateness against the envelope, 10 s memory
     resets: int = 0
 
@@ -53,38 +61,65 @@ class EpochClock:
     def _new_clump(self, rx_ns: int) -> None:
         interval = rx_ns - self.group_ns
         self.group_ns = rx_ns
-        if PERIOD_RANGE_NS[0] <= interval <= PERIOD_RANGE_NS[1]:
-            self.intervals.append(interval)
-            self._learn_period()
-        if self.period_ns == 0 or self.epoch_ns == 0:
+        if self.period_ns == 0:
+            self._first_idea(interval, rx_ns)
             self.epoch_ns = rx_ns
             return
-        epochs = round((rx_ns - self.epoch_ns) / self.period_ns)
-        late = rx_ns - (self.epoch_ns + epochs * self.period_ns)
-        if epochs <= 0 and rx_ns >= self.epoch_ns:
+        since = rx_ns - self.epoch_ns
+        epochs = round(since / self.period_ns)
+        if self._off_grid(since - epochs * self.period_ns, rx_ns):
+            return
+        if epochs <= 0 <= since:
             return  # a second clump within one epoch: the same instant
-        if epochs < 0 or epochs * self.period_ns > 10 * RESET_NS:
-            self.epoch_ns = rx_ns  # time stepped, or a long silence: start the grid anew
+        if since < -self.period_ns or since > RESET_NS:
+            self.epoch_ns = self.anchor_ns = rx_ns
+            self.anchor_epochs = 0
             self.resets += 1
             return
+        self._measure_period(rx_ns, epochs)
         elapsed = epochs * self.period_ns
-        self.epoch_ns += elapsed + min(late, int(LEAK * elapsed))
+        late = since - elapsed
+        self.epoch_ns += elapsed + min(late, round(self._leak() * elapsed))
         share = min(1.0, elapsed / 10e9)
         self.jitter_ns += share * (rx_ns - self.epoch_ns - self.jitter_ns)
 
-    def _learn_period(self) -> None:
-        """Median interval, to the millisecond: devices keep whole milliseconds, arrivals do not."""
-        if len(self.intervals) < 5 or (self.period_ns and len(self.intervals) < PERIODS):
+    def _off_grid(self, late: int, rx_ns: int) -> bool:
+        """Whether so many clumps came between the epochs that the device must have changed its period."""
+        self.off_grid = self.off_grid + 1 if abs(late) > self.period_ns // 4 else max(0, self.off_grid - 1)
+        if self.off_grid < OFF_GRID_LIMIT:
+            return False
+        self.period_ns, self.period_sure, self.anchor_epochs, self.off_grid = 0, False, 0, 0
+        self.first_intervals.clear()
+        self.epoch_ns = rx_ns
+        self.resets += 1
+        return True
+
+    def _leak(self) -> float:
+        """By what share of time the envelope may rise: skew, and what the period may still be off by."""
+        if self.period_sure:
+            return LEAK
+        return LEAK + QUEUE_S * 1e9 / (self.period_ns * max(self.anchor_epochs, 1))
+
+    def _first_idea(self, interval: int, rx_ns: int) -> None:
+        if PERIOD_RANGE_NS[0] <= interval <= PERIOD_RANGE_NS[1]:
+            self.first_intervals.append(interval)
+        if len(self.first_intervals) == FIRST_INTERVALS:
+            self.period_ns = sorted(self.first_intervals)[FIRST_INTERVALS // 2]
+            self.anchor_ns = rx_ns
+
+    def _measure_period(self, rx_ns: int, epochs: int) -> None:
+        if self.period_sure:
             return
-        median = sorted(self.intervals)[len(self.intervals) // 2]
-        period = max(1, round(median / 1e6)) * 1_000_000
-        for nominal in (100_000_000, 200_000_000, 1_000_000_000):
-            if abs(period - nominal) <= nominal // 25:
-                period = nominal
-        if period != self.period_ns:
-            self.period_ns = period
-            self.epoch_ns = self.group_ns
-        self.intervals.clear()
+        self.anchor_epochs += epochs
+        mean = (rx_ns - self.anchor_ns) // self.anchor_epochs
+        if self.anchor_epochs >= WHOLE_MS_AFTER:
+            self.period_ns, self.period_sure = round(mean / 1e6) * 1_000_000, True
+            return
+        self.period_ns = mean
+        if self.anchor_epochs >= FIRST_INTERVALS:
+            for common in COMMON_PERIODS_NS:
+                if abs(mean - common) <= COMMON_SHARE * common:
+                    self.period_ns, self.period_sure = common, True
 
 
 @dataclass(slots=True)

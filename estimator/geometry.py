@@ -10,7 +10,7 @@ Vector = tuple[float, float]
 
 @lru_cache(maxsize=8)
 def _transformer(latitude_deg: float, longitude_deg: float) -> Transformer:
-    plane = f"+proj=tmerc +lat_0={latitude_deg!r} +lon_0={longitude_deg!r} +k=1 +ellps=WGS84 +units=m"
+    plane = f"+proj=tmerc +lat_0={latitude_deg:.12f} +lon_0={longitude_deg:.12f} +k=1 +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
 

@@ -25,6 +25,7 @@ from tilth.schemas.flow import (
 
 BRIDGE_NS = 1_100_000_000  # longest gap that is interpolated: a receiver at 1 Hz
 HOLD_NS = 600_000_000  # longest extrapolation of a position
+NEAR_NS = 20_000_000  # an extrapolation this short costs less than a position's own noise
 SLOW_HOLD_NS = 1_500_000_000  # roll, pitch and headings change slowly enough to be held this long
 STANDSTILL = 0.15  # m/s: below, a repeated position is still the position
 SWERVE = 0.7  # m/s^2: acceleration that an extrapolation does not know
@@ -122,7 +123,7 @@ class Track:
         )
 
     def position_at(self, t_ns: int) -> tuple[Vector, float, bool] | None:
-        """((north, east) m, sd per axis m, whether extrapolated) at t, or None."""
+        """((north, east) m, sd per axis m, whether it had to be extrapolated) at t, or None."""
         before, after = _around(self.positions, t_ns)
         if before is None:
             return None
@@ -138,7 +139,7 @@ class Track:
         (north, east), sd_velocity = moved
         north, east = _turn((north, east), self._rate_near(t_ns) * age / 2)
         sd = math.sqrt(before[3] ** 2 + (sd_velocity * age) ** 2 + (SWERVE * age**2 / 2) ** 2)
-        return (before[1] + north * age, before[2] + east * age), sd, True
+        return (before[1] + north * age, before[2] + east * age), sd, age_ns > NEAR_NS
 
     def _between(self, before: Planar, after: Planar, t_ns: int) -> Vector:
         """Cubic Hermite path; a straight line where velocities are missing."""
