@@ -17,7 +17,7 @@ FIRST_INTERVALS = 5  # their median is the first idea of the period
 COMMON_PERIODS_NS = (50_000_000, 100_000_000, 200_000_000, 250_000_000, 500_000_000, 1_000_000_000)
 COMMON_SHARE = 0.04  # a period this close to a common one is that one
 WHOLE_MS_AFTER = 120  # epochs after which the mean interval tells the millisecond
-OFF_GRID_LIMIT = 8
+OFF_GRID_LIMIT = 12  # reached in a dozen clumps where every second one is between the epochs
 RESET_NS = 5_000_000_000  # a silence this long, or any step back in time, starts the grid anew
 PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
 
@@ -35,7 +35,7 @@ class EpochClock:
     first_intervals: list[int] = field(default_factory=list)
     anchor_ns: int = 0  # arrival from which the period is measured
     anchor_epochs: int = 0  # epochs since
-    off_grid: int = 0  # clumps between epochs, less those on them
+    off_grid: int = 0  # twice the clumps between epochs, less those on them
     jitter_ns: float = 20e6  # mean lateness against the envelope, 10 s memory
     resets: int = 0
 
@@ -85,7 +85,7 @@ class EpochClock:
 
     def _off_grid(self, late: int, rx_ns: int) -> bool:
         """Whether so many clumps came between the epochs that the device must have changed its period."""
-        self.off_grid = self.off_grid + 1 if abs(late) > self.period_ns // 4 else max(0, self.off_grid - 1)
+        self.off_grid = self.off_grid + 2 if abs(late) > self.period_ns // 4 else max(0, self.off_grid - 1)
         if self.off_grid < OFF_GRID_LIMIT:
             return False
         self.period_ns, self.period_sure, self.anchor_epochs, self.off_grid = 0, False, 0, 0

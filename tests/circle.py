@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
 from tilth.estimator.geometry import lever, rotate, to_plane
 from tilth.schemas.flow import (
     Attitude,

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from circle import ORIGIN_DEG, START_NS, Circle, demo_machine
+
 from tilth.estimator import aligner
 from tilth.estimator.aligner import Aligner
 from tilth.estimator.geometry import to_plane, wrap
