@@ -19,6 +19,7 @@ COMMON_SHARE = 0.04  # a period this close to a common one is that one
 WHOLE_MS_AFTER = 120  # epochs after which the mean interval tells the millisecond
 OFF_GRID_LIMIT = 12  # reached in a dozen clumps where every second one is between the epochs
 RESET_NS = 5_000_000_000  # a silence this long, or any step back in time, starts the grid anew
+UTC_JUMP_NS = 2_000_000_000
 PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
 
 
@@ -124,21 +125,21 @@ class EpochClock:
 
 @dataclass(slots=True)
 class UtcClock:
-    """UTC against the host's clock, from messages that carry a time: the lower envelope of arrival − UTC."""
+    """UTC against the host's clock, from messages that carry a time: the lower envelope of host − UTC."""
 
-    offset_ns: int | None = None  # host − UTC, at the earliest arrivals
+    offset_ns: int | None = None  # host − UTC, at the earliest
     at_ns: int = 0
     resolution_s: float = 1.0
 
-    def arrive(self, arrival_ns: int, utc_ns: int, resolution_s: float) -> None:
-        """Take a time message; a finer one replaces a coarser one, a jump starts anew."""
-        offset = arrival_ns - utc_ns
-        jumped = self.offset_ns is not None and abs(offset - self.offset_ns) > 2_000_000_000
+    def measured(self, host_ns: int, utc_ns: int, resolution_s: float) -> None:
+        """Take an epoch's host time and UTC; a finer message replaces a coarser, a jump starts anew."""
+        offset = host_ns - utc_ns
+        jumped = self.offset_ns is not None and abs(offset - self.offset_ns) > UTC_JUMP_NS
         if self.offset_ns is None or jumped or resolution_s < self.resolution_s:
-            self.offset_ns, self.at_ns, self.resolution_s = offset, arrival_ns, resolution_s
+            self.offset_ns, self.at_ns, self.resolution_s = offset, host_ns, resolution_s
         elif resolution_s == self.resolution_s:
-            risen = self.offset_ns + int(LEAK * (arrival_ns - self.at_ns))
-            self.offset_ns, self.at_ns = min(offset, risen), arrival_ns
+            risen = self.offset_ns + round(LEAK * (host_ns - self.at_ns))
+            self.offset_ns, self.at_ns = min(offset, risen), host_ns
 
     def utc_ns(self, host_ns: int) -> int | None:
         """UTC at a host time, good to the resolution of the messages; None before the first."""

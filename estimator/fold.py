@@ -11,6 +11,7 @@ from tilth.estimator import aligner, steady_state
 from tilth.estimator.aligner import Aligner
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
+from tilth.estimator.steady_driving import Steadiness
 from tilth.estimator.steady_state import SteadyState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -114,7 +115,7 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     seconds = (state.latest_ns - frame.t_ns) * 1e-9
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
-    state.steady_state.window.clear()
+    state.steady_state.steadiness = Steadiness()
     state.steady_state.seen_ns = 0
     state.steady_state.published_ns = 0
     text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"

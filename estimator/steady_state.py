@@ -11,14 +11,15 @@ turn too, and the one that tells zero and misalignment.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 from filterpy.kalman import update
 from numpy.typing import NDArray
 
+from tilth.estimator.aligner import POSE_NS
 from tilth.estimator.models.steady_turn import steady_turn
+from tilth.estimator.steady_driving import BLOCK, Sample, Steadiness, observe
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine, Tyre
 
@@ -29,23 +30,18 @@ MODEL = "steady_turn"
 STATES = ("C_af", "C_ar", "C_ai", "wheel_zero", "pair_tractor", "pair_implement", "mass_t", "mass_i")
 OUTPUTS = ("yaw_rate", "articulation", "lateral_velocity")
 
-SLOWEST = 2.0  # m/s: below, slip is too small against noise
-WINDOW_NS = 1_000_000_000  # over which the driving must be steady
-SETTLING_LENGTHS = 6.0  # in lengths d + e that an implement needs to fall in line: e^-6 of a step is left
-SETTLING_S = 3.0
-STEER_RANGE = math.radians(1.2)  # of the wheel angle within the window
-YAW_ACCELERATION = 0.08  # rad/s^2
-SPEED_RANGE = 0.4  # m/s
-LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
+TEACHING_ANGLE = math.radians(1.0)
+"""Of the wheels: below, the outputs' slope over stiffness is mostly the noise of wheel angle and roll, and
+squares of noise would add up to information that nobody received."""
 CORRELATED_SHARE = 0.4  # of a position's sd that stays for PAIR_MEMORY and does not cancel in a pair
 PAIR_MEMORY_S = 20.0
 DRIFT_M = 50_000.0  # distance over which the soil forgets itself
+STEP = 1e-4  # of the central differences
 GATE = 16.0  # chi-square of three outputs, 0.1 %
 SUPPORTED = 0.5  # posterior over prior sd of the logarithm: above, the data do not support a number
 RANK_GAIN = 3.0  # information over prior information, for a direction to count as determined
 STALE_S = 300.0
 PUBLISH_NS = 1_000_000_000
-UNKNOWN_ROLL = math.radians(1.5)  # sd, where nobody measures it
 
 _RELAXATION = ParameterEstimate(
     None, None, Status.UNESTIMATED, "steady driving carries no relaxation-length information"
@@ -59,14 +55,12 @@ class SteadyState:
     x: Array  # [8] in the order of STATES
     p: Array  # [8, 8]
     prior: Array  # [8] sd
-    window: deque[tuple[int, float, float, float]] = field(default_factory=lambda: deque(maxlen=8))
-    unsettled_m: float = 0.0  # distance still to go until the implement is in line
-    unsettled_s: float = 0.0
+    steadiness: Steadiness = field(default_factory=Steadiness)
     seen_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
-    used: int = 0
-    sideslip_used: int = 0
+    steady_s: float = 0.0  # data used
+    sideslip_s: float = 0.0
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
     reason: str = "no steady driving yet"  # of the latest pose
 
@@ -99,11 +93,11 @@ def take(state: SteadyState, machine: Machine, pose: Pose) -> Estimate | None:
     seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else 0.0
     state.seen_ns = pose.t_ns
     _drift(state, seconds, pose)
-    reason = _refusal(state, machine, pose, seconds)
-    state.reason = reason
-    if reason:
-        state.refused[reason] = state.refused.get(reason, 0) + 1
-    elif _learn(state, machine, pose):
+    length = machine.implement.d.value + machine.implement.e.value
+    sample, state.reason = observe(state.steadiness, pose, seconds, length)
+    if state.reason:
+        state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
+    elif sample is not None and _learn(state, machine, sample):
         state.informed_ns = pose.t_ns
     if pose.t_ns - state.published_ns < PUBLISH_NS:
         return None
@@ -123,73 +117,12 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     state.p = state.p * np.outer(keep, keep) + np.diag((1 - keep**2) * state.prior**2)
 
 
-def _refusal(state: SteadyState, machine: Machine, pose: Pose, seconds: float) -> str:
-    """Why this pose teaches nothing; empty if it does."""
-    unusable = _unusable(pose)
-    u, rate, delta = pose.tractor.forward_velocity, pose.tractor.yaw_rate, pose.wheel_angle
-    if unusable or u is None or rate is None or delta is None or seconds > 1.0:
-        state.window.clear()
-        _unsettle(state, machine)
-        return unusable or "gap in the poses"
-    state.unsettled_m -= u * seconds
-    state.unsettled_s -= seconds
-    state.window.append((pose.t_ns, u, rate, delta))
-    while pose.t_ns - state.window[0][0] > WINDOW_NS:
-        state.window.popleft()
-    if pose.t_ns - state.window[0][0] < 0.75 * WINDOW_NS:
-        return "settling"
-    speeds, rates, deltas = zip(*((row[1], row[2], row[3]) for row in state.window), strict=True)
-    span = (state.window[-1][0] - state.window[0][0]) * 1e-9
-    half = len(rates) // 2
-    ramp = (sum(rates[-half:]) - sum(rates[:half])) / half / (span / 2)
-    if max(deltas) - min(deltas) > STEER_RANGE or abs(ramp) > YAW_ACCELERATION:
-        _unsettle(state, machine)
-        return "turning in or out"
-    if max(speeds) - min(speeds) > SPEED_RANGE:
-        return "speed not steady"
-    if state.unsettled_m > 0 or state.unsettled_s > 0:
-        return "settling"
-    return ""
-
-
-def _unsettle(state: SteadyState, machine: Machine) -> None:
-    length = machine.implement.d.value + machine.implement.e.value
-    state.unsettled_m = SETTLING_LENGTHS * length
-    state.unsettled_s = SETTLING_S
-
-
-def _unusable(pose: Pose) -> str:
-    """A reason that needs no history."""
-    kinds = {flag.partition(":")[0] for flag in pose.flags}
-    if kinds & {"swapped", "moved", "doubtful"}:
-        return "receivers do not fit the rig"
-    if kinds & {"floating", "no_rtk", "no_fix"}:
-        return "no RTK fix"
-    if kinds & {"late"}:
-        return "late receiver"
-    if pose.direction < 0:
-        return "reverse"
-    u = pose.tractor.forward_velocity
-    if u is not None and u < SLOWEST:
-        return "too slow"
-    if pose.wheel_angle is None:
-        return "no wheel angle"
-    if pose.articulation is None or pose.tractor.yaw_rate is None or u is None:
-        return "pose incomplete"
-    if any(kind.startswith("heading_by_") for kind in kinds):
-        return "heading not from two receivers"
-    if max(abs(pose.wheel_angle), abs(pose.articulation)) > LARGEST_ANGLE:
-        return "outside the small-angle model"
-    return ""
-
-
-def _learn(state: SteadyState, machine: Machine, pose: Pose) -> bool:
+def _learn(state: SteadyState, machine: Machine, sample: Sample) -> bool:
     """One update. False where the outputs are too far from what was expected."""
-    predicted, slope, spread = _linearise(state, machine, pose)
-    measured, noise = _outputs(pose, spread)
-    innovation = measured - predicted
-    rows = [0, 1, 2] if pose.tractor.lateral_velocity is not None else [0, 1]
-    innovation, slope, noise = innovation[rows], slope[rows], noise[np.ix_(rows, rows)]
+    predicted, slope, spread = _linearise(state.x, machine, sample)
+    measured, noise = _outputs(sample, spread)
+    rows = [0, 1] if sample.v is None else [0, 1, 2]
+    innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
     expected = slope @ state.p @ slope.T + noise
     if float(innovation @ np.linalg.solve(expected, innovation)) > GATE:
         state.reason = "outlier"
@@ -197,55 +130,40 @@ def _learn(state: SteadyState, machine: Machine, pose: Pose) -> bool:
         return False
     state.x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)
     state.p = (p + p.T) / 2
-    state.used += 1
-    state.sideslip_used += len(rows) == 3
+    state.steady_s += BLOCK * POSE_NS * 1e-9
+    state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
     return True
 
 
-def _linearise(state: SteadyState, machine: Machine, pose: Pose) -> tuple[Array, Array, Array]:
+def _linearise(x: Array, machine: Machine, sample: Sample) -> tuple[Array, Array, Array]:
     """(outputs [3], their slope over STATES [3, 8], their covariance from noisy inputs [3, 3])."""
-    u, delta = pose.tractor.forward_velocity or 0.0, pose.wheel_angle or 0.0
-    rolls = (pose.tractor.roll or 0.0, pose.implement.roll or 0.0)
-    point = np.array([*np.exp(state.x[:3]), *np.exp(state.x[6:8]), u, delta - state.x[3], *rolls])
-    step = 1e-4
-    nudges = np.zeros((9, 9))
-    nudges[range(5), range(5)] = point[:5] * step  # logarithms: stiffness, masses
-    nudges[range(5, 9), range(5, 9)] = step  # speed, wheel angle, rolls
+    inputs = (sample.u, sample.wheel_angle - x[3], sample.roll_t, sample.roll_i)
+    point = np.array([*np.exp(x[:3]), *np.exp(x[6:8]), *inputs])
+    nudges = np.diag([*point[:5] * STEP, STEP, STEP, STEP, STEP])  # of logarithms; m/s, rad
     t, i = machine.tractor, machine.implement
-    z = steady_turn(
-        np.vstack([point, point + nudges, point - nudges]),
-        t.a.value,
-        t.b.value,
-        t.c.value,
-        i.d.value,
-        i.e.value,
-    )[:, [1, 2, 0]]
-    gradient = (z[1:10] - z[10:19]).T / (2 * step)  # [3, 9] in the order of steady_turn.INPUTS
+    geometry = (t.a.value, t.b.value, t.c.value, i.d.value, i.e.value)
+    z = steady_turn(np.vstack([point, point + nudges, point - nudges]), *geometry)[:, [1, 2, 0]]
+    gradient = (z[1:10] - z[10:19]).T / (2 * STEP)  # [3, 9] in the order of steady_turn.INPUTS
     slope = np.zeros((3, 8))
-    slope[:, :3] = gradient[:, :3]
+    if abs(point[6]) > TEACHING_ANGLE:
+        slope[:, :3] = gradient[:, :3]
+        slope[:, 6:8] = gradient[:, 3:5]
     slope[:, 3] = -gradient[:, 6]
-    slope[:, 4] = 0.0, 1.0, -u  # a pair that shows too large a heading: more articulation, less sideslip
+    slope[:, 4] = 0.0, 1.0, -sample.u  # a pair that shows too large a heading: more λ, less sideslip
     slope[:, 5] = 0.0, -1.0, 0.0
-    slope[:, 6:8] = gradient[:, 3:5]
-    predicted = z[0] + slope[:, 4:6] @ state.x[4:6]
-    sd_rolls = [UNKNOWN_ROLL if b.sd_roll is None else b.sd_roll for b in (pose.tractor, pose.implement)]
-    sd = (pose.tractor.sd_velocity or 0.0, pose.sd_wheel_angle or 0.0, *sd_rolls)
+    predicted = z[0] + slope[:, 4:6] @ x[4:6]
+    sd = (sample.sd_velocity, sample.sd_wheel_angle, sample.sd_roll_t, sample.sd_roll_i)
     driven = gradient[:, 5:9] * np.array(sd)
     return predicted, slope, driven @ driven.T
 
 
-def _outputs(pose: Pose, spread: Array) -> tuple[Array, Array]:
+def _outputs(sample: Sample, spread: Array) -> tuple[Array, Array]:
     """(measured [3], white noise covariance [3, 3]) in the order of OUTPUTS."""
-    tractor = pose.tractor
-    u = tractor.forward_velocity or 0.0
-    measured = np.array([tractor.yaw_rate or 0.0, pose.articulation or 0.0, tractor.lateral_velocity or 0.0])
+    measured = np.array([sample.yaw_rate, sample.articulation, sample.v or 0.0])
     # One heading error enters both articulation and lateral velocity.
-    mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -u, 0.0, 1.0]])
-    sd = np.array(
-        [tractor.sd_yaw_rate or 0.0, tractor.sd_heading or 0.0, pose.implement.sd_heading or 0.0,
-         tractor.sd_velocity or 0.0]
-    )  # fmt: skip
-    noise = mixing * sd
+    mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -sample.u, 0.0, 1.0]])
+    sd = (sample.sd_yaw_rate, sample.sd_heading_t, sample.sd_heading_i, sample.sd_velocity)
+    noise = mixing * np.array(sd)
     return measured, noise @ noise.T + spread
 
 
@@ -283,8 +201,8 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         },
         rank=rank,
         condition=condition,
-        excitation={"steady_s": state.used * 0.2, "sideslip_s": state.sideslip_used * 0.2},
-        window_s=state.used * 0.2,
+        excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s},
+        window_s=state.steady_s,
     )
 
 
@@ -308,7 +226,7 @@ def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> Para
 
 
 def _what_lacks(state: SteadyState, rank: int) -> str:
-    if rank < 3 and state.sideslip_used == 0:
+    if rank < 3 and state.sideslip_s == 0:
         return f"rank {rank} of 3: without sideslip three stiffnesses cannot be told apart"
     return f"rank {rank} of 3: more steady turns to both sides are needed"
 

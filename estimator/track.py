@@ -80,7 +80,7 @@ class Track:
             case Fix(fix=fix):
                 self.fix = fix
             case UtcTime(utc_ns=utc_ns, sd=sd):
-                self.utc.arrive(self.clock.epoch_ns, utc_ns, sd)
+                self.utc.measured(t_ns, utc_ns, sd)
             case _:
                 pass
         return t_ns
