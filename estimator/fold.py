@@ -22,7 +22,7 @@ REWIND_NS = 500_000_000  # time running back further than this: the clock of the
 
 _FLAG_TEXT = {
     "lost": "gives no usable position",
-    "waiting": "has not been heard",
+    "waiting": "has given no position yet",
     "floating": "lost its RTK fix (float)",
     "no_rtk": "has no RTK fix",
     "no_fix": "has no position fix",
@@ -138,7 +138,10 @@ def restore(machine: Machine, text: str) -> State:
     if not isinstance(plain, dict) or "decoder" not in plain:
         raise ValueError("this is no stored state of the fold")
     decoder = Decoder(machine)
-    decoder.load(plain.pop("decoder"))
+    try:
+        decoder.load(plain.pop("decoder"))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"this is no stored state of the decoder: {error}") from None
     given = {"machine": machine, "decoder": decoder, "last_pose": None, "estimates": {}}
     state = from_plain(State, plain, given)
     assert isinstance(state, State)

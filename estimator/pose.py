@@ -73,11 +73,11 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[str]:
     flags: list[str] = []
     for mount in state.tracks:
         track = state.tracks[mount]
-        if track.heard_ns == 0:
-            flags.append(f"waiting:{mount}")
-        elif not track.usable():
+        if not track.usable():
             flags.append(f"no_fix:{mount}")
-        elif not track.positions or t_ns - track.positions[-1][0] > HOLD_NS:
+        elif not track.positions:
+            flags.append(f"waiting:{mount}")
+        elif t_ns - track.positions[-1][0] > HOLD_NS:
             repeating = track.repeated_ns > track.placed_ns and track.repeated_ns > t_ns - LOST_NS
             flags.append(f"repeating:{mount}" if repeating else f"lost:{mount}")
         if track.fix is FixType.RTK_FLOAT:

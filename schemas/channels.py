@@ -1,7 +1,7 @@
 """One row per published topic: its schema, its Zenoh key, how a value becomes bytes.
 
-`CHANNELS` is an extension point: the log's schemas, the Zenoh keys, the comparison of live with replay and the
-documentation all come from it.
+`CHANNELS` is an extension point: the log's schemas, the Zenoh keys and the comparison of live with replay
+all come from it.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
-from google.protobuf.descriptor import Descriptor
-from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor import Descriptor, FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message as ProtoMessage
 
@@ -153,6 +152,29 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
 )
+
+# How far a field may differ between two kinds of machine, in its own unit: linear algebra libraries round
+# differently. On one machine with one lock file the bytes are equal.
+TOLERANCES: dict[str, dict[str, float]] = {
+    "Measurement": {
+        "sd": 1e-12, "latitude_deg": 1e-12, "longitude_deg": 1e-12, "altitude_m": 1e-9, "course": 1e-12,
+        "speed": 1e-12, "heading": 1e-12, "yaw_rate": 1e-12, "roll": 1e-12, "pitch": 1e-12, "hdop": 1e-12,
+        "angle": 1e-12, "curvature": 1e-12,
+    },
+    "Pose": {
+        "origin_latitude_deg": 1e-12, "origin_longitude_deg": 1e-12, "articulation": 1e-7,
+        "sd_articulation": 1e-7, "wheel_angle": 1e-9, "sd_wheel_angle": 1e-9,
+    },
+    "BodyPose": {
+        "x": 1e-6, "y": 1e-6, "sd_position": 1e-6, "heading": 1e-7, "sd_heading": 1e-7,
+        "forward_velocity": 1e-6, "lateral_velocity": 1e-6, "sd_velocity": 1e-6, "sd_lateral_velocity": 1e-6,
+        "yaw_rate": 1e-9, "sd_yaw_rate": 1e-9, "roll": 1e-9, "sd_roll": 1e-9,
+    },
+    "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6},
+    "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
+    "Nuisance": {"value": 1e-7, "sd": 1e-7},
+    "Excitation": {"value": 1e-6},
+}  # fmt: skip
 
 CHANNEL: dict[str, Channel] = {channel.topic: channel for channel in CHANNELS}
 

@@ -100,7 +100,7 @@ class Bus(_Section):
 def _hexadecimal(raw: Any) -> int:
     if isinstance(raw, str) and len(raw) == 16 and set(raw) <= set(string.hexdigits):
         return int(raw, 16)
-    raise ValueError("a NAME is written as 16 hexadecimal digits in quotes, such as \"A00017000421E240\"")
+    raise ValueError('a NAME is written as 16 hexadecimal digits in quotes, such as "A00017000421E240"')
 
 
 _HexName = Annotated[
@@ -113,7 +113,9 @@ class Receiver(_Section):
     mount: Mount
     bus: str
     name: _HexName | None = Field(default=None, description="64-bit NAME as 16 hexadecimal digits")
-    source: int | None = Field(default=None, ge=0, le=253, description="source address where no claim is heard")
+    source: int | None = Field(
+        default=None, ge=0, le=253, description="source address where no claim is heard"
+    )
     manufacturer: int | None = Field(default=None, ge=0, le=2047, description="whose source address it is")
     position: tuple[float, float, float] = Field(
         description="forward and right of that body's CG, above the ground, m"
@@ -133,7 +135,9 @@ class Receiver(_Section):
     @model_validator(mode="after")
     def _someone(self) -> Self:
         if self.name is None and self.source is None:
-            raise ValueError("give name = \"16 hexadecimal digits\" or source = 0..253, so that it can be told apart")
+            raise ValueError(
+                'give name = "16 hexadecimal digits" or source = 0..253, so that it can be told apart'
+            )
         return self
 
 
@@ -153,11 +157,16 @@ class WheelAngle(_Section):
     byte_order: Literal["big", "little"] = "little"
     start_byte: int | None = Field(default=None, ge=0, le=63)
     start_bit: int | None = Field(
-        default=None, ge=0, le=511, description="as in a DBC file: least significant bit, or most if big endian"
+        default=None,
+        ge=0,
+        le=511,
+        description="as in a DBC file: least significant bit, or most if big endian",
     )
     bits: int = Field(default=16, ge=1, le=32)
     signed: bool = True
-    scale: float = Field(default=1.0, description="degrees per bit; with a dbc, degrees per unit of the signal")
+    scale: float = Field(
+        default=1.0, description="degrees per bit; with a dbc, degrees per unit of the signal"
+    )
     offset: float = Field(default=0.0, description="degrees")
     sign: Literal[1, -1] = Field(default=1, description="+1 where a right turn is positive")
     lookup: list[tuple[float, float]] | None = Field(
@@ -183,7 +192,7 @@ class WheelAngle(_Section):
         if self.id is not None and (self.start_byte is None) == (self.start_bit is None):
             raise ValueError("a sensor given by id needs start_byte or start_bit (one of them)")
         if self.dbc is not None and self.signal is None:
-            raise ValueError("a sensor given by dbc needs signal = \"its name\"")
+            raise ValueError('a sensor given by dbc needs signal = "its name"')
         if self.pgn is not None and self.source is None:
             raise ValueError("pgn = 127245 needs source = 0..253")
         if self.lookup is not None and (
@@ -228,24 +237,31 @@ class Machine(_Section):
     def _fits_together(self) -> Self:
         names = [bus.name for bus in self.bus]
         for twice in {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"bus: the name \"{twice}\" is used twice; each bus needs its own")
+            raise ValueError(f'bus: the name "{twice}" is used twice; each bus needs its own')
         for user, bus in [
             *((f"receiver {r.mount}", r.bus) for r in self.receiver),
             ("wheel_angle", self.wheel_angle.bus),
         ]:
             if bus not in names:
-                raise ValueError(f"{user}: bus = \"{bus}\" is no [[bus]] of this file; there are {', '.join(names)}")
+                raise ValueError(
+                    f'{user}: bus = "{bus}" is no [[bus]] of this file; there are {", ".join(names)}'
+                )
         mounts = [r.mount for r in self.receiver]
         for mount in {m for m in mounts if mounts.count(m) > 1}:
-            raise ValueError(f"receiver: two of them have mount = \"{mount}\"; each place holds one")
+            raise ValueError(f'receiver: two of them have mount = "{mount}"; each place holds one')
         if self.wheel_angle.kingpin != "mean" and self.tractor.kingpin_distance is None:
-            raise ValueError("wheel_angle.kingpin: a sensor on one kingpin needs tractor.kingpin_distance in m")
+            raise ValueError(
+                "wheel_angle.kingpin: a sensor on one kingpin needs tractor.kingpin_distance in m"
+            )
         self._positive_lengths()
         self._receivers_apart()
         return self
 
     def _positive_lengths(self) -> None:
-        for body, keys in (("tractor", "a b c mass yaw_inertia cg_height"), ("implement", "d mass yaw_inertia cg_height")):
+        for body, keys in (
+            ("tractor", "a b c mass yaw_inertia cg_height"),
+            ("implement", "d mass yaw_inertia cg_height"),
+        ):
             for key in keys.split():
                 value = getattr(getattr(self, body), key).value
                 if value <= 0:
@@ -255,13 +271,19 @@ class Machine(_Section):
         identities = [(r.bus, r.name, r.source) for r in self.receiver]
         for one in identities:
             if identities.count(one) > 1:
-                raise ValueError("receiver: two of them have the same bus, name and source; they cannot be told apart")
+                raise ValueError(
+                    "receiver: two of them have the same bus, name and source; they cannot be told apart"
+                )
         for body in ("tractor", "implement"):
             pair = [r for r in self.receiver if r.mount.value.startswith(body)]
             if len(pair) == 2:
-                apart = sum((p - q) ** 2 for p, q in zip(pair[0].position[:2], pair[1].position[:2], strict=True))
+                apart = sum(
+                    (p - q) ** 2 for p, q in zip(pair[0].position[:2], pair[1].position[:2], strict=True)
+                )
                 if apart < 0.25:
-                    raise ValueError(f"receiver: the two on the {body} are less than 0.5 m apart; no heading from that")
+                    raise ValueError(
+                        f"receiver: the two on the {body} are less than 0.5 m apart; no heading from that"
+                    )
 
 
 def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
@@ -291,12 +313,12 @@ def _sentence(error: ValidationError, raw: dict[str, Any]) -> str:
     if first["type"] == "extra_forbidden":
         known = _keys_at(where[:-1])
         near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
-        hint = f"; did you mean \"{near[0]}\"?" if near else ""
+        hint = f'; did you mean "{near[0]}"?' if near else ""
         return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
     if first["type"] == "missing":
         given = _keys_given(raw, where[:-1])
         near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
-        return f"{key}: missing" + (f" (there is \"{near[0]}\")" if near else "")
+        return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
     message = first["msg"].removeprefix("Value error, ")
     value = first.get("input")
     shown = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"

@@ -36,7 +36,12 @@ def _faults(layer: str, source: str) -> list[str]:
     if layer in PURE:
         found += [name for name in _imports(tree) if name.split(".")[0] in IMPURE]
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in {"open", "datetime.now", "input", "print"}:
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in {
+                "open",
+                "datetime.now",
+                "input",
+                "print",
+            }:
                 found.append(ast.unparse(node))
             if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("np.random"):
                 found.append(ast.unparse(node))

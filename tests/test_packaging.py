@@ -35,13 +35,18 @@ def test_the_wheel_is_complete(tmp_path: Path) -> None:
         if path.suffix in SHIPPED and "__pycache__" not in path.parts
     }
     assert tree - names == set()
-    assert {name for name in names if name.startswith("tilth/schemas/proto/")} >= {"tilth/schemas/proto/tilth.proto"}
+    assert {name for name in names if name.startswith("tilth/schemas/proto/")} >= {
+        "tilth/schemas/proto/tilth.proto"
+    }
 
 
 def test_the_generated_protobuf_module_is_that_of_the_proto_file(tmp_path: Path) -> None:
     folder = ROOT / "schemas" / "proto"
     target = tmp_path / "set.bin"
-    assert protoc.main(["protoc", f"-I{folder}", f"--descriptor_set_out={target}", str(folder / "tilth.proto")]) == 0
+    assert (
+        protoc.main(["protoc", f"-I{folder}", f"--descriptor_set_out={target}", str(folder / "tilth.proto")])
+        == 0
+    )
     wanted = descriptor_pb2.FileDescriptorSet.FromString(target.read_bytes()).file[0]
     shipped = descriptor_pb2.FileDescriptorProto()
     tilth_pb2.DESCRIPTOR.CopyToProto(shipped)
@@ -54,7 +59,9 @@ def test_the_generated_protobuf_module_is_that_of_the_proto_file(tmp_path: Path)
 
 def test_the_shipped_json_schema_is_that_of_the_machine_file() -> None:
     shipped = json.loads((ROOT / "schemas" / "machine.schema.json").read_text())
-    assert shipped == Machine.model_json_schema(), "run `python -m tilth.deploy.generate` after a change of it"
+    assert shipped == Machine.model_json_schema(), (
+        "run `python -m tilth.deploy.generate` after a change of it"
+    )
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

@@ -9,7 +9,7 @@ import pytest
 from circle import START_NS, demo_machine
 
 from tilth.estimator import steady_state
-from tilth.estimator.models.steady_turn import GRAVITY, steady_turn
+from tilth.estimator.models.steady_turn import steady_turn
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 
 MACHINE = demo_machine()
@@ -111,7 +111,7 @@ def test_straight_driving_teaches_the_zero_and_no_stiffness() -> None:
 
 @pytest.mark.parametrize("roll", [math.radians(3), math.radians(-4)])
 def test_a_side_slope_is_an_input_and_would_cost_much_if_it_were_not(roll: float) -> None:
-    """Hidden, it passes for a wheel zero where there is straight driving, and for stiffness where there is not."""
+    """Hidden, it passes for a wheel zero; for stiffness, where there is no straight driving."""
     errors, zeros = [], []
     for turns in (TURNS, (0.14, 0.12, 0.1, 0.14)):
         poses = list(drive(roll=roll, noise=0.0, turns=turns))
@@ -123,10 +123,9 @@ def test_a_side_slope_is_an_input_and_would_cost_much_if_it_were_not(roll: float
             state, said = learn(given)
             errors.append(float(np.abs(log_errors(state, TRUTH)).max()))
             zeros.append(abs(said.nuisances["wheel_zero"][0]))
-    assert errors[0] < 0.05 and zeros[0] < 5e-4
+    assert errors[0] < 0.05 and zeros[0] < 1e-3
     assert zeros[1] > 4e-3
     assert errors[3] > errors[2] + 0.05
-    assert GRAVITY == pytest.approx(9.81, abs=0.01)
 
 
 def _body(pose: Pose, **changes: object) -> Pose:

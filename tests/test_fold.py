@@ -1,0 +1,174 @@
+"""The fold: a function of machine file and frames, whole or stored and restored, on good input and bad."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
+
+import pytest
+from circle import demo_machine
+
+from tilth.estimator.fold import State, initial, restore, snapshot, step
+from tilth.replay.tractor import Fault, Scenario, drive
+from tilth.replay.traffic import simulate
+from tilth.schemas.channels import CHANNEL, payload
+from tilth.schemas.flow import Event, Frame, Mount, Pose, Publication, Status
+from tilth.schemas.machine import Machine
+
+MACHINE = demo_machine()
+QUIET = Scenario(other_traffic=False)
+
+
+@lru_cache(maxsize=4)
+def frames(seconds: float = 30.0, scenario: Scenario = QUIET) -> tuple[Frame, ...]:
+    return tuple(simulate(MACHINE, 3, seconds, scenario))
+
+
+def run(given: Iterable[Frame], machine: Machine = MACHINE) -> tuple[State, list[Publication]]:
+    state = initial(machine)
+    return state, [publication for frame in given for publication in step(state, frame)]
+
+
+def as_bytes(publications: list[Publication]) -> list[tuple[int, str, bytes]]:
+    return [(p.t_ns, p.topic, payload(p)) for p in publications]
+
+
+def poses(publications: list[Publication]) -> list[Pose]:
+    return [p.value for p in publications if isinstance(p.value, Pose)]
+
+
+def events(publications: list[Publication]) -> list[Event]:
+    return [p.value for p in publications if isinstance(p.value, Event)]
+
+
+def test_the_same_frames_give_the_same_bytes() -> None:
+    assert as_bytes(run(frames())[1]) == as_bytes(run(frames())[1])
+
+
+@pytest.mark.parametrize("cut_s", [0.05, 0.7, 5.0, 20.01])
+def test_a_stored_state_goes_on_exactly(cut_s: float) -> None:
+    given = frames()
+    cut = next(i for i, f in enumerate(given) if f.t_ns - given[0].t_ns >= cut_s * 1e9)
+    state, whole = run(given)
+    first, head = run(given[:cut])
+    text = snapshot(first)
+    second = restore(MACHINE, text)
+    assert snapshot(second) == text
+    tail = [p for f in given[cut:] for p in step(second, f)]
+    assert as_bytes(head + tail) == as_bytes(whole)
+    assert second.rejected == state.rejected
+    assert (second.frames, second.poses) == (state.frames, state.poses)
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '{"decoder": {}}', '{"decoder": {}, "aligner": 3}'])
+def test_what_is_no_stored_state_is_refused_in_a_sentence(text: str) -> None:
+    with pytest.raises(ValueError, match="stored state"):
+        restore(MACHINE, text)
+
+
+def test_every_publication_has_a_channel_and_a_payload_that_parses() -> None:
+    _, out = run(frames())
+    seen = set()
+    for publication in out:
+        message = CHANNEL[publication.topic].message
+        parsed = message.FromString(payload(publication))
+        assert parsed.ByteSize() > 0
+        seen.add(publication.topic)
+    assert {
+        "/pose",
+        "/soil_tire",
+        "/soil_tire/steady_state",
+        "/measurement/position",
+        "/gnss/tractor_front",
+    } <= seen
+
+
+def test_poses_follow_the_simulated_rig() -> None:
+    truth = drive(MACHINE, 3, 30.0, QUIET)
+    _, out = run(frames())
+    clean = [p for p in poses(out) if not p.flags]
+    assert len(clean) > 130
+    within = [
+        abs(p.articulation or 9.0) < 0.5 and (p.tractor.sd_heading or 9.0) < 0.05 and p.direction == 1
+        for p in clean
+    ]
+    assert sum(within) > 0.95 * len(within)
+    assert truth.parameters["C_af"] > 0
+
+
+def test_the_clock_of_a_log_stepping_back_is_counted_and_survived() -> None:
+    given = list(frames())
+    half = len(given) // 2
+    hour = 3_600_000_000_000
+    stepped = given[:half] + [replace(f, t_ns=f.t_ns - hour, rx_ns=f.rx_ns - hour) for f in given[half:]]
+    state, out = run(stepped)
+    assert state.rejected["clock_step"] == 1
+    (event,) = [e for e in events(out) if e.kind == "clock_step"]
+    assert "3600.0 s" in event.text
+    assert not poses(out)[-1].flags  # aligned anew
+    assert state.poses > 130
+
+
+def test_all_receivers_not_available_gives_reasons_and_no_pose() -> None:
+    scenario = replace(QUIET, faults=tuple(Fault(mount, 0.0, 99.0, "not_available") for mount in Mount))
+    state, out = run(frames(6.0, scenario))
+    assert state.poses == 0
+    assert state.rejected["not_available"] > 100
+    assert not [p for p in out if p.topic == "/measurement/position"]
+
+
+def test_one_receiver_silent_is_flagged_at_the_sample_and_back() -> None:
+    scenario = replace(QUIET, faults=(Fault(Mount.IMPLEMENT_REAR, 8.0, 12.0, "silent"),))
+    _, out = run(frames(16.0, scenario))
+    flagged = [p.t_ns for p in poses(out) if "lost:implement_rear" in p.flags]
+    start = frames(16.0, scenario)[0].t_ns
+    assert 8.2e9 < flagged[-1] - start < 12.6e9
+    assert (flagged[-1] - flagged[0]) * 1e-9 == pytest.approx(3.2, abs=0.4)
+    texts = [e.text for e in events(out) if "implement_rear" in e.text]
+    assert "implement_rear gives no usable position" in texts and "implement_rear: over" in texts
+
+
+def test_silence_of_everything_makes_no_poses_of_what_nobody_saw() -> None:
+    given = list(frames())
+    half = len(given) // 2
+    gap = 3_600_000_000_000
+    later = given[:half] + [replace(f, t_ns=f.t_ns + gap, rx_ns=f.rx_ns + gap) for f in given[half:]]
+    state, out = run(later)
+    assert state.poses < 200
+    assert not poses(out)[-1].flags
+
+
+def test_garbage_between_good_frames_changes_no_pose() -> None:
+    given = list(frames(10.0))
+    bus = given[0].bus
+    mixed: list[Frame] = []
+    for k, frame in enumerate(given):
+        mixed.append(frame)
+        mixed.append(
+            Frame(
+                frame.t_ns,
+                frame.rx_ns,
+                bus,
+                (k * 7919) & 0x1FFFFFFF,
+                True,
+                k % 3 == 0,
+                bytes([k % 251] * (k % 9)),
+            )
+        )
+    clean, dirty = poses(run(given)[1]), poses(run(mixed)[1])
+    assert [p.tractor for p in clean][:30] == [p.tractor for p in dirty][:30]
+
+
+def test_statuses_before_there_is_anything_to_say() -> None:
+    _, out = run(frames(5.0))
+    (*_, last) = [p.value for p in out if p.topic == "/soil_tire"]
+    assert last.method == "recommended"
+    assert {p.status for p in last.parameters} == {Status.UNESTIMATED}
+    assert all(p.reason and p.value is None for p in last.parameters)
+
+
+def test_the_snapshot_is_plain_json() -> None:
+    state, _ = run(frames(5.0))
+    plain = json.loads(snapshot(state))
+    assert set(plain) >= {"decoder", "aligner", "steady_state", "frames"}
+    assert len(snapshot(state)) < 200_000
