@@ -12,7 +12,7 @@ from tilth.estimator.fold import State, initial, restore, snapshot, step
 from tilth.replay.tractor import Fault, Scenario, drive
 from tilth.replay.traffic import simulate
 from tilth.schemas.channels import CHANNEL, payload
-from tilth.schemas.flow import Event, Frame, Mount, Pose, Publication, Status
+from tilth.schemas.flow import Estimate, Event, Frame, Mount, Pose, Publication, Status
 from tilth.schemas.machine import Machine
 
 MACHINE = demo_machine()
@@ -162,6 +162,7 @@ def test_garbage_between_good_frames_changes_no_pose() -> None:
 def test_statuses_before_there_is_anything_to_say() -> None:
     _, out = run(frames(5.0))
     (*_, last) = [p.value for p in out if p.topic == "/soil_tire"]
+    assert isinstance(last, Estimate)
     assert last.method == "recommended"
     assert {p.status for p in last.parameters} == {Status.UNESTIMATED}
     assert all(p.reason and p.value is None for p in last.parameters)
