@@ -9,10 +9,10 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.fold import State, initial, restore, snapshot, step
-from tilth.replay.tractor import Fault, Scenario, drive
+from tilth.replay.tractor import Fault, Reclaim, Scenario, drive
 from tilth.replay.traffic import simulate
 from tilth.schemas.channels import CHANNEL, payload
-from tilth.schemas.flow import Estimate, Event, Frame, Mount, Pose, Publication, Status
+from tilth.schemas.flow import Estimate, Event, Frame, Mount, Pose, Position, Publication, Status
 from tilth.schemas.machine import Machine
 
 MACHINE = demo_machine()
@@ -173,3 +173,30 @@ def test_the_snapshot_is_plain_json() -> None:
     plain = json.loads(snapshot(state))
     assert set(plain) >= {"decoder", "aligner", "steady_state", "frames"}
     assert len(snapshot(state)) < 200_000
+
+
+def test_a_receiver_that_claims_another_address_is_followed_by_its_name() -> None:
+    scenario = replace(QUIET, reclaims=(Reclaim(Mount.TRACTOR_REAR, 6.0, 200),))
+    _, out = run(frames(12.0, scenario))
+    assert not [p.flags for p in poses(out)[10:] if p.flags]
+    sources = {
+        p.value.origin.source
+        for p in out
+        if isinstance(p.value, Position) and p.value.origin.mount is Mount.TRACTOR_REAR
+    }
+    assert 200 in sources and len(sources) == 2
+
+
+def test_two_receivers_on_one_address_never_mix() -> None:
+    """One claims the other's address: the lower NAME keeps it, the loser is silent to us until it moves."""
+    held = next(
+        p.value.origin.source
+        for p in run(frames(4.0))[1]
+        if isinstance(p.value, Position) and p.value.origin.mount is Mount.TRACTOR_FRONT
+    )
+    scenario = replace(QUIET, reclaims=(Reclaim(Mount.TRACTOR_REAR, 6.0, held),))
+    state, out = run(frames(12.0, scenario))
+    assert state.rejected["address_conflict"] > 0
+    late = [p for p in poses(out) if p.t_ns > frames(12.0, scenario)[0].t_ns + 8_000_000_000]
+    assert all("lost:tractor_rear" in p.flags for p in late)
+    assert not [p.flags for p in late if any(f.startswith(("swapped", "moved", "doubtful")) for f in p.flags)]
