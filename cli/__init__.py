@@ -1,0 +1,63 @@
+"""The command line: `tilth COMMAND`. Commands parse arguments, call a function of another layer and print.
+
+Exit status: 0 done, 1 ran but found a fault, 2 wrong use or configuration with one line that says what to do.
+With --json the answer goes to stdout and everything else to stderr.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from tilth.schemas.machine import MachineError
+
+# One row per command: module tilth.cli.<name> has `add(subparsers)`, which adds the parser of that name, and
+# `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
+COMMANDS: tuple[tuple[str, str], ...] = (
+    ("run", "log the buses of a machine, estimate, publish"),
+    ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
+    ("decode", "print the messages of a log, one JSON object a line"),
+    ("replay", "feed logs through the estimators again"),
+    ("demo", "drive a simulated tractor through the whole chain"),
+    ("discover", "listen to a bus and draft a machine file"),
+)
+
+
+class WrongUse(Exception):
+    """Raised by a command that cannot start: one sentence that says what to do. Exit status 2."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command in argv (without the program's name; sys.argv where None). Returns the exit status."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    parser = _Parser(
+        prog="tilth", description="Records a tractor's CAN buses and estimates how the soil holds the tyres."
+    )
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    wanted = next((word for word in words if not word.startswith("-")), None)
+    for name, summary in COMMANDS:
+        if name == wanted:
+            importlib.import_module(f"tilth.cli.{name}").add(subparsers)
+        else:
+            subparsers.add_parser(name, help=summary)
+    args = parser.parse_args(words)
+    try:
+        status: int = importlib.import_module(f"tilth.cli.{args.command}").run(args)
+        sys.stdout.flush()
+    except (MachineError, WrongUse) as error:
+        print(f"tilth {args.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"tilth {args.command}: stopped", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status

@@ -70,22 +70,25 @@ def step(state: State, frame: Frame) -> list[Publication]:
         _clock_stepped(state, frame, out)
     state.latest_ns = frame.t_ns
     state.frames += 1
-    measurements = state.decoder.measurements(frame)
-    for measurement in measurements:
-        _take(state, frame.t_ns, measurement, out)
+    placed = False
+    for measurement in state.decoder.measurements(frame):
+        placed |= _take(state, frame.t_ns, measurement, out)
     due_ns = state.aligner.due_ns
-    if due_ns and (measurements or frame.rx_ns >= due_ns + aligner.DEADLINE_NS):
+    if due_ns and (placed or frame.rx_ns >= due_ns + aligner.DEADLINE_NS):
         for pose in poses(state.aligner, frame.rx_ns):
             _pose(state, frame.t_ns, pose, out)
     return out
 
 
-def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> None:
+def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
+    """Publish and keep one measurement. Whether it was a position, which may make a pose due."""
     state.measurements += 1
     out.append(Publication(t_ns, TOPIC_OF[type(measurement)], measurement))
-    if isinstance(measurement, Position) and measurement.origin.mount is not None:
-        out.append(Publication(t_ns, f"/gnss/{measurement.origin.mount.value}", measurement))
     aligner.take(state.aligner, measurement)
+    if not isinstance(measurement, Position) or measurement.origin.mount is None:
+        return False
+    out.append(Publication(t_ns, f"/gnss/{measurement.origin.mount.value}", measurement))
+    return True
 
 
 def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
