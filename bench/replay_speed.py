@@ -1,0 +1,146 @@
+"""How fast logs are replayed, beside what one would write with the libraries alone.
+
+    python bench/replay_speed.py [--seconds 120]
+
+A log of the demo's traffic (800 frames/s: four receivers, wheel angle, and as many frames again that nobody
+wants) is recorded with its results, as the daemon does it, and read back in several ways. All ways run in
+turn, three times; the best of each counts.
+"""
+
+import argparse
+import struct
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from importlib import resources
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.mcap_log import LogWriter, Run
+from tilth.replay.compare import Comparison
+from tilth.replay.driver import Outputs, replay
+from tilth.replay.readers import frames
+from tilth.replay.traffic import simulate
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.proto.tilth_pb2 import CanFrame
+
+ROUNDS = 3
+MACHINE = "machines/jd7930-parker500.toml"
+
+# What a script that only wants positions, speeds, attitudes and angles would have: PGN -> layout.
+LAYOUTS = {
+    65267: struct.Struct("<II"),
+    65256: struct.Struct("<HHHH"),
+    129025: struct.Struct("<ii"),
+    129026: struct.Struct("<BBHHH"),
+    127250: struct.Struct("<BHhhB"),
+    127251: struct.Struct("<BixB"),
+    127257: struct.Struct("<BhhhB"),
+}
+WHEEL_ID = 0x18FF0B15
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=120.0, help="of simulated driving")
+    seconds = parser.parse_args().seconds
+    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
+    machine = parse_machine(text)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "demo.mcap"
+        rows = list(simulate(machine, 1, seconds))
+        record(path, machine, text, rows)
+        per_s = len(rows) / seconds
+        size = path.stat().st_size / 1e6
+        print(f"{len(rows)} frames in {seconds:g} s ({per_s:.0f}/s), {size:.1f} MB with results")
+        times = measure(ways(path, machine, text, rows, Path(folder)))
+        report(times, len(rows), per_s)
+
+
+def record(path: Path, machine: Machine, text: str, rows: Iterable[Frame]) -> None:
+    fold = GuardedFold(machine)
+    writer = LogWriter(path, machine, text, Run("bench", 1, 0))
+    for frame in rows:
+        writer.frame(frame)
+        for publication, data in fold.take(frame):
+            writer.message(publication.topic, publication.t_ns, data)
+    writer.close()
+
+
+def ways(
+    path: Path, machine: Machine, text: str, rows: list[Frame], folder: Path
+) -> dict[str, Callable[[], object]]:
+    def with_out() -> None:
+        out = folder / "out.mcap"
+        out.unlink(missing_ok=True)
+        writer = LogWriter(out, machine, text, Run("bench", 1, 0))
+        replay([path], machine, text, outputs=Outputs(writer=writer))
+        writer.close()
+
+    def decode(some: Iterable[Frame]) -> int:
+        decoder = Decoder(machine)
+        return sum(len(decoder.measurements(frame)) for frame in some)
+
+    return {
+        "plain: iter_messages": lambda: sum(1 for _ in plain_frames(path)),
+        "plain: iter_messages, struct per PGN": lambda: plain_decode(path),
+        "readers.frames": lambda: sum(1 for _ in frames(path)),
+        "Decoder.measurements alone": lambda: decode(rows),
+        "readers.frames, Decoder.measurements": lambda: decode(frames(path)),
+        "replay": lambda: replay([path], machine, text),
+        "replay --verify": lambda: replay([path], machine, text, outputs=Outputs(comparison=Comparison())),
+        "replay --out": with_out,
+    }
+
+
+def plain_frames(path: Path) -> Iterable[Frame]:
+    """Every frame, as the documentation of mcap shows it; file order, which is its quicker one."""
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            if channel.topic.startswith("/can/"):
+                raw = CanFrame.FromString(message.data)
+                bus = channel.topic[5:]
+                yield Frame(message.log_time, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data)
+
+
+def plain_decode(path: Path) -> int:
+    """Numbers of single frames only: no fast packets, no identity, no not-available rules, no units."""
+    values = 0
+    for frame in plain_frames(path):
+        pgn = frame.can_id >> 8 & 0x3FFFF
+        if frame.can_id == WHEEL_ID:
+            values += len(struct.unpack_from(">h", frame.data))
+        elif pgn in LAYOUTS:
+            values += len(LAYOUTS[pgn].unpack_from(frame.data))
+    return values
+
+
+def measure(every: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Seconds of each way, the best of ROUNDS."""
+    best = dict.fromkeys(every, float("inf"))
+    for _ in range(ROUNDS):
+        for name, way in every.items():
+            start = time.perf_counter()
+            way()
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
+
+
+def report(times: dict[str, float], count: int, per_s: float) -> None:
+    print(f"{'':38} {'us/frame':>9} {'frames/s':>9} {'x real time':>12}")
+    for name, seconds in times.items():
+        rate = count / seconds
+        print(f"{name:38} {1e6 / rate:9.2f} {rate:9.0f} {rate / per_s:12.0f}")
+    reading = times["plain: iter_messages"] / times["readers.frames"]
+    decoding = times["plain: iter_messages, struct per PGN"] / times["readers.frames, Decoder.measurements"]
+    print(
+        f"reading is {reading:.1f} times as fast as iter_messages, reading and decoding {decoding:.1f} times"
+    )
+
+
+if __name__ == "__main__":
+    main()

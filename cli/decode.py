@@ -1,0 +1,151 @@
+"""`tilth decode`: the messages of a log, one a line."""
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers import open_log
+from tilth.replay.readers_log import Log, LogError, Record
+from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Frame, Message
+from tilth.schemas.machine import Machine
+
+_YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser("decode", help="print the messages of a log, one a line")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
+    parser.add_argument(
+        "--machine",
+        type=Path,
+        metavar="M.toml",
+        help="whose sensors these are; a log of tilth's knows its own",
+    )
+    parser.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="LOG=MACHINE",
+        help="what a bus of the log is called there",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+
+
+def run(args: argparse.Namespace) -> int:
+    machine = _machine(args)
+    try:
+        buses = bus_names(args.bus, machine)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    decoder = Decoder(machine)
+    write_line = _json_line if args.json else _text_line
+    count = Counter[str]()
+    status = 0
+    for path in args.logs:
+        try:
+            log = open_log(path)
+            with closing(log.file):
+                _decode(_records(log, machine, buses), decoder, write_line, count)
+                _tell_end(log, count)
+        except LogError as error:
+            _say(str(error))
+            status = max(status, error.status)
+        except BrokenPipeError:  # main knows what to do
+            raise
+        except OSError as error:
+            _say(f"{path}: {(error.strerror or str(error)).lower()}")
+            status = max(status, 1)
+    _tell_counts(count, decoder.rejected)
+    return status
+
+
+def _machine(args: argparse.Namespace) -> Machine | None:
+    """The machine file given, else the one in the logs, if any. Raises MachineError."""
+    if args.machine is not None:
+        return read_machine(args.machine)[0]
+    try:
+        return machine_in(args.logs)[0]
+    except LogError:
+        return None  # without one all that needs none is decoded
+
+
+def _records(log: Log, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:
+    return log.records if machine is None else on_buses_of(machine, log, buses, _say)
+
+
+def _decode(
+    records: Iterable[Record], decoder: Decoder, line: Callable[[Message], str], count: Counter[str]
+) -> None:
+    write = sys.stdout.write
+    for record in records:
+        if isinstance(record, Frame):
+            count["frames"] += 1
+            for message in decoder.messages(record):
+                count["messages"] += 1
+                write(line(message))
+
+
+def _json_line(message: Message) -> str:
+    origin = message.origin
+    row: dict[str, object] = {
+        "t_ns": message.t_ns,
+        "bus": origin.bus,
+        "source": origin.source,
+        "name": _name(message),
+        "pgn": message.pgn,
+        **message.values,
+    }
+    if message.repeat:
+        row["repeat"] = True
+    return json.dumps(row) + "\n"
+
+
+def _text_line(message: Message) -> str:
+    words = "  ".join(f"{word}={_short(value)}" for word, value in message.values.items())
+    repeat = "  (repeated)" if message.repeat else ""
+    origin = message.origin
+    who = f"{origin.bus:<8} {origin.source:>3} {_name(message) or '-':<16}"
+    return f"{_time(message.t_ns)}  {who}  {message.pgn:>6}  {words}{repeat}\n"
+
+
+def _name(message: Message) -> str | None:
+    return None if message.origin.name is None else f"{message.origin.name:016X}"
+
+
+def _short(value: object) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _time(t_ns: int) -> str:
+    seconds, fraction = divmod(t_ns, 1_000_000_000)
+    if t_ns < _YEAR_NS:
+        return f"{seconds:>6}.{fraction // 1000:06d}"
+    date = datetime.fromtimestamp(seconds, UTC)
+    return f"{date:%Y-%m-%d %H:%M:%S}.{fraction // 1000:06d}"
+
+
+def _tell_end(log: Log, count: Counter[str]) -> None:
+    for reason, number in log.skipped.items():
+        count[f"rejected {reason}"] += number
+    if log.truncated:
+        _say(f"{log.path}: cut off; decoded as far as it is whole")
+
+
+def _tell_counts(count: Counter[str], rejected: Mapping[str, int]) -> None:
+    _say(f"{count['frames']} frames, {count['messages']} messages")
+    rejections = count + Counter({f"rejected {reason}": number for reason, number in rejected.items()})
+    for key in sorted(key for key in rejections if key.startswith("rejected ")):
+        _say(f"{key}: {rejections[key]}")
+
+
+def _say(text: str) -> None:
+    print(f"tilth decode: {text}", file=sys.stderr)

@@ -1,0 +1,231 @@
+"""`tilth replay`: logs through the same fold as live, as fast as it goes or at a given rate."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import zenoh
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.logger.mcap_log import LogWriter, Run
+from tilth.logger.zenoh_sink import ZenohSink
+from tilth.replay.compare import Comparison
+from tilth.replay.driver import Outputs, Pace, Summary, replay
+from tilth.replay.readers import MCAP, frames, open_log
+from tilth.replay.readers_log import EmptyLog, LogError
+from tilth.replay.readers_rig import bus_names, machine_in
+from tilth.schemas.flow import PARAMETERS, Estimate
+from tilth.schemas.machine import Machine
+
+REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser("replay", help="feed logs through the estimators again")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one run, in the order given")
+    parser.add_argument(
+        "--machine", type=Path, metavar="M.toml", help="needed for logs that tilth did not write"
+    )
+    parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="write frames and results to a new log")
+    parser.add_argument("--publish", action="store_true", help="publish on Zenoh, under the replay prefix")
+    parser.add_argument("--rate", type=_rate, default=None, metavar="1|max|N", help="times real time (max)")
+    parser.add_argument(
+        "--verify", action="store_true", help="compare with the results that were logged live"
+    )
+    parser.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="LOG=MACHINE",
+        help="what a bus of the log is called there",
+    )
+    parser.add_argument("--json", action="store_true", help="the summary as one JSON object")
+
+
+def _rate(text: str) -> float | None:
+    """Times real time; None: as fast as it goes."""
+    if text == "max":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0.0 < rate < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: give 1 for real time, another factor above zero, or max")
+    return rate
+
+
+def run(args: argparse.Namespace) -> int:
+    comparison = Comparison() if args.verify else None
+    try:
+        _check_logs(args)
+        machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
+        buses = _buses(args, machine)
+        with ExitStack() as stack:
+            outputs = _outputs(stack, args, machine, text, comparison)
+            summary = replay(args.logs, machine, text, buses=buses, outputs=outputs, say=_say)
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except OSError as error:
+        _say(f"{error.filename or args.out or 'log'}: {(error.strerror or str(error)).lower()}")
+        return 1
+    if comparison is not None:
+        comparison.finish(summary.truncated)
+    if args.json:
+        print(json.dumps(_as_json(summary, comparison)))
+    else:
+        _show(summary, comparison)
+    return 1 if summary.faults or (comparison is not None and comparison.difference) else 0
+
+
+def _check_logs(args: argparse.Namespace) -> None:
+    """Find out before a long replay that a file is none. Raises LogError, WrongUse."""
+    for path in args.logs:
+        try:
+            log = open_log(path)
+        except EmptyLog:
+            if len(args.logs) == 1:
+                raise
+            continue
+        log.file.close()
+        if args.verify and log.form != MCAP:
+            raise WrongUse(
+                f"{path}: --verify needs the results of a live run; only tilth's own logs hold them"
+            )
+
+
+def _buses(args: argparse.Namespace, machine: Machine) -> dict[str, str]:
+    try:
+        return bus_names(args.bus, machine)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+
+
+def _outputs(
+    stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str, comparison: Comparison | None
+) -> Outputs:
+    """Open what the results go to; the stack closes it."""
+    writer = publish = progress = None
+    if args.out is not None:
+        writer = _writer(args, machine, text)
+        stack.callback(writer.close)
+    if args.publish:
+        sink = _zenoh(machine)
+        stack.callback(sink.close)
+        publish = sink.put
+    if sys.stderr.isatty() and not args.json:
+        progress = _progress(stack, args.logs)
+    pace = None if args.rate is None else Pace(args.rate)
+    return Outputs(writer, publish, comparison, pace, progress)
+
+
+def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
+    try:
+        writer = LogWriter(args.out, machine, text, Run(REPLAY, 1, _first_ns(args.logs)))
+    except FileExistsError:
+        raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
+    except OSError as error:
+        raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
+    writer.metadata(REPLAY, {"logs": "\n".join(str(path.resolve()) for path in args.logs)})
+    return writer
+
+
+def _first_ns(logs: Sequence[Path]) -> int:
+    """t_ns of the first frame; 0 where there is none."""
+    for path in logs:
+        try:
+            return next((frame.t_ns for frame in frames(path)), 0)
+        except EmptyLog:
+            continue
+    return 0
+
+
+def _zenoh(machine: Machine) -> ZenohSink:
+    try:
+        sink = ZenohSink(machine, REPLAY)
+    except zenoh.ZError as error:
+        raise WrongUse(f"Zenoh cannot be started ({error}); check [zenoh] in the machine file") from None
+    _say(f"publishing under {sink.base}" + (f"; {sink.note}" if sink.note else ""))
+    return sink
+
+
+def _progress(stack: ExitStack, logs: Sequence[Path]) -> Callable[[int], None]:
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    task = bar.add_task("replay", total=sum(path.stat().st_size for path in logs))
+    return lambda done: bar.update(task, completed=done)
+
+
+def _as_json(summary: Summary, comparison: Comparison | None) -> dict[str, object]:
+    answer: dict[str, object] = {
+        "frames": summary.frames,
+        "measurements": summary.measurements,
+        "rejected": summary.rejected,
+        "poses": summary.poses,
+        "duration_s": summary.duration_ns * 1e-9,
+        "truncated": summary.truncated,
+        "estimates": {method: _parameters(estimate) for method, estimate in summary.estimates.items()},
+        "nuisances": {
+            method: {name: {"value": value, "sd": sd} for name, (value, sd) in estimate.nuisances.items()}
+            for method, estimate in summary.estimates.items()
+        },
+    }
+    if comparison is not None:
+        answer["verify"] = {"compared": comparison.compared, "difference": comparison.difference or None}
+    return answer
+
+
+def _parameters(estimate: Estimate) -> dict[str, object]:
+    return {
+        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": p.reason}
+        for name, p in zip(PARAMETERS, estimate.parameters, strict=True)
+    }
+
+
+def _show(summary: Summary, comparison: Comparison | None) -> None:
+    console = Console()
+    recommended = summary.estimates.get("recommended")
+    for method, estimate in summary.estimates.items():
+        if estimate is not recommended:
+            same = recommended is not None and recommended.parameters == estimate.parameters
+            console.print(_table(f"{method} (recommended)" if same else method, estimate))
+    cut = ", cut off" if summary.truncated else ""
+    console.print(
+        f"{summary.frames} frames in {summary.duration_ns * 1e-9:.1f} s{cut}; "
+        f"{summary.measurements} measurements, {summary.poses} poses"
+    )
+    for reason, count in sorted(summary.rejected.items()):
+        console.print(f"rejected: {count} {reason}")
+    if not summary.estimates:
+        console.print("No estimate: there were too few poses; see what is rejected, and the machine file.")
+    if comparison is not None:
+        same_bytes = f"All {comparison.compared} results are those that were logged live, to the byte."
+        console.print(f"Differs: {comparison.difference}" if comparison.difference else same_bytes)
+
+
+def _table(title: str, estimate: Estimate) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "estimate", "status", "reason"):
+        table.add_column(heading, overflow="fold")
+    for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
+        unit = "N/rad" if name.startswith("C_") else "m"
+        shown = "-" if p.value is None else f"{_with_sd(p.value, p.sd)} {unit}"
+        table.add_row(name, shown, p.status.name.lower(), p.reason)
+    for name, (value, sd) in estimate.nuisances.items():
+        table.add_row(name, _with_sd(value, sd), "nuisance", "")
+    return table
+
+
+def _with_sd(value: float, sd: float | None) -> str:
+    return f"{value:.4g}" if sd is None else f"{value:.4g} ± {sd:.2g}"
+
+
+def _say(text: str) -> None:
+    print(f"tilth replay: {text}", file=sys.stderr)

@@ -1,0 +1,102 @@
+"""Compares what a replay computes with what was logged live, byte for byte."""
+
+from collections import deque
+from typing import Any
+
+from google.protobuf.message import Message as ProtoMessage
+
+from tilth.replay.readers_log import Logged
+from tilth.schemas.channels import CHANNEL, CHANNELS
+
+IDENTICAL = frozenset(channel.topic for channel in CHANNELS if channel.identical)
+
+_Row = tuple[int, bytes]  # t_ns, payload
+
+
+class Comparison:
+    """Takes results from both sides in their order; `difference` is the first one, in a sentence.
+
+    Topic by topic: how results of several frames interleave in the file is not compared.
+    """
+
+    def __init__(self) -> None:
+        self.compared = 0
+        self.difference = ""
+        self._live: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
+        self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
+
+    def logged(self, row: Logged) -> None:
+        self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
+
+    def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
+        if topic in IDENTICAL:
+            self._take(topic, (t_ns, data), self._again, self._live)
+
+    def finish(self, truncated: bool) -> None:
+        """At the end of the logs. One that was cut may lack results of its last frames."""
+        for topic in sorted(IDENTICAL):
+            live, again = self._live[topic], self._again[topic]
+            if live and not self.difference:
+                self.difference = f"{topic}: logged at {_seconds(live[0][0])}, not computed again"
+            if again and not self.difference and not truncated:
+                self.difference = f"{topic}: computed for {_seconds(again[0][0])}, not in the log"
+
+    def _take(
+        self, topic: str, row: _Row, own: dict[str, deque[_Row]], other: dict[str, deque[_Row]]
+    ) -> None:
+        if self.difference:
+            return
+        waiting = other[topic]
+        if not waiting:
+            own[topic].append(row)
+            return
+        self.compared += 1
+        opposite = waiting.popleft()
+        if row != opposite:
+            live, again = (row, opposite) if own is self._live else (opposite, row)
+            self.difference = _difference(topic, live, again)
+
+
+def _difference(topic: str, live: _Row, again: _Row) -> str:
+    if live[0] != again[0]:
+        return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
+    message = CHANNEL[topic].message
+    found = _first_field(message.FromString(live[1]), message.FromString(again[1]))
+    return f"{topic} at {_seconds(live[0])}: {found or 'same values in other bytes'}"
+
+
+def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> str:
+    """The first field that differs, with both values."""
+    for field in live.DESCRIPTOR.fields:
+        a, b = getattr(live, field.name), getattr(again, field.name)
+        if _present(live, field) == _present(again, field) and a == b:
+            continue
+        name = within + field.name
+        if isinstance(a, ProtoMessage):
+            return _first_field(a, b, name + ".")
+        if field.is_repeated and len(a) == len(b):
+            return _first_item(a, b, name)
+        return f"{name} was {_shown(live, field, a)}, is {_shown(again, field, b)}"
+    return ""
+
+
+def _first_item(live: Any, again: Any, name: str) -> str:
+    index = next(i for i, (a, b) in enumerate(zip(live, again, strict=True)) if a != b)
+    a, b = live[index], again[index]
+    if isinstance(a, ProtoMessage):
+        return _first_field(a, b, f"{name}[{index}].")
+    return f"{name}[{index}] was {a!r}, is {b!r}"
+
+
+def _present(message: ProtoMessage, field: Any) -> bool:
+    return message.HasField(field.name) if field.has_presence else True
+
+
+def _shown(message: ProtoMessage, field: Any, value: Any) -> str:
+    if not _present(message, field):
+        return "absent"
+    return f"{len(value)} long" if field.is_repeated else repr(value)
+
+
+def _seconds(t_ns: int) -> str:
+    return f"{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d} s"

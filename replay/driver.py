@@ -1,0 +1,233 @@
+"""The offline driver: frames from logs, the same guarded fold as live, results to where they are wanted.
+
+records of a log ─► fold ─► OUT.mcap, Zenoh, comparison with what was logged live
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.mcap_log import LogWriter, machine_sha256
+from tilth.replay.compare import IDENTICAL, Comparison
+from tilth.replay.readers import open_log
+from tilth.replay.readers_log import EmptyLog, Log
+from tilth.replay.readers_rig import Say, on_buses_of
+from tilth.schemas.channels import CHANNELS
+from tilth.schemas.flow import Estimate, Event, Frame, Publication
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto.tilth_pb2 import Snapshot
+
+LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
+SHOWN = 4096  # frames between two looks of the progress bar
+SAID = frozenset({"fault", "clock_step"})  # kinds of events that a person at a replay should read
+_SOIL_TIRE = "/soil_tire"
+
+# The result of which method stands on a topic.
+_METHOD = {
+    channel.topic: channel.topic.removeprefix(_SOIL_TIRE + "/")
+    if channel.topic != _SOIL_TIRE
+    else "recommended"
+    for channel in CHANNELS
+    if channel.topic.startswith(_SOIL_TIRE)
+}
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a replay did."""
+
+    frames: int = 0
+    measurements: int = 0
+    poses: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)  # reason -> count, of the readers and of the fold
+    duration_ns: int = 0  # of the logs' own stamps, gaps between logs and steps back left out
+    truncated: bool = False
+    faults: int = 0  # of the fold
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the last
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Where frames and results go besides the summary; None: nowhere."""
+
+    writer: LogWriter | None = None
+    publish: Callable[[str, bytes], None] | None = None  # topic, payload
+    comparison: Comparison | None = None
+    pace: Callable[[int], None] | None = None  # waits for the time of a frame, t_ns
+    progress: Callable[[int], None] | None = None  # is told the bytes read so far
+
+
+class Pace:
+    """Waits so that frames pass `rate` times as fast as they were recorded."""
+
+    def __init__(
+        self,
+        rate: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._rate = rate
+        self._clock = clock
+        self._sleep = sleep
+        self._last_ns = 0
+        self._zero_ns = 0
+        self._zero_s: float | None = None  # on the clock, of _zero_ns in the log
+
+    def __call__(self, t_ns: int) -> None:
+        step_ns = t_ns - self._last_ns
+        self._last_ns = t_ns
+        now = self._clock()
+        if self._zero_s is None or not 0 <= step_ns <= LONGEST_WAIT_S * 1e9:
+            self._zero_ns, self._zero_s = t_ns, now
+        wait = self._zero_s + (t_ns - self._zero_ns) * 1e-9 / self._rate - now
+        if wait > 0:
+            self._sleep(wait)
+
+
+def replay(
+    paths: Sequence[Path],
+    machine: Machine,
+    machine_text: str,
+    *,
+    buses: Mapping[str, str] | None = None,
+    outputs: Outputs | None = None,
+    say: Say = lambda text: None,
+) -> Summary:
+    """Feed logs, in the order given and as one run, through the fold.
+
+    A state stored in a log is taken up where the log was recorded with this machine file, as the daemon did
+    when it wrote it: a file of a run replays alone, and several give what the run gave. `buses` maps names of
+    the logs to names of the machine file. `say` is told, in sentences, what a person should know.
+    Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
+    """
+    run = _Run(machine, machine_text, outputs or Outputs(), say)
+    empty: EmptyLog | None = None
+    for path in paths:
+        try:
+            run.log(path, buses or {})
+        except EmptyLog as error:
+            empty = error
+            if len(paths) > 1:
+                say(str(error))
+    run.close_counts()
+    if not run.summary.frames and not run.summary.truncated:
+        raise empty or EmptyLog(f"{paths[0]}: no frame is in it; there is nothing to replay")
+    return run.summary
+
+
+class _Run:
+    """The fold and what has come of it so far."""
+
+    def __init__(self, machine: Machine, machine_text: str, outputs: Outputs, say: Say) -> None:
+        self.summary = Summary()
+        self._machine = machine
+        self._sha256 = machine_sha256(machine, machine_text)
+        self._outputs = outputs
+        self._say = say
+        self._read_bytes = 0
+        self._told_other = False
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._fold = GuardedFold(machine)
+        self._before = _counts(self._fold)
+
+    def log(self, path: Path, buses: Mapping[str, str]) -> None:
+        log = open_log(path, IDENTICAL if self._outputs.comparison else ())
+        try:
+            self._records(log, buses)
+        finally:
+            log.file.close()
+            self._read_bytes += log.size
+        self._ended(log)
+
+    def _records(self, log: Log, buses: Mapping[str, str]) -> None:
+        pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
+        summary = self.summary
+        last_ns: int | None = None
+        for record in on_buses_of(self._machine, log, buses, self._say):
+            if isinstance(record, Frame):
+                t_ns = record.t_ns
+                if last_ns is not None and t_ns > last_ns:
+                    summary.duration_ns += t_ns - last_ns
+                last_ns = t_ns
+                if pace is not None:
+                    pace(t_ns)
+                summary.frames += 1
+                self._frame(record)
+                if progress is not None and summary.frames % SHOWN == 0:
+                    progress(self._read_bytes + log.position())
+            elif isinstance(record, Snapshot):
+                self._snapshot(log, record)
+            elif comparison is not None:
+                comparison.logged(record)
+
+    def _frame(self, frame: Frame) -> None:
+        writer, publish = self._outputs.writer, self._outputs.publish
+        comparison = self._outputs.comparison
+        if writer is not None:
+            writer.frame(frame)
+        for publication, data in self._fold.take(frame):
+            topic = publication.topic
+            if topic in _METHOD or topic == "/event":
+                self._keep(publication)
+            if writer is not None:
+                writer.message(topic, publication.t_ns, data)
+            if publish is not None:
+                publish(topic, data)
+            if comparison is not None:
+                comparison.recomputed(topic, publication.t_ns, data)
+
+    def _keep(self, publication: Publication) -> None:
+        value = publication.value
+        if isinstance(value, Estimate):
+            self.summary.estimates[_METHOD[publication.topic]] = value
+        elif isinstance(value, Event) and value.kind in SAID:
+            self._say(value.text)
+
+    def _snapshot(self, log: Log, stored: Snapshot) -> None:
+        """Go on from a stored state, as the daemon did that stored it."""
+        if stored.machine_sha256 != self._sha256:
+            if not self._told_other:
+                self._say(f"{log.path}: its stored state is of another machine file; going on without it")
+            self._told_other = True
+            return
+        try:
+            fold = GuardedFold(self._machine, stored.state_json)
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            self._say(f"{log.path}: its stored state is of another version ({error}); going on without it")
+            return
+        self.close_counts()
+        self._fold = fold
+        self._before = _counts(fold)
+        if self._outputs.writer is not None:
+            self._outputs.writer.snapshot(stored.t_ns, stored.state_json)
+
+    def close_counts(self) -> None:
+        """Add to the summary what the fold has counted since it was started or its state taken from a log."""
+        now = _counts(self._fold)
+        self._counts.update(now)
+        self._counts.subtract(self._before)
+        self._before = now
+        self.summary.measurements = self._counts["measurements", ""]
+        self.summary.poses = self._counts["poses", ""]
+        for (kind, reason), count in self._counts.items():
+            if kind == "rejected" and count > 0:
+                self.summary.rejected[reason] = count
+        self.summary.faults += self._fold.faults
+        self._fold.faults = 0
+
+    def _ended(self, log: Log) -> None:
+        for reason, count in log.skipped.items():
+            self._counts["rejected", reason] += count
+        if log.truncated:
+            self.summary.truncated = True
+            self._say(f"{log.path}: cut off; replayed as far as it is whole")
+        if log.skipped.get("damaged_chunk"):
+            self._say(f"{log.path}: {log.skipped['damaged_chunk']} damaged parts of it were left out")
+
+
+def _counts(fold: GuardedFold) -> Counter[tuple[str, str]]:
+    rejected = {("rejected", reason): count for reason, count in fold.rejected.items()}
+    return Counter({("measurements", ""): fold.measurements, ("poses", ""): fold.poses, **rejected})

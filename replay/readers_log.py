@@ -1,0 +1,67 @@
+"""What is common to every log reader: the log itself, its records, the errors."""
+
+from collections.abc import Container, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from tilth.schemas.flow import Frame
+from tilth.schemas.proto.tilth_pb2 import Snapshot
+
+READABLE = (
+    "tilth reads its own .mcap logs, candump -l, ASC, BLF, TRC, MF4, the CSV and SQLite files of python-can "
+    "and canboat's plain text"
+)
+
+
+class LogError(Exception):
+    """A log cannot be read; one sentence that says why. `status` is the exit status of a command."""
+
+    status = 1
+
+
+class EmptyLog(LogError):
+    """There is no frame in it."""
+
+
+class ForeignLog(LogError):
+    """It is no log of CAN frames, or of a kind that nobody here can read."""
+
+    status = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """A result as it was logged live."""
+
+    topic: str
+    t_ns: int
+    data: bytes
+
+
+Record = Frame | Snapshot | Logged
+
+
+@dataclass(slots=True)
+class Log:
+    """A log opened for reading; `truncated` and `skipped` are complete once `records` is used up.
+
+    Records come in the order of the file, which is the order in which they were processed, and are never
+    sorted, whatever their stamps say.
+    """
+
+    path: Path
+    form: str  # in a person's words
+    file: BinaryIO
+    size: int  # bytes
+    topics: Container[str] = ()  # whose results, logged live, are among the records
+    records: Iterator[Record] = field(default_factory=lambda: iter(()))
+    truncated: bool = False  # the end is missing
+    skipped: dict[str, int] = field(default_factory=dict)  # what was no frame for the decoder -> count
+
+    def skip(self, reason: str) -> None:
+        self.skipped[reason] = self.skipped.get(reason, 0) + 1
+
+    def position(self) -> int:
+        """Bytes read so far, for a progress bar."""
+        return self.size if self.file.closed else min(self.file.tell(), self.size)

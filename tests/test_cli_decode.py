@@ -1,0 +1,198 @@
+"""`tilth decode`: one line a message, the counts beside it, and one sentence for what is no log."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
+
+from tilth.cli import main
+from tilth.logger.mcap_log import LogWriter, Run
+from tilth.replay.readers import frames
+from tilth.replay.traffic import simulate
+from tilth.schemas.decode import Decoder, claim, encode, frames_of
+from tilth.schemas.flow import Frame
+from tilth.schemas.messages import WORDS
+
+HEAD = ("t_ns", "bus", "source", "name", "pgn")
+NAME = 0xA00017000421E240
+
+Answer = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
+    def ask(*words: object) -> tuple[int, str, str]:
+        status = main(["decode", *map(str, words)])
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return ask
+
+
+def rows_of(out: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def candump(path: Path, rows: list[tuple[float, int, bytes]], bus: str = "can0") -> Path:
+    path.write_text("".join(f"({t:.6f}) {bus} {can_id:08X}#{data.hex()}\n" for t, can_id, data in rows))
+    return path
+
+
+def a_log(path: Path) -> Path:
+    """A StarFire-like receiver that claims its address, two equal positions, and a wheel-angle sensor."""
+    position = encode(65267, {"latitude_deg": 41.98, "longitude_deg": -93.64})
+    rows = [
+        (1700000000.0, 0x18EEFF1C, claim(NAME)),
+        (1700000000.1, 0x18FEF31C, position),
+        (1700000000.3, 0x18FEF31C, position),
+        (1700000000.4, 0x18FF0B15, bytes.fromhex("01F4FFFFFFFFFFFF")),
+        (1700000000.5, 0x18FEF31C, b"\xff" * 8),
+        (1700000000.6, 0x18FF1234, bytes(8)),
+    ]
+    for k, (can_id, data) in enumerate(
+        frames_of(129029, encode(129029, {"fix": "rtk_fixed", "hdop": 0.7}), 70)
+    ):
+        rows.append((1700000001.0 + k / 1000, can_id, data.ljust(8, b"\xff")))
+    return candump(path, rows)
+
+
+def test_lines_have_the_fixed_keys(answer: Answer, tmp_path: Path) -> None:
+    status, out, err = answer("--json", a_log(tmp_path / "x.log"))
+    rows = rows_of(out)
+    assert status == 0
+    assert all(tuple(row)[:5] == HEAD for row in rows)
+    positions = [row for row in rows if row["pgn"] == 65267]
+    assert [row.get("repeat") for row in positions] == [None, True, None]  # the last one holds nothing
+    assert positions[0] == {
+        "t_ns": 1700000000_100000000,
+        "bus": "can0",
+        "source": 28,
+        "name": "A00017000421E240",
+        "pgn": 65267,
+        "latitude_deg": pytest.approx(41.98, abs=1e-7),
+        "longitude_deg": pytest.approx(-93.64, abs=1e-7),
+    }
+    (fix,) = (row for row in rows if row["pgn"] == 129029)
+    assert (fix["fix"], fix["hdop"], fix["name"], fix["t_ns"]) == (
+        "rtk_fixed",
+        0.7,
+        None,
+        1700000001_000000000,
+    )
+    lines = err.splitlines()
+    assert lines[0] == f"tilth decode: 13 frames, {len(rows)} messages"
+    assert "tilth decode: rejected not_available: 1" in lines
+
+
+def test_numbers_keep_their_full_precision(answer: Answer, tmp_path: Path) -> None:
+    log = a_log(tmp_path / "x.log")
+    decoder = Decoder()
+    wanted = [message.values for frame in frames(log) for message in decoder.messages(frame)]
+    found = [
+        {word: value for word, value in row.items() if word in WORDS}
+        for row in rows_of(answer("--json", log)[1])
+    ]
+    assert found == wanted
+
+
+def test_the_machine_file_adds_its_wheel_angle_sensor(answer: Answer, tmp_path: Path) -> None:
+    log = a_log(tmp_path / "x.log")
+    without = rows_of(answer("--json", log)[1])
+    assert not any("wheel_angle_rad" in row for row in without)
+    _, out, err = answer("--json", "--machine", MACHINE_FILE, log)
+    (row,) = (row for row in rows_of(out) if "wheel_angle_rad" in row)
+    assert row["wheel_angle_rad"] == pytest.approx(math.radians(5.0))
+    assert "bus" not in err
+
+
+def test_bus_names_are_mapped(answer: Answer, tmp_path: Path) -> None:
+    log = candump(tmp_path / "x.log", [(1.0, 0x18FF0B15, bytes.fromhex("01F4FFFFFFFFFFFF"))], bus="vcan7")
+    _, out, err = answer("--json", "--machine", MACHINE_FILE, log)
+    assert rows_of(out)[0]["bus"] == "can0" and "vcan7 is taken for can0" in err
+    _, out, err = answer("--json", "--machine", MACHINE_FILE, "--bus", "vcan7=can0", log)
+    assert rows_of(out)[0]["bus"] == "can0" and "taken" not in err
+    assert answer("--json", "--bus", "vcan7=can0", log)[0] == 2
+
+
+def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, 0))
+    rows: list[Frame] = list(simulate(MACHINE, 1, 3.0))
+    for row in rows:
+        writer.frame(row)
+    writer.close()
+    found = rows_of(answer("--json", path)[1])
+    assert sum("wheel_angle_rad" in row for row in found) > 200
+    assert {row["name"] for row in found if row["pgn"] == 129029} == {"C07891000B002711", "C07891000B002712"}
+    assert {row["t_ns"] for row in found} <= {row.t_ns for row in rows}
+
+
+def test_a_line_for_a_person(answer: Answer, tmp_path: Path) -> None:
+    status, out, _ = answer(a_log(tmp_path / "x.log"))
+    assert status == 0
+    line = next(line for line in out.splitlines() if "65267" in line)
+    assert line.startswith(
+        "2023-11-14 22:13:20.100000  can0      28 A00017000421E240   65267  latitude_deg=41.98"
+    )
+    assert "(repeated)" in out
+
+
+@pytest.mark.parametrize("path", sorted((DATA / "canboat").glob("*")), ids=lambda path: path.name)
+def test_recorded_logs(path: Path, answer: Answer) -> None:
+    status, out, err = answer("--json", path)
+    rows = rows_of(out)
+    assert status == 0
+    assert len(rows) > 200
+    assert f"{len(rows)} messages" in err
+    for row in rows:
+        assert tuple(row)[:5] == HEAD
+        assert set(row) - set(HEAD) - {"repeat"} <= WORDS.keys()
+        assert row["name"] is None or len(str(row["name"])) == 16
+
+
+def test_recorded_traffic_is_there() -> None:
+    if not DATA.exists():
+        pytest.skip("the recorded traffic is not on this computer")
+    assert len(list((DATA / "canboat").glob("*"))) == 7
+
+
+def test_several_logs_and_what_is_wrong_with_some(answer: Answer, tmp_path: Path) -> None:
+    log = a_log(tmp_path / "x.log")
+    empty, image, cut = (tmp_path / name for name in ("empty.log", "x.png", "cut.log"))
+    empty.touch()
+    image.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\r")
+    cut.write_bytes(log.read_bytes()[:-5])
+    for files, status, told in (
+        ([log, empty], 1, "empty file"),
+        ([log, image, empty], 2, "not a log of CAN frames"),
+        ([cut], 0, "cut off"),
+        ([tmp_path], 2, "a folder"),
+    ):
+        found, out, err = answer("--json", *files)
+        assert found == status
+        assert told in err
+        assert bool(out) == (files != [tmp_path])
+
+
+def test_a_reader_that_has_had_enough_is_no_error(tmp_path: Path) -> None:
+    rows = [
+        (1.0 + i / 1000, 0x09F11205, bytes((i % 250, i % 100, 1, 255, 127, 255, 127, 252)))
+        for i in range(20000)
+    ]
+    log = candump(tmp_path / "x.log", rows)
+    read, write = os.pipe()
+    command = [sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main())"]
+    with subprocess.Popen(
+        [*command, "decode", "--json", log], stdout=write, stderr=subprocess.PIPE
+    ) as process:
+        os.close(write)
+        with os.fdopen(read, "rb") as pipe:
+            assert json.loads(pipe.readline())["pgn"] == 127250
+        _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, b"")

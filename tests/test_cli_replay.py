@@ -1,0 +1,169 @@
+"""`tilth replay`: its JSON, its table, its exit statuses, and where it publishes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zenoh
+from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
+
+from tilth.cli import main
+from tilth.logger.zenoh_sink import free_endpoint
+from tilth.replay.readers import frames
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import PARAMETERS
+
+Answer = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
+    return record(tmp_path_factory.mktemp("live"), list(simulate(MACHINE, 3, SECONDS)), 3)
+
+
+@pytest.fixture
+def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
+    def ask(*words: object) -> tuple[int, str, str]:
+        try:
+            status = main(["replay", *map(str, words)])
+        except SystemExit as stop:
+            status = int(stop.code or 0)
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return ask
+
+
+def test_the_json_summary(live: Live, answer: Answer) -> None:
+    status, out, err = answer(*live.parts, "--json", "--verify")
+    assert (status, err, out.count("\n")) == (0, "", 1)
+    found = json.loads(out)
+    assert list(found) == [
+        "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "estimates", "nuisances",
+        "verify",
+    ]  # fmt: skip
+    assert found["frames"] == len(live.rows)
+    assert found["truncated"] is False
+    assert found["duration_s"] == pytest.approx(SECONDS, rel=0.01)
+    assert found["verify"]["difference"] is None
+    for method in ("steady_state", "recommended"):
+        assert list(found["estimates"][method]) == list(PARAMETERS)
+        for row in found["estimates"][method].values():
+            assert list(row) == ["value", "sd", "status", "reason"]
+            assert row["status"] in ("unestimated", "estimated", "stale", "invalid")
+            assert (row["value"] is None) == (row["status"] == "unestimated")
+        for row in found["nuisances"][method].values():
+            assert list(row) == ["value", "sd"]
+
+
+def test_a_table_for_a_person(live: Live, answer: Answer) -> None:
+    status, out, _ = answer(live.parts[0], "--verify")
+    assert status == 0
+    assert "C_af" in out and "frames in" in out and "to the byte" in out
+
+
+def test_out_and_its_second_time(live: Live, answer: Answer, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    assert answer(live.parts[0], "--out", out, "--json")[0] == 0
+    assert results_of([out]) == results_of(live.parts[:1])
+    before = out.read_bytes()
+    status, _, err = answer(live.parts[0], "--out", out)
+    assert status == 2 and "exists" in err
+    assert out.read_bytes() == before
+    status, _, err = answer(live.parts[0], "--out", tmp_path / "no" / "such" / "x.mcap")
+    assert status == 2 and "no such file" in err
+
+
+def test_a_found_difference_is_exit_1(live: Live, answer: Answer, tmp_path: Path) -> None:
+    path = altered(live, tmp_path, "/pose", 3, "value")
+    status, out, _ = answer(path, "--verify", "--json")
+    assert status == 1
+    assert "tractor.heading" in json.loads(out)["verify"]["difference"]
+
+
+def test_a_cut_log_is_exit_0(live: Live, answer: Answer, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(live.parts[0].read_bytes()[:-1])
+    status, out, err = answer(path, "--json")
+    assert (status, json.loads(out)["truncated"]) == (0, True)
+    assert "cut off" in err
+
+
+WRONG: tuple[tuple[list[str], int, str], ...] = (
+    (["{png}"], 2, "not a log of CAN frames"),
+    (["{png}", "{log}", "--machine", "{machine}"], 2, "not a log of CAN frames"),
+    (["{folder}"], 2, "a folder"),
+    (["{missing}"], 2, "no such file"),
+    (["{log}"], 2, "--machine"),
+    (["{log}", "--machine", "{missing}"], 2, "cannot be read"),
+    (["{log}", "--machine", "{png}"], 2, "UTF-8"),
+    (["{log}", "--machine", "{machine}", "--verify"], 2, "--verify"),
+    (["{log}", "--machine", "{machine}", "--bus", "slcan0=can7"], 2, "LOG=MACHINE"),
+    (["{log}", "--machine", "{machine}", "--bus", "slcan0"], 2, "LOG=MACHINE"),
+    (["{log}", "--machine", "{machine}", "--rate", "0"], 2, "--rate"),
+    (["{log}", "--machine", "{machine}", "--rate", "fast"], 2, "--rate"),
+    ([], 2, "LOG"),
+    (["{empty}"], 1, "empty"),
+    (["{empty}", "--machine", "{machine}"], 1, "empty"),
+)
+
+
+@pytest.mark.parametrize(("words", "status", "told"), WRONG)
+def test_wrong_use_is_told_in_one_line(
+    words: list[str], status: int, told: str, answer: Answer, tmp_path: Path
+) -> None:
+    places = {
+        "png": tmp_path / "x.png",
+        "log": tmp_path / "x.log",
+        "empty": tmp_path / "empty.log",
+        "missing": tmp_path / "missing.log",
+        "folder": tmp_path,
+        "machine": MACHINE_FILE,
+    }
+    places["png"].write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(50))
+    places["log"].write_text("(1.000000) slcan0 18EEFF1C#0011223344556677\n")
+    places["empty"].touch()
+    found, out, err = answer(*(word.format(**places) for word in words))
+    assert (found, out) == (status, "")
+    assert told in err and err.count("\n") == 1
+
+
+def test_publishing_goes_under_the_replay_prefix_only(live: Live, answer: Answer, tmp_path: Path) -> None:
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    config = zenoh.Config()
+    for key, value in {
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "false",
+        "listen/endpoints": json.dumps([endpoint]),
+    }.items():
+        config.insert_json5(key, value)
+    own = free_endpoint("tcp/127.0.0.1:0")
+    machine_file = tmp_path / "m.toml"
+    machine_file.write_text(f'{MACHINE_TEXT}listen = ["{own}"]\nconnect = ["{endpoint}"]\n')  # under [zenoh]
+    heard: list[tuple[str, bytes]] = []
+    with zenoh.open(config) as session:
+        token = session.liveliness().declare_subscriber("**")
+        session.declare_subscriber(
+            "**", lambda sample: heard.append((str(sample.key_expr), bytes(sample.payload)))
+        )
+        # Eight seconds of log in 0.4 s: the two sessions find one another meanwhile.
+        status, _, err = answer(
+            live.parts[0], "--machine", machine_file, "--publish", "--rate", "20", "--json"
+        )
+        alive = token.recv()
+    base = f"tilth/{MACHINE.name}/replay"
+    assert status == 0 and f"publishing under {base}" in err
+    assert str(alive.key_expr) == f"{base}/alive"
+    assert {key for key, _ in heard} > {f"{base}/pose"}
+    assert all(key.startswith(f"{base}/") for key, _ in heard)
+    poses = {row.data for row in results_of(live.parts[:1])["/pose"]}
+    assert {data for key, data in heard if key == f"{base}/pose"} <= poses
+
+
+def test_a_run_whose_first_file_is_empty(live: Live, answer: Answer, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.mcap"
+    empty.touch()
+    status, out, err = answer(empty, live.parts[0], "--out", tmp_path / "out.mcap", "--json")
+    assert (status, err) == (0, f"tilth replay: {empty}: an empty file; there is nothing to replay\n")
+    assert json.loads(out)["frames"] == sum(1 for _ in frames(tmp_path / "out.mcap"))

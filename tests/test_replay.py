@@ -1,0 +1,268 @@
+"""A replay gives what the live run gave, to the byte; and what it does with logs of every kind."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+from logs import MACHINE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
+
+from tilth.estimator.fold import State, step
+from tilth.logger import guarded_fold
+from tilth.logger.mcap_log import LogWriter, Run
+from tilth.replay.compare import Comparison
+from tilth.replay.driver import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
+from tilth.replay.readers import frames
+from tilth.replay.readers_log import EmptyLog, Logged
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import Frame, Publication
+from tilth.schemas.machine import parse_machine
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
+    return record(tmp_path_factory.mktemp("live"), list(simulate(MACHINE, 3, SECONDS)), 3)
+
+
+def run(
+    paths: Sequence[Path], comparison: Comparison | None = None, writer: LogWriter | None = None
+) -> tuple[Summary, list[str]]:
+    said: list[str] = []
+    outputs = Outputs(writer=writer, comparison=comparison)
+    return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=said.append), said
+
+
+# Live is replay
+
+
+def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
+    comparison = Comparison()
+    summary, said = run(live.parts, comparison=comparison)
+    comparison.finish(summary.truncated)
+    assert comparison.difference == ""
+    assert comparison.compared > 0.9 * live.results > 1000
+    assert (summary.frames, summary.truncated, summary.faults) == (len(live.rows), False, 0)
+    assert summary.poses > 50
+    assert summary.measurements > 0.3 * summary.frames
+    assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
+    assert set(summary.estimates) == {"steady_state", "recommended"}
+    assert said == []
+
+
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_a_part_replays_alone(live: Live, part: int) -> None:
+    comparison = Comparison()
+    summary, _ = run([live.parts[part]], comparison=comparison)
+    comparison.finish(summary.truncated)
+    assert comparison.difference == ""
+    assert comparison.compared > 300
+
+
+def test_the_parts_count_together_what_they_count_alone(live: Live) -> None:
+    together, _ = run(live.parts)
+    alone = [run([path])[0] for path in live.parts]
+    for count in ("frames", "measurements", "poses"):
+        assert getattr(together, count) == sum(getattr(summary, count) for summary in alone)
+    reasons = {reason for summary in alone for reason in summary.rejected}
+    assert together.rejected == {r: sum(s.rejected.get(r, 0) for s in alone) for r in reasons}
+
+
+def test_out_holds_frames_and_results_and_replays(live: Live, tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    run(live.parts[1:], writer=writer)
+    writer.close()
+    third = len(live.rows) - sum(1 for _ in frames(live.parts[0]))
+    assert list(frames(path)) == live.rows[-third:]
+    assert results_of([path]) == results_of(live.parts[1:])
+    comparison = Comparison()
+    run([path], comparison=comparison)
+    assert (comparison.difference, comparison.compared > 1000) == ("", True)
+
+
+def test_a_state_of_another_machine_file_is_not_taken(live: Live) -> None:
+    text = MACHINE_TEXT.replace("mass = 9391.0", "mass = 9400.0")
+    said: list[str] = []
+    other = replay(live.parts[1:], parse_machine(text), text, say=said.append)
+    assert other.frames > 0
+    assert len(said) == 1 and "another machine file" in said[0]
+
+
+def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 2, 0))
+    writer.snapshot(live.rows[0].t_ns, '{"format": "of the year 2040"}')
+    for row in live.rows[:3000]:
+        writer.frame(row)
+    writer.close()
+    summary, said = run([path])
+    assert summary.poses > 0
+    assert len(said) == 1 and "another version" in said[0]
+
+
+# Differences are found
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("value", "tractor.heading was"),
+        ("time", "computed again for"),
+        ("missing", "/pose"),
+        ("twice", "/pose"),
+    ],
+)
+def test_one_altered_result_is_found(live: Live, tmp_path: Path, change: str, told: str) -> None:
+    comparison = Comparison()
+    summary, _ = run([altered(live, tmp_path, "/pose", 10, change)], comparison=comparison)
+    comparison.finish(summary.truncated)
+    assert comparison.difference.startswith("/pose")
+    assert told in comparison.difference
+
+
+def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
+    for truncated in (True, False):
+        comparison = Comparison()
+        comparison.logged(Logged("/pose", 1, b""))
+        comparison.recomputed("/pose", 1, b"")
+        comparison.recomputed("/pose", 2, b"")
+        comparison.finish(truncated)
+        assert bool(comparison.difference) != truncated
+    comparison = Comparison()
+    comparison.logged(Logged("/pose", 1, b""))
+    comparison.finish(True)
+    assert "not computed again" in comparison.difference
+
+
+# Logs of others
+
+
+def as_candump(rows: Sequence[Frame], path: Path, bus: str = "slcan0") -> Path:
+    path.write_text(
+        "".join(f"({r.t_ns / 1e9:.6f}) {bus} {r.can_id:08X}#{r.data.hex().upper()}\n" for r in rows)
+    )
+    return path
+
+
+def test_other_formats_give_the_same_result(live: Live, tmp_path: Path) -> None:
+    rows = live.rows[: len(live.rows) // 2]
+    rounded = [replace(r, t_ns=r.t_ns // 1000 * 1000, rx_ns=r.t_ns // 1000 * 1000) for r in rows]
+    wanted, _ = run([record(tmp_path, rounded, 1).parts[0]])
+    dump = as_candump(rounded, tmp_path / "x.log")
+    blf = tmp_path / "x.blf"
+    with can.Logger(str(blf)) as writer:
+        for r in rounded:
+            writer.on_message_received(
+                can.Message(timestamp=r.t_ns / 1e9, arbitration_id=r.can_id, data=r.data)
+            )
+    for path in (dump, blf):
+        found, _ = run([path])
+        assert (found.frames, found.measurements) == (wanted.frames, wanted.measurements)
+        assert found.poses == pytest.approx(wanted.poses, abs=1)
+    assert run([dump])[0].estimates == wanted.estimates
+
+
+def test_the_one_bus_of_a_log_is_that_of_the_machine_file(live: Live, tmp_path: Path) -> None:
+    path = as_candump(live.rows[:4000], tmp_path / "x.log")
+    summary, said = run([path])
+    assert summary.measurements > 1000
+    assert said == [f"{path}: its bus slcan0 is taken for can0 of the machine file"]
+
+
+def test_two_buses_are_not_guessed_but_can_be_named(live: Live, tmp_path: Path) -> None:
+    path = as_candump(live.rows[:4000], tmp_path / "x.log")
+    other = as_candump(live.rows[:10], tmp_path / "y.log", "slcan1")
+    path.write_text(other.read_text() + path.read_text())
+    summary, said = run([path])
+    assert summary.poses == 0
+    assert summary.rejected["unknown_source"] > 500
+    assert len(said) == 1 and "slcan1, slcan0" in said[0] and "--bus LOG=MACHINE" in said[0]
+    named = replay([path], MACHINE, MACHINE_TEXT, buses={"slcan0": "can0"})
+    assert named.poses > 5
+
+
+def test_a_clock_that_steps_back(live: Live, tmp_path: Path) -> None:
+    half = len(live.rows) // 2
+    rows = live.rows[:half] + [
+        replace(r, t_ns=r.t_ns - 3_600_000_000_000, rx_ns=r.rx_ns - 3_600_000_000_000)
+        for r in live.rows[half:]
+    ]
+    parts = record(tmp_path, rows, 1).parts
+    comparison = Comparison()
+    summary, said = run(parts, comparison=comparison)
+    assert (summary.frames, comparison.difference) == (len(rows), "")
+    assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
+    assert summary.rejected["clock_step"] == 1
+    assert len(said) == 1 and "stepped back" in said[0]
+
+
+def test_a_cut_log_replays_as_far_as_it_is_whole(live: Live, tmp_path: Path) -> None:
+    content = live.parts[0].read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(content[: len(content) // 2] + bytes(500))
+    comparison = Comparison()
+    summary, said = run([path], comparison=comparison)
+    comparison.finish(summary.truncated)
+    assert summary.truncated
+    assert 0 < summary.frames < len(live.rows) // 3
+    assert comparison.difference == ""
+    assert said == [f"{path}: cut off; replayed as far as it is whole"]
+
+
+def test_an_empty_log_among_others_is_passed_over(live: Live, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.mcap"
+    empty.touch()
+    summary, said = run([live.parts[0], empty, live.parts[1]])
+    assert summary.frames > len(live.rows) // 2
+    assert said == [f"{empty}: an empty file; there is nothing to replay"]
+    with pytest.raises(EmptyLog):
+        run([empty])
+
+
+def test_a_fault_of_the_fold_costs_no_frame(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(state: State, frame: Frame) -> list[Publication]:
+        if frame is bad:
+            raise ZeroDivisionError("planted")
+        return step(state, frame)
+
+    monkeypatch.setattr(guarded_fold, "step", failing)
+    rows = live.rows[:6000]
+    bad = rows[3000]
+    (part,) = record(tmp_path, rows, 1).parts
+    # The frame read back is equal to that one, not the same one.
+    monkeypatch.setattr(
+        guarded_fold, "step", lambda state, frame: failing(state, bad if frame == bad else frame)
+    )
+    path = tmp_path / "out.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    comparison = Comparison()
+    summary, said = run([part], writer=writer, comparison=comparison)
+    comparison.finish(False)
+    writer.close()
+    assert (summary.faults, summary.frames, comparison.difference) == (1, 6000, "")
+    assert list(frames(path)) == rows
+    assert len(said) == 1 and "planted" in said[0]
+
+
+# Pace
+
+
+def test_pace_waits_for_the_logs_time() -> None:
+    now = 100.0
+    waits: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        waits.append(round(seconds, 6))
+        now += seconds
+
+    pace = Pace(2.0, clock=lambda: now, sleep=sleep)
+    for t_s in (1000.0, 1001.0, 1001.0, 1001.5, 400.0, 400.2, 400.2 + LONGEST_WAIT_S + 1, 406.4):
+        pace(round(t_s * 1e9))
+    assert waits == [0.5, 0.25, 0.1, 0.1]
+    now += 1.0  # the computer was busy: no wait until the log has caught up
+    pace(round(407.4e9))
+    assert waits[-1] == 0.1 and len(waits) == 4
