@@ -194,9 +194,12 @@ class _Incomplete(logging.Handler):
 
 def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     """ASAM MF4 with CAN bus logging, finished or not; read as far as asammdf finds whole blocks."""
-    import asammdf
+    try:
+        import asammdf
+        from asammdf.blocks.utils import MdfException, count_channel_groups
+    except ImportError:
+        raise ForeignLog(f"{log.path}: reading MF4 needs one package more: pip install 'tilth[mf4]'") from None
     import can
-    from asammdf.blocks.utils import MdfException, count_channel_groups
 
     asammdf.set_global_option("raise_on_incomplete_blocks", False)
     ear = _Incomplete()
