@@ -6,13 +6,13 @@ their order.
 
 import json
 from dataclasses import dataclass, field, replace
+from typing import Any
 
-from tilth.estimator import aligner, steady_state
+from tilth.estimator import aligner
 from tilth.estimator.aligner import Aligner
+from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
-from tilth.estimator.steady_driving import Steadiness
-from tilth.estimator.steady_state import SteadyState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
@@ -39,7 +39,7 @@ class State:
     machine: Machine
     decoder: Decoder
     aligner: Aligner
-    steady_state: SteadyState
+    estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
     frames: int = 0
     measurements: int = 0
     poses: int = 0
@@ -60,7 +60,11 @@ class State:
 
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
-    return State(machine, Decoder(machine), aligner.initial(machine), steady_state.initial(machine))
+    return State(machine, Decoder(machine), aligner.initial(machine), _estimators(machine))
+
+
+def _estimators(machine: Machine) -> dict[str, Any]:
+    return {row.method: row.initial(machine) for row in ESTIMATORS}
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -104,13 +108,19 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         if flag not in pose.flags and kind in _FLAG_TEXT:
             out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who}: over")))
     state.flags = pose.flags
-    estimate = steady_state.take(state.steady_state, state.machine, pose)
-    if estimate is not None:
-        # Of one estimator, the recommended one is that one; the rule is written where there are more.
-        recommended = replace(estimate, method="recommended")
-        state.estimates = {estimate.method: estimate, recommended.method: recommended}
-        out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-        out.append(Publication(t_ns, "/soil_tire", recommended))
+    for row in ESTIMATORS:
+        estimate = row.take(state.estimators[row.method], state.machine, pose)
+        if estimate is not None:
+            _estimate(state, t_ns, estimate, out)
+
+
+def _estimate(state: State, t_ns: int, estimate: Estimate, out: list[Publication]) -> None:
+    state.estimates[estimate.method] = estimate
+    out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
+    # Of one estimator, the recommended one is that one. The rule comes with the second.
+    recommended = replace(estimate, method="recommended")
+    state.estimates[recommended.method] = recommended
+    out.append(Publication(t_ns, "/soil_tire", recommended))
 
 
 def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
@@ -118,20 +128,20 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     seconds = (state.latest_ns - frame.t_ns) * 1e-9
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
-    state.steady_state.steadiness = Steadiness()
-    state.steady_state.seen_ns = 0
-    state.steady_state.published_ns = 0
+    for row in ESTIMATORS:
+        row.clock_stepped(state.estimators[row.method])
     text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"
     out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "clock_step", text)))
 
 
-_REBUILT = frozenset({"machine", "decoder", "last_pose", "estimates"})
+_REBUILT = frozenset({"machine", "decoder", "estimators", "last_pose", "estimates"})
 
 
 def snapshot(state: State) -> str:
     """The state as JSON text: `restore(machine, snapshot(s))` goes on exactly as `s` would."""
     plain = to_plain(state, skip=_REBUILT)
     plain["decoder"] = state.decoder.dump()
+    plain["estimators"] = {method: to_plain(own) for method, own in state.estimators.items()}
     return json.dumps(plain, separators=(",", ":"))
 
 
@@ -145,7 +155,11 @@ def restore(machine: Machine, text: str) -> State:
         decoder.load(plain.pop("decoder"))
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"this is no stored state of the decoder: {error}") from None
-    given = {"machine": machine, "decoder": decoder, "last_pose": None, "estimates": {}}
+    stored = plain.pop("estimators", {})
+    estimators = {row.method: from_plain(row.state, stored.get(row.method)) for row in ESTIMATORS}
+    given = {
+        "machine": machine, "decoder": decoder, "estimators": estimators, "last_pose": None, "estimates": {},
+    }  # fmt: skip
     state = from_plain(State, plain, given)
     assert isinstance(state, State)
     return state

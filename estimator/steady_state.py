@@ -90,7 +90,7 @@ def _pair_sd(machine: Machine, body: str) -> float:
 
 def take(state: SteadyState, machine: Machine, pose: Pose) -> Estimate | None:
     """Take one pose; an estimate each PUBLISH_NS."""
-    seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else 0.0
+    seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else math.inf
     state.seen_ns = pose.t_ns
     _drift(state, seconds, pose)
     length = machine.implement.d.value + machine.implement.e.value
@@ -105,9 +105,15 @@ def take(state: SteadyState, machine: Machine, pose: Pose) -> Estimate | None:
     return estimate(state, machine, pose.t_ns)
 
 
+def clock_stepped(state: SteadyState) -> None:
+    """Time ran back: forget what was going on, keep what was learned."""
+    state.steadiness = Steadiness()
+    state.seen_ns = state.published_ns = state.informed_ns = 0
+
+
 def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     """Ornstein-Uhlenbeck drift: stiffness over distance, pair errors over time, both towards the prior."""
-    seconds = min(max(seconds, 0.0), 3600.0)
+    seconds = min(seconds, 3600.0) if math.isfinite(seconds) else 0.0
     distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
     keep = np.ones(len(STATES))
     keep[:3] = math.exp(-distance / DRIFT_M)

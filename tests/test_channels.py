@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
+from tilth.estimator.estimators import ESTIMATORS
 from tilth.schemas import flow
 from tilth.schemas.channels import CHANNELS, KINDS, TOLERANCES, TOPIC_OF, file_descriptor_set, payload
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -42,7 +43,8 @@ def test_topics_and_keys_are_used_once() -> None:
     topics = [c.topic for c in CHANNELS]
     keys = [c.key for c in CHANNELS if c.key]
     assert len(set(topics)) == len(topics) and len(set(keys)) == len(keys)
-    assert set(keys) == {"pose", "soil_tire", "soil_tire/steady_state", "event", "status"}
+    methods = {f"soil_tire/{row.method}" for row in ESTIMATORS}
+    assert set(keys) == {"pose", "soil_tire", "event", "status", *methods}
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS, ids=lambda k: k if isinstance(k, str) else "")

@@ -171,7 +171,7 @@ def test_statuses_before_there_is_anything_to_say() -> None:
 def test_the_snapshot_is_plain_json() -> None:
     state, _ = run(frames(5.0))
     plain = json.loads(snapshot(state))
-    assert set(plain) >= {"decoder", "aligner", "steady_state", "frames"}
+    assert set(plain) >= {"decoder", "aligner", "estimators", "frames"}
     assert len(snapshot(state)) < 200_000
 
 
