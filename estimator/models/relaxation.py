@@ -1,10 +1,18 @@
-"""Tractor and towed single-axle implement with tyre relaxation lengths: M x' = N x + P u, so x' = A x + B u.
+"""Tractor and towed single-axle implement with tyre relaxation lengths: M x' = N x + P w.
 
-Karkee (2009), eqs. 3.108-3.121, with the erratum of 3.121 (row 2 of N holds c C_ai in the column of the
-implement's slip angle), and with gravity along a side slope as two more inputs. Slip angle alpha = direction
-of travel minus direction of facing, lateral force -C alpha, right turns and right-hand wheel angles positive.
+Source: Karkee (2009), eqs. 3.108-3.121, with the erratum of 3.121 (row 2 of N holds c C_ai in the column of
+the implement's slip angle), and with gravity along a side slope as two more inputs.
+States: those of the dynamic model and, before the positions, the slip angle of each axle (rad), which follows
+the direction of travel over a distance: sigma alpha' = (lateral velocity of the axle across its wheels) - |u|
+alpha. Slip angle = direction of travel minus direction of facing, lateral force -C alpha.
+Form: x' = A(u) x + B(u) w, u the forward speed (m/s), w as INPUTS.
+Valid for small angles of steering, articulation and slip (to about 10°) at constant or slowly changing speed;
+a constant relaxation length is doubtful below about 1 m/s. At standstill tyres become springs. In reverse the
+slip angle counts from the wheel's backward direction, so that the force still opposes the slip; the rig is
+then unstable, as it is in truth: it folds up.
 
-Plain arrays and numpy only, so that a compiler of numeric kernels can take these functions as they are.
+Plain arrays and numpy only, so that a compiler of numeric kernels can take these functions as they are (it
+needs geometry and theta as tuples).
 """
 
 from typing import Final
@@ -12,7 +20,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.schemas.machine import Machine
+from tilth.estimator.models.dynamic import axle_arms, gravity_arms, inertia, turning
+from tilth.estimator.models.parameters import GEOMETRY as GEOMETRY
+from tilth.estimator.models.parameters import geometry_of as geometry_of
 
 Array = NDArray[np.float64]
 
@@ -23,64 +33,34 @@ position of the tractor's CG (m) and headings (rad), both from a line that the t
 INPUTS: Final = ("delta", "gravity_t", "gravity_i")
 """Front wheel angle (rad); g sin(roll) of the tractor and of the implement (m/s^2)."""
 
-GEOMETRY: Final = ("a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i")
-"""Distances (m), masses (kg) and yaw inertias (kg m^2), in the order of every array `geometry`."""
-
-
-def geometry_of(machine: Machine) -> Array:
-    """The values of a machine file in the order of GEOMETRY, shape (9,)."""
-    tractor, implement = machine.tractor, machine.implement
-    quantities = (
-        tractor.a, tractor.b, tractor.c, implement.d, implement.e,
-        tractor.mass, implement.mass, tractor.yaw_inertia, implement.yaw_inertia,
-    )  # fmt: skip
-    return np.array([quantity.value for quantity in quantities])
-
-
-def inertia(geometry: Array) -> Array:
-    """Upper left block of M, of v, r_t and r_i, shape (3, 3) (3.115-3.117). geometry: shape (9,)."""
-    _, _, c, d, _, m_t, m_i, i_t, i_i = geometry
-    return np.array(
-        [
-            [m_t + m_i, -m_i * c, -m_i * d],
-            [-m_i * c, i_t + m_i * c**2, m_i * c * d],
-            [-m_i * d, m_i * c * d, i_i + m_i * d**2],
-        ]
-    )
-
 
 def system_matrix(u: float, geometry: Array, theta: Array) -> Array:
     """A(u), shape (9, 9).
 
-    u: forward speed, m/s. geometry: shape (9,), as GEOMETRY. theta: shape (6,), as schemas.flow.PARAMETERS.
+    u: forward speed, m/s, negative in reverse. geometry: shape (9,), as GEOMETRY. theta: shape (6,), as
+    schemas.flow.PARAMETERS.
     """
-    a, b, c, d, e, m_t, m_i, _, _ = geometry
     c_af, c_ar, c_ai, sigma_f, sigma_r, sigma_i = theta
+    stiffness = np.array([c_af, c_ar, c_ai])
+    lengths = np.array([sigma_f, sigma_r, sigma_i])
+    arms = axle_arms(geometry)
     forces = np.zeros((3, 9))  # the first three rows of N
-    forces[:, 1] = [-u * (m_t + m_i), u * m_i * c, u * m_i * d]
-    forces[:, 3] = [-c_af, -a * c_af, 0.0]
-    forces[:, 4] = [-c_ar, b * c_ar, 0.0]
-    forces[:, 5] = [-c_ai, c * c_ai, (d + e) * c_ai]
+    forces[:, 1] = turning(u, geometry)
+    forces[:, 3:6] = -arms * stiffness
     matrix = np.zeros((9, 9))
     matrix[:3] = np.linalg.solve(inertia(geometry), forces)
-    matrix[3, :4] = [1 / sigma_f, a / sigma_f, 0.0, -u / sigma_f]  # 3.109
-    matrix[4, :5] = [1 / sigma_r, -b / sigma_r, 0.0, 0.0, -u / sigma_r]  # 3.111
-    matrix[5, :3] = [1 / sigma_i, -c / sigma_i, -(d + e) / sigma_i]  # 3.114
-    matrix[5, 5:] = [-u / sigma_i, 0.0, u / sigma_i, -u / sigma_i]
+    for k in range(3):  # 3.109, 3.111, 3.114
+        matrix[3 + k, :3] = arms[:, k] / lengths[k]
+        matrix[3 + k, 3 + k] = -abs(u) / lengths[k]
+    matrix[5, 7], matrix[5, 8] = u / sigma_i, -u / sigma_i
     matrix[6, 0], matrix[6, 7] = 1.0, u  # 3.118
     matrix[7, 1] = matrix[8, 2] = 1.0  # 3.119, 3.120
     return matrix
 
 
 def input_matrix(u: float, geometry: Array, theta: Array) -> Array:
-    """B(u), shape (9, 3), columns as INPUTS. Arguments as of `system_matrix`.
-
-    Gravity acts at both CGs, to the right where the right side is down. The implement's CG moves to the right
-    by dy - c dpsi_t - d dpsi_i, which gives the arms of its force.
-    """
-    _, _, c, d, _, m_t, m_i, _, _ = geometry
-    forces = np.array([[m_t, m_i], [0.0, -c * m_i], [0.0, -d * m_i]])
+    """B(u), shape (9, 3), columns as INPUTS. Arguments as of `system_matrix`."""
     matrix = np.zeros((9, 3))
-    matrix[:3, 1:] = np.linalg.solve(inertia(geometry), forces)
+    matrix[:3, 1:] = np.linalg.solve(inertia(geometry), gravity_arms(geometry))
     matrix[3, 0] = -u / theta[3]  # 3.109
     return matrix

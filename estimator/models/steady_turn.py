@@ -1,11 +1,10 @@
 """Steady turning of a tractor with a towed single-axle implement, in closed form.
 
-Source: Karkee (2009), section 3.6, eqs. 3.122 to 3.128, with gravity along the slope added. Small angles,
-linear tyres F = −C α; relaxation lengths drop out. Valid forward, above about 1 m/s and below about 10° of
-slip.
-
+Source: Karkee (2009), section 3.6, eqs. 3.122 to 3.128, with gravity along the slope added.
 Unknowns: lateral velocity v of the tractor's CG (m/s), yaw rate r of both bodies (rad/s), articulation
-λ = ψ_t − ψ_i (rad).
+λ = ψ_t − ψ_i (rad). Small angles, linear tyres F = −C α; relaxation lengths drop out.
+Valid above about 1 m/s and below about 10° of slip. In reverse it is the turn in which the rig would balance;
+it folds up from there. Not at standstill.
 """
 
 import numpy as np
@@ -29,10 +28,10 @@ def steady_turn(inputs: Array, a: float, b: float, c: float, d: float, e: float)
     weight_t = m_t * GRAVITY * np.sin(roll_t)
     weight_i = m_i * GRAVITY * np.sin(roll_i)
     # Axle forces are linear in the unknowns: F = F_v v + F_r r + F_λ λ + F_0.
-    zero = np.zeros_like(u)
-    front = np.stack([-c_f / u, -c_f * a / u, zero, c_f * delta])
-    rear = np.stack([-c_r / u, c_r * b / u, zero, zero])
-    cart = np.stack([-c_i / u, c_i * (c + d + e) / u, -c_i, zero])
+    zero, pace, way = np.zeros_like(u), np.abs(u), np.sign(u)
+    front = np.stack([-c_f / pace, -c_f * a / pace, zero, way * c_f * delta])
+    rear = np.stack([-c_r / pace, c_r * b / pace, zero, zero])
+    cart = np.stack([-c_i / pace, c_i * (c + d + e) / pace, -way * c_i, zero])
     inertia_t = np.stack([zero, -m_t * u, zero, weight_t])
     inertia_i = np.stack([zero, -m_i * u, zero, weight_i])
     hitch = cart + inertia_i  # force of the implement on the tractor
