@@ -1,0 +1,323 @@
+"""Frames in, messages and measurements out.
+
+A frame is looked up by (bus, identifier): nobody wants most of them. What is wanted is put together where it
+takes several frames, read by its row of the table, and told in words (`messages`) or as measurements of the
+machine's receivers and wheel-angle sensor (`measurements`). What cannot be used is counted by reason.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tilth.schemas.can_id import BROADCAST, CanId, join, split
+from tilth.schemas.fields import count
+from tilth.schemas.flow import AddressClaim, Frame, Measurement, Message, Origin, WheelAngle, Word
+from tilth.schemas.identity import AddressBook, Sender, split_name
+from tilth.schemas.machine import Machine
+from tilth.schemas.measures import Head, Made, makers_of
+from tilth.schemas.messages import PGNS, Pgn, row
+from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembler, split_fast
+from tilth.schemas.wheel_angle import RUDDER, Sensor, compile_sensor
+
+REASONS: dict[str, str] = {
+    "not_available": "the message says that it has no value",
+    "out_of_range": "a value outside of its physical range",
+    "short_frame": "shorter than its layout",
+    "error_frame": "an error frame of the CAN controller",
+    "unidentified": "a manufacturer's own message (65535) from an address whose manufacturer is not known",
+    "unknown_source": "from an address that is no receiver or sensor of the machine file",
+    "quarantine": "from a receiver's address that somebody else has claimed",
+    "address_conflict": "an address claim for an address that another NAME holds",
+    "repeat": "a position that repeats the one before",
+    "magnetic": "a heading or course that counts from magnetic north",
+    "no_reference": "a heading or course that does not say which north it counts from",
+    "early_date": "a date before 2010: the receiver does not know the time yet",
+    "duplicate_frame": "an exact echo of the frame before, in a message of several frames",
+    "broken_fast_packet": "a fast packet that lost a frame or got one out of order",
+    "stale_fast_packet": "a fast packet that was not finished in time",
+    "broken_transport": "a transport-protocol message that lost a frame, got one out of order or was aborted",
+    "stale_transport": "a transport-protocol message that was not finished in time",
+}
+"""Every reason in `Decoder.rejected`, in a person's words."""
+
+_CLAIM, _RUDDER = row(60928), row(RUDDER)
+_PLAIN = {row.pgn: row for row in PGNS if row.selector is None}
+_OWN = {(row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.selector is not None}
+_WANTED = frozenset(row.pgn for row in PGNS)
+_OF_RECEIVERS = {(row.pgn, row.selector): makers_of(row, anyone=False) for row in PGNS}
+_OF_ANYONE = {(row.pgn, row.selector): makers_of(row, anyone=True) for row in PGNS}
+
+ROUTES = 8192  # identifiers remembered; beyond them the memory starts anew
+
+_Arrival = tuple[Pgn, bytes, int, int]
+"""A whole message of the table: row, payload, t_ns and rx_ns of its first frame."""
+
+
+@dataclass(slots=True)
+class _Route:
+    """What is to be done with the frames of one identifier on one bus."""
+
+    can_id: CanId
+    sender: Sender
+    read: Callable[["_Route", Frame], _Arrival | None] | None
+    row: Pgn | None  # None: depends on who sends, or on the announcement
+    sensor: Sensor | None
+
+
+class Decoder:
+    """What the buses of a machine say. One Decoder takes every frame of a log in its order, by `messages` or
+    by `measurements`."""
+
+    def __init__(self, machine: Machine | None = None) -> None:
+        """machine: whose receivers and wheel-angle sensor make measurements; None: messages only.
+
+        Raises MachineError where its DBC file does not give the wheel angle.
+        """
+        self.rejected: dict[str, int] = {}
+        self._faults: dict[str, int] = {}  # of the message in hand
+        self._addresses = AddressBook(machine.receiver if machine is not None else ())
+        self._assembler = Assembler(_WANTED - {_CLAIM.pgn}, self.rejected)
+        self._sensor = compile_sensor(machine) if machine is not None else None
+        self._routes: dict[tuple[str, int, bool], _Route | None] = {}
+
+    def messages(self, frame: Frame) -> list[Message]:
+        """Messages that this frame completes; none for a frame that nobody wants. Never raises."""
+        route = self._route_of(frame)
+        if route is None:
+            return []
+        told: list[Message] = []
+        if route.sensor is not None and route.row is not _RUDDER:
+            angle = route.sensor.read(frame.data)
+            values: dict[str, Word] = {}
+            if isinstance(angle, str):
+                count(self.rejected, angle)
+            else:
+                values["wheel_angle_rad"] = angle
+            told.append(Message(frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None, values))
+        arrival = route.read(route, frame) if route.read is not None else None
+        if arrival is not None:
+            head, values, repeat, faulty = self._told(route.sender, arrival)
+            if not values and not faulty and arrival[0].words:
+                count(self.rejected, "not_available")
+            told.append(Message(*head, values, repeat))
+        return told
+
+    def measurements(self, frame: Frame) -> list[Measurement]:
+        """Measurements of the messages that this frame completes. Never raises."""
+        route = self._route_of(frame)
+        if route is None:
+            return []
+        found: list[Measurement] = []
+        if route.sensor is not None:
+            self._measure_wheel(route, route.sensor, frame, found)
+        arrival = route.read(route, frame) if route.read is not None else None
+        if arrival is not None:
+            if arrival[0] is _CLAIM:
+                self._measure_claim(route.sender, arrival, found)
+            else:
+                self._measure(route, arrival, found)
+        return found
+
+    def _route_of(self, frame: Frame) -> _Route | None:
+        if frame.error:
+            count(self.rejected, "error_frame")
+            return None
+        key = (frame.bus, frame.can_id, frame.extended)
+        try:
+            route = self._routes[key]
+        except KeyError:
+            if len(self._routes) >= ROUTES:
+                self._routes.clear()
+            route = self._routes[key] = self._new_route(frame)
+        if route is not None and route.row is not _CLAIM:
+            sender = route.sender
+            if sender.contested:
+                self._addresses.settle(sender, frame.t_ns)
+            sender.heard_ns = frame.t_ns
+        return route
+
+    def _new_route(self, frame: Frame) -> _Route | None:
+        sensor = self._sensor if self._sensor is not None and self._sensor.hears(frame) else None
+        if not frame.extended:
+            if sensor is None:
+                return None
+            return _Route(
+                CanId(0, 0, -1, BROADCAST), self._addresses.sender(frame.bus, -1), None, None, sensor
+            )
+        can_id = split(frame.can_id)
+        known = _PLAIN.get(can_id.pgn)
+        read: Callable[[_Route, Frame], _Arrival | None] | None = None
+        if can_id.pgn == TP_CONTROL:
+            read = self._control
+        elif can_id.pgn == TP_DATA:
+            read = self._transfer
+        elif can_id.pgn == _CLAIM.pgn:
+            read = self._claimed
+        elif can_id.pgn in _WANTED:
+            read = self._fast if known is not None and known.fast else self._single
+        if read is None and sensor is None:
+            return None
+        return _Route(can_id, self._addresses.sender(frame.bus, can_id.source), read, known, sensor)
+
+    def _single(self, route: _Route, frame: Frame) -> _Arrival | None:
+        found = route.row
+        if found is None:
+            found = self._own(route.sender, route.can_id.pgn, frame.data)
+        return (found, frame.data, frame.t_ns, frame.rx_ns) if found is not None else None
+
+    def _fast(self, route: _Route, frame: Frame) -> _Arrival | None:
+        if len(frame.data) > 8:  # a log that holds it assembled
+            return self._single(route, frame)
+        whole = self._assembler.fast(frame, route.can_id)
+        if whole is None or route.row is None:
+            return None
+        return (route.row, whole.payload, whole.t_ns, whole.rx_ns)
+
+    def _control(self, route: _Route, frame: Frame) -> None:
+        self._assembler.control(frame, route.can_id)
+
+    def _transfer(self, route: _Route, frame: Frame) -> _Arrival | None:
+        whole = self._assembler.transfer(frame, route.can_id)
+        if whole is None:
+            return None
+        found = _PLAIN.get(whole.pgn)
+        if found is None:
+            found = self._own(route.sender, whole.pgn, whole.payload)
+        return (found, whole.payload, whole.t_ns, whole.rx_ns) if found is not None else None
+
+    def _claimed(self, route: _Route, frame: Frame) -> _Arrival | None:
+        if len(frame.data) < 8:
+            count(self.rejected, "short_frame")
+            return None
+        name = int.from_bytes(frame.data[:8], "little")
+        reason = self._addresses.claim(frame.bus, route.can_id.source, name, frame.t_ns)
+        if reason is not None:
+            count(self.rejected, reason)
+        if reason == "not_available":
+            return None
+        return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
+
+    def _own(self, sender: Sender, pgn: int, payload: bytes) -> Pgn | None:
+        """The row of a manufacturer's own message, by whose the sender is."""
+        if sender.manufacturer is None:
+            count(self.rejected, "unidentified")
+            return None
+        return _OWN.get((sender.manufacturer, pgn, payload[0])) if payload else None
+
+    def _told(self, sender: Sender, arrival: _Arrival) -> tuple[Head, dict[str, Word], bool, bool]:
+        """Head, words, whether the position repeats the one before, whether a fault was counted."""
+        known, payload, t_ns, rx_ns = arrival
+        faults = self._faults
+        values = known.layout.decode(payload, faults)
+        faulty = bool(faults)
+        if faulty:
+            for reason, number in faults.items():
+                self.rejected[reason] = self.rejected.get(reason, 0) + number
+            faults.clear()
+        repeat = False
+        if known.position is not None and "latitude_deg" in values and "longitude_deg" in values:
+            raw = payload[known.position]
+            repeat = sender.positions.get(known.pgn) == raw
+            sender.positions[known.pgn] = raw
+        origin = sender.origin if known is not _CLAIM else self._claimant(sender, payload)
+        # 253 to 255 are no identifiers but NMEA 2000's "reserved", "out of range" and "not available".
+        sid = payload[0] if known.has_sid and payload and payload[0] < 253 else None
+        return (t_ns, rx_ns, origin, known.pgn, sid), values, repeat, faulty
+
+    def _claimant(self, sender: Sender, payload: bytes) -> Origin:
+        name = int.from_bytes(payload[:8], "little")
+        return Origin(sender.bus, sender.source, name, self._addresses.mount_of(sender.bus, name))
+
+    def _measure(self, route: _Route, arrival: _Arrival, found: list[Measurement]) -> None:
+        key = (arrival[0].pgn, arrival[0].selector)
+        sender = route.sender
+        makes: tuple[Callable[..., Made], ...] = _OF_ANYONE[key]
+        if sender.sd is not None:
+            makes = makes + _OF_RECEIVERS[key] if makes else _OF_RECEIVERS[key]
+        if not makes:
+            if route.sensor is None:
+                count(self.rejected, sender.reason if sender.sd is None else "unknown_source")
+            return
+        head, values, repeat, faulty = self._told(sender, arrival)
+        nothing = not faulty
+        for make in makes:
+            made = make(head, values, sender.sd, repeat)
+            if made is None:
+                continue
+            nothing = False
+            if isinstance(made, str):
+                count(self.rejected, made)
+            else:
+                found.append(made)
+        if repeat:
+            count(self.rejected, "repeat")
+        elif nothing:
+            count(self.rejected, "not_available")
+
+    def _measure_wheel(self, route: _Route, sensor: Sensor, frame: Frame, found: list[Measurement]) -> None:
+        angle = sensor.read(frame.data)
+        if isinstance(angle, str):
+            count(self.rejected, angle)
+            return
+        head = (frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None)
+        found.append(WheelAngle(*head, angle, sensor.sd))
+
+    def _measure_claim(self, sender: Sender, arrival: _Arrival, found: list[Measurement]) -> None:
+        _, payload, t_ns, rx_ns = arrival
+        identity, manufacturer = split_name(int.from_bytes(payload[:8], "little"))
+        head = (t_ns, rx_ns, self._claimant(sender, payload), _CLAIM.pgn, None)
+        found.append(AddressClaim(*head, manufacturer, identity))
+
+    def dump(self) -> dict[str, Any]:
+        """Everything that later frames' decoding depends on, ready for JSON."""
+        return {
+            "rejected": dict(self.rejected),
+            "addresses": self._addresses.dump(),
+            "assembler": self._assembler.dump(),
+        }
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `dump` gave; the machine file must be the same."""
+        self.rejected.clear()
+        self.rejected.update(state["rejected"])
+        self._addresses.load(state["addresses"])
+        self._assembler.load(state["assembler"])
+
+
+def encode(
+    pgn: int, values: Mapping[str, Word], *, selector: int | None = None, sid: int | None = None
+) -> bytes:
+    """Payload of a message of the table, from words (or any further field of its row, by its key); what is
+    absent is written as not available.
+
+    Raises ValueError where the table has no such message or a value does not fit.
+    """
+    return row(pgn, selector).encode(values if sid is None else {**values, "sid": sid})
+
+
+def frames_of(
+    pgn: int,
+    payload: bytes,
+    source: int,
+    destination: int = BROADCAST,
+    priority: int | None = None,
+    sequence: int = 0,
+) -> list[tuple[int, bytes]]:
+    """[(29-bit identifier, data)] of a payload: one frame, or a fast packet with this sequence (0 to 7).
+
+    Raises ValueError where the table has no such message or the payload is too long for it.
+    """
+    known = next((row for row in PGNS if row.pgn == pgn), None)
+    if known is None:
+        raise ValueError(f"the table has no PGN {pgn}; add a row to PGNS")
+    can_id = join(known.priority if priority is None else priority, pgn, source, destination)
+    if known.fast:
+        return [(can_id, data) for data in split_fast(payload, sequence)]
+    if len(payload) > 8:
+        raise ValueError(f"PGN {pgn} is a single frame of 8 bytes, not {len(payload)}")
+    return [(can_id, payload)]
+
+
+def claim(name: int) -> bytes:
+    """Payload of an address claim, PGN 60928."""
+    return name.to_bytes(8, "little")

@@ -1,0 +1,282 @@
+"""Who speaks: source addresses bound to NAMEs, NAMEs to the receivers of the machine file.
+
+A source address is no identity: identical receivers all prefer the same one and settle it by address claims
+(SAE J1939-81, ISO 11783-5), differently at every key-on. The 64-bit NAME is one. Where no claim is heard, the
+machine file may say whose an address is.
+
+Rules, per bus:
+- A claim binds its address to its NAME and frees the address that the NAME had.
+- Of two NAMEs on one address the lower keeps it; the other is unbound until it claims anew. Until the holder
+  has answered a higher NAME's claim, or the challenger has gone elsewhere, frames from that address are in
+  quarantine: both may be sending. After CONTENTION_NS without either, the holder keeps it if it was heard
+  lately; else it is gone and the challenger has it.
+- A claim from 254 says "cannot claim": the NAME has no address.
+- A receiver given by `source` alone takes the NAME of the first fitting claim for that address, and keeps it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from tilth.schemas.can_id import NULL_ADDRESS
+from tilth.schemas.fields import DEG
+from tilth.schemas.flow import Mount, Origin
+from tilth.schemas.machine import Receiver
+
+CONTENTION_NS = 250_000_000  # a holder answers within this (SAE J1939-81, 4.2.2)
+LATELY_NS = 5_000_000_000
+NO_NAME = (1 << 64) - 1
+
+
+class Name(NamedTuple):
+    """The parts of a 64-bit NAME that tell two receivers apart."""
+
+    identity: int
+    manufacturer: int
+
+
+def split_name(name: int) -> Name:
+    return Name(name & 0x1FFFFF, name >> 21 & 0x7FF)
+
+
+class Deviation(NamedTuple):
+    """Standard deviations of what a receiver reports, SI and radians."""
+
+    position: float
+    velocity: float
+    yaw_rate: float
+    heading: float
+    roll: float
+
+
+@dataclass(slots=True)
+class Sender:
+    """What is known of one source address; kept current by the AddressBook."""
+
+    bus: str
+    source: int
+    origin: Origin
+    manufacturer: int | None = None
+    sd: Deviation | None = None  # of the receiver that it is; None: it is none of the machine file
+    reason: str = "unknown_source"  # why it is none
+    heard_ns: int = 0  # the latest message or claim from it
+    contested: bool = False  # two NAMEs claim it: ask `settle` whether that is over
+    positions: dict[int, bytes] = field(default_factory=dict)  # by PGN: raw latitude and longitude before
+
+
+@dataclass(slots=True)
+class _Contest:
+    challenger: int
+    until_ns: int
+    alive: bool  # the holder was heard from lately
+
+
+@dataclass(slots=True)
+class _Bus:
+    holder: dict[int, int] = field(default_factory=dict)  # source -> NAME
+    contests: dict[int, _Contest] = field(default_factory=dict)  # by source
+    claimed: set[int] = field(default_factory=set)  # sources that any claim was heard for
+    ours: set[int] = field(default_factory=set)  # sources that were a receiver's of the machine file
+    adopted: dict[int, Mount] = field(default_factory=dict)  # NAME -> receiver given by source alone
+    known: set[Mount] = field(default_factory=set)  # receivers whose claim was heard
+
+
+class AddressBook:
+    """Claims heard so far, on every bus."""
+
+    __slots__ = ("_buses", "_by_name", "_by_source", "_receivers", "_sd", "_senders")
+
+    def __init__(self, receivers: Sequence[Receiver]) -> None:
+        self._receivers = {receiver.mount: receiver for receiver in receivers}
+        self._sd = {receiver.mount: _deviation(receiver) for receiver in receivers}
+        self._by_name = {(r.bus, r.name): r.mount for r in receivers if r.name is not None}
+        sources = [(r.bus, r.source) for r in receivers]
+        self._by_source = {
+            (r.bus, r.source): r.mount
+            for r in receivers
+            if r.source is not None and sources.count((r.bus, r.source)) == 1
+        }
+        self._buses: dict[str, _Bus] = {}
+        self._senders: dict[tuple[str, int], Sender] = {}
+
+    def sender(self, bus: str, source: int) -> Sender:
+        """The one record of a source address."""
+        sender = self._senders.get((bus, source))
+        if sender is None:
+            sender = Sender(bus, source, Origin(bus, source))
+            self._senders[bus, source] = sender
+            self._refresh(sender)
+        return sender
+
+    def mount_of(self, bus: str, name: int) -> Mount | None:
+        """The receiver of the machine file with that NAME."""
+        return self._by_name.get((bus, name)) or self._bus(bus).adopted.get(name)
+
+    def claim(self, bus: str, source: int, name: int, t_ns: int) -> str | None:
+        """Take an address claim; a reason to count where it was contested or says nothing."""
+        if name == NO_NAME or source > NULL_ADDRESS:
+            return "not_available"
+        book = self._bus(bus)
+        self._settle_due(book, bus, t_ns)
+        self._leave(book, bus, name, source)
+        contested = None
+        if source != NULL_ADDRESS:
+            holder = book.holder.get(source)
+            if holder is None or name <= holder:
+                book.contests.pop(source, None)
+                self._bind(book, bus, source, name)
+            elif source not in book.contests:
+                alive = t_ns - self.sender(bus, source).heard_ns <= LATELY_NS
+                book.contests[source] = _Contest(name, t_ns + CONTENTION_NS, alive)
+            book.claimed.add(source)
+            self.sender(bus, source).heard_ns = t_ns
+            if holder is not None and holder != name:
+                contested = "address_conflict"
+        self._refresh_bus(bus)
+        return contested
+
+    def settle(self, sender: Sender, t_ns: int) -> None:
+        """End the contests on that bus whose time is over."""
+        if self._settle_due(self._bus(sender.bus), sender.bus, t_ns):
+            self._refresh_bus(sender.bus)
+
+    def _settle_due(self, book: _Bus, bus: str, t_ns: int) -> bool:
+        settled = False
+        for source, contest in list(book.contests.items()):
+            if not 0 < contest.until_ns - t_ns <= CONTENTION_NS:  # over, or the clock stepped back
+                del book.contests[source]
+                if not contest.alive:
+                    self._bind(book, bus, source, contest.challenger)
+                settled = True
+        return settled
+
+    def _leave(self, book: _Bus, bus: str, name: int, source: int) -> None:
+        """A NAME that claims one address has left every other, and what it contested."""
+        for at, contest in list(book.contests.items()):
+            if contest.challenger == name and at != source:
+                del book.contests[at]
+        for at in [at for at, holder in book.holder.items() if holder == name and at != source]:
+            del book.holder[at]
+            if at in book.contests:
+                self._bind(book, bus, at, book.contests.pop(at).challenger)
+
+    def _bind(self, book: _Bus, bus: str, source: int, name: int) -> None:
+        book.holder[source] = name
+        mount = self.mount_of(bus, name)
+        if mount is None:
+            mount = self._by_source.get((bus, source))
+            if mount is None or mount in book.known or not _fits(self._receivers[mount], name):
+                return
+            book.adopted[name] = mount
+        book.known.add(mount)
+        book.ours.add(source)
+
+    def _bus(self, bus: str) -> _Bus:
+        book = self._buses.get(bus)
+        if book is None:
+            book = self._buses[bus] = _Bus(ours={s for b, s in self._by_source if b == bus and s is not None})
+        return book
+
+    def _refresh_bus(self, bus: str) -> None:
+        for sender in self._senders.values():
+            if sender.bus == bus:
+                self._refresh(sender)
+
+    def _refresh(self, sender: Sender) -> None:
+        book = self._bus(sender.bus)
+        contest = book.contests.get(sender.source)
+        sender.contested = contest is not None
+        name, mount = self._who(book, sender.bus, sender.source)
+        origin = Origin(sender.bus, sender.source, name, mount)
+        if origin != sender.origin:
+            sender.origin = origin
+        sender.sd = self._sd[mount] if mount is not None else None
+        sender.manufacturer = None
+        if name is not None:
+            sender.manufacturer = split_name(name).manufacturer
+        elif mount is not None:
+            sender.manufacturer = _manufacturer(self._receivers[mount])
+        sender.reason = "quarantine" if contest or sender.source in book.ours else "unknown_source"
+
+    def _who(self, book: _Bus, bus: str, source: int) -> tuple[int | None, Mount | None]:
+        """NAME and receiver of an address, as far as they are known."""
+        if source in book.contests:
+            return None, None
+        name = book.holder.get(source)
+        if name is not None:
+            return name, self.mount_of(bus, name)
+        mount = self._by_source.get((bus, source))
+        if source in book.claimed or mount in book.known:
+            return None, None
+        return None, mount
+
+    def dump(self) -> dict[str, Any]:
+        """Claims and what depends on them, for JSON."""
+        return {
+            "buses": {bus: _dump_bus(book) for bus, book in self._buses.items()},
+            "senders": [
+                [s.bus, s.source, s.heard_ns, {str(pgn): raw.hex() for pgn, raw in s.positions.items()}]
+                for s in self._senders.values()
+            ],
+        }
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `dump` gave. Senders handed out before stay valid."""
+        self._buses = {bus: _load_bus(book) for bus, book in state["buses"].items()}
+        for sender in self._senders.values():
+            sender.heard_ns, sender.positions = 0, {}
+        for bus, source, heard_ns, positions in state["senders"]:
+            sender = self.sender(bus, source)
+            sender.heard_ns = heard_ns
+            sender.positions = {int(pgn): bytes.fromhex(raw) for pgn, raw in positions.items()}
+        for sender in self._senders.values():
+            self._refresh(sender)
+
+
+def _deviation(receiver: Receiver) -> Deviation:
+    return Deviation(
+        receiver.position_sd,
+        receiver.velocity_sd,
+        receiver.yaw_rate_sd * DEG,
+        receiver.heading_sd * DEG,
+        receiver.roll_sd * DEG,
+    )
+
+
+def _manufacturer(receiver: Receiver) -> int | None:
+    if receiver.manufacturer is None and receiver.name is not None:
+        return split_name(receiver.name).manufacturer
+    return receiver.manufacturer
+
+
+def _fits(receiver: Receiver, name: int) -> bool:
+    """May a receiver of the machine file, given by source alone, be the one with this NAME?"""
+    return receiver.name is None and receiver.manufacturer in (None, split_name(name).manufacturer)
+
+
+def _dump_bus(book: _Bus) -> dict[str, Any]:
+    return {
+        "holder": {str(source): f"{name:016X}" for source, name in book.holder.items()},
+        "contests": {
+            str(source): [f"{contest.challenger:016X}", contest.until_ns, contest.alive]
+            for source, contest in book.contests.items()
+        },
+        "claimed": sorted(book.claimed),
+        "ours": sorted(book.ours),
+        "adopted": {f"{name:016X}": mount.value for name, mount in book.adopted.items()},
+        "known": sorted(mount.value for mount in book.known),
+    }
+
+
+def _load_bus(state: Mapping[str, Any]) -> _Bus:
+    return _Bus(
+        {int(source): int(name, 16) for source, name in state["holder"].items()},
+        {
+            int(source): _Contest(int(challenger, 16), until_ns, alive)
+            for source, (challenger, until_ns, alive) in state["contests"].items()
+        },
+        set(state["claimed"]),
+        set(state["ours"]),
+        {int(name, 16): Mount(mount) for name, mount in state["adopted"].items()},
+        {Mount(mount) for mount in state["known"]},
+    )

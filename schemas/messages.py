@@ -1,0 +1,304 @@
+"""The table of messages, and the words in which they are told.
+
+`PGNS` is an extension point: a row is a message, and decoder, encoder, simulator, tests and the fields of
+`tilth decode --json` follow from it. Layouts are cited as facts/can.md cites them.
+"""
+
+import datetime
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from tilth.schemas.fields import DEG, KMH, Composed, Field, Layout, Range
+from tilth.schemas.flow import FixType, Word
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """What a word means."""
+
+    unit: str
+    meaning: str
+    range: Range = Range()  # noqa: RUF009 (frozen)
+
+
+_ROUNDED = 1e-3  # some devices say 6.2832 for a full turn
+_TURN = Range(0.0, 2.0 * math.pi + _ROUNDED)
+_HALF = Range(-math.pi - _ROUNDED, math.pi + _ROUNDED)
+_QUARTER = Range(-math.pi / 2 - _ROUNDED, math.pi / 2 + _ROUNDED)
+
+WORDS: dict[str, Term] = {
+    "latitude_deg": Term("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
+    "longitude_deg": Term("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
+    "altitude_m": Term("m", "129029: above the ellipsoid; 65256: above mean sea level"),
+    "course_rad": Term("rad", "direction of travel over ground, clockwise from north", _TURN),
+    "speed_mps": Term("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
+    "heading_rad": Term("rad", "direction of facing, clockwise from north", _TURN),
+    "heading_reference": Term("", "north of heading or course: true | magnetic"),
+    "yaw_rate_radps": Term("rad/s", "positive in a right turn", Range(-10.0, 10.0)),
+    "roll_rad": Term("rad", "positive right side down", _HALF),
+    "pitch_rad": Term("rad", "positive nose up", _QUARTER),
+    "yaw_rad": Term("rad", "of 127257, clockwise from a north that the message does not name"),
+    "wheel_angle_rad": Term("rad", "road wheel (or rudder), positive right", _QUARTER),
+    "hand_wheel_angle_rad": Term("rad", "the driver's wheel, positive right (clockwise)"),
+    "curvature_per_m": Term("1/m", "of the path, positive to the driver's right"),
+    "direction": Term("", "of travel: forward | reverse"),
+    "utc_ns": Term("ns", "since 1970, UTC"),
+    "fix": Term("", " | ".join(fix.value for fix in FixType)),
+    "satellites": Term("", "used in the solution"),
+    "hdop": Term("", "horizontal dilution of precision", Range(0.0, 400.0)),
+}
+"""Every key of `tilth decode --json` and of Message.values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pgn:
+    """One message."""
+
+    pgn: int
+    title: str
+    family: str  # a key of fields.FAMILIES
+    priority: int
+    interval_ms: int  # nominal; 0: on request or event
+    size: int  # bytes of its payload
+    source: str  # of the layout
+    fields: tuple[Field, ...]
+    composed: tuple[Composed, ...] = ()
+    fast: bool = False  # NMEA 2000 fast packet, else a single frame
+    selector: int | None = None  # byte 0 of a manufacturer's own message
+    manufacturer: int | None = None  # whose own it is
+    layout: Layout = field(init=False, repr=False, compare=False)
+    words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
+    position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
+
+    def __post_init__(self) -> None:
+        ranges = {key: term.range for key, term in WORDS.items()}
+        layout = Layout(self.fields, self.composed, self.family, self.size, ranges)
+        keys = {f.key for f in self.fields} | {rule.key for rule in self.composed}
+        where = [f for f in self.fields if f.key in ("latitude_deg", "longitude_deg")]
+        span = slice(min(f.start for f in where) // 8, max(f.end for f in where) // 8) if where else None
+        object.__setattr__(self, "layout", layout)
+        object.__setattr__(self, "words", tuple(word for word in WORDS if word in keys))
+        object.__setattr__(self, "position", span)
+
+    @property
+    def has_sid(self) -> bool:
+        """True where byte 0 is an NMEA 2000 sequence identifier."""
+        return any(f.key == "sid" for f in self.fields)
+
+    def encode(self, values: Mapping[str, Word]) -> bytes:
+        """Payload of words; what is absent is written as not available. Raises ValueError."""
+        payload = self.layout.encode(values)
+        return payload if self.selector is None else bytes([self.selector]) + payload[1:]
+
+
+DAY_NS = 86_400_000_000_000
+_EPOCH_DAY = datetime.date(1970, 1, 1).toordinal()
+
+
+def _of_day(nanoseconds: int) -> int:
+    # 86 400 s to 86 401 s is a leap second.
+    if not 0 <= nanoseconds < DAY_NS + 1_000_000_000:
+        raise ValueError("no time of day")
+    return nanoseconds
+
+
+def _join_nmea2000(parts: Mapping[str, Word]) -> int:
+    return int(parts["date_days"]) * DAY_NS + _of_day(round(float(parts["time_s"]) * 1e9))
+
+
+def _split_nmea2000(utc_ns: Word) -> dict[str, Word]:
+    days, of_day = divmod(int(utc_ns), DAY_NS)
+    return {"date_days": days, "time_s": of_day / 1e9}
+
+
+NMEA2000_TIME = Composed("utc_ns", ("date_days", "time_s"), _join_nmea2000, _split_nmea2000)
+
+_LOCAL_TIME = 125  # hours of offset that mean: a local time, not said how far from UTC (SPN 1602)
+
+
+def _join_j1939(parts: Mapping[str, Word]) -> int | None:
+    if parts.get("local_offset_h") == _LOCAL_TIME:
+        return None
+    # 0.25 d a bit and counted from 1: 1 to 4 are the quarters of the first day (SPN 962).
+    day = (int(parts["quarter_days"]) + 3) // 4
+    date = datetime.date(int(parts["year"]), int(parts["month"]), day)
+    hour, minute, second = int(parts["hour"]), int(parts["minute"]), float(parts["second_s"])
+    if hour > 23 or minute > 59 or second >= 61.0:
+        raise ValueError("no time of day")
+    of_day = (hour * 3600 + minute * 60) * 1_000_000_000 + round(second * 1e9)
+    return (date.toordinal() - _EPOCH_DAY) * DAY_NS + of_day
+
+
+def _split_j1939(utc_ns: Word) -> dict[str, Word]:
+    quarters = round(int(utc_ns) / 250_000_000)  # so that 59.9 s becomes the next minute, not its second 60
+    days, of_day = divmod(quarters, 4 * 86_400)
+    date = datetime.date.fromordinal(_EPOCH_DAY + days)
+    hour, of_hour = divmod(of_day, 4 * 3600)
+    minute, of_minute = divmod(of_hour, 4 * 60)
+    return {
+        "year": date.year, "month": date.month, "quarter_days": (date.day - 1) * 4 + hour // 6 + 1,
+        "hour": hour, "minute": minute, "second_s": of_minute / 4,
+    }  # fmt: skip
+
+
+J1939_TIME = Composed(
+    "utc_ns",
+    ("year", "month", "quarter_days", "hour", "minute", "second_s"),
+    _join_j1939,
+    _split_j1939,
+    also=("local_offset_h",),
+)
+
+REFERENCE = {0: "true", 1: "magnetic"}
+DIRECTION = {0: "reverse", 1: "forward"}
+METHOD = {
+    0: "none", 1: "gnss", 2: "dgnss", 3: "precise", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning",
+    7: "manual", 8: "simulated",
+}  # fmt: skip
+# 1 differential, 2 Deere's own, 3 WAAS; 4 SF1, 5 SF2; 6 RTK-X bridges a lost correction; 7 RTK. The encoder
+# writes the first row of a word.
+STARFIRE_FIX = {
+    0: "none", 1: "dgnss", 2: "dgnss", 3: "dgnss", 4: "precise", 5: "precise", 6: "rtk_float", 7: "rtk_fixed",
+}  # fmt: skip
+DEERE = 33
+
+# What devices send for pitch in place of "not available" (facts/can.md 1.1).
+CFX_750 = (0,)  # -200 deg
+STARFIRE_NO_FIX = (0x6400,)  # 0 deg, while bearing, speed and altitude are not available
+
+_CANBOAT = "canboat docs/canboat.json"
+_STARFIRE = "torriem/gps_j1939, FarmLogs/pysobus #9, NeptuneGPS_Triton: confirm signs on traffic"
+_SID = Field("sid", 0, 8)
+
+# fmt: off
+PGNS: tuple[Pgn, ...] = (
+    Pgn(65267, "Vehicle Position", "j1939", 6, 200, 8, "SAE J1939-71; nominally 5 s, receivers send 5 Hz", (
+        Field("latitude_deg", 0, 32, 1e-7, -210.0),
+        Field("longitude_deg", 32, 32, 1e-7, -210.0),
+    )),
+    Pgn(65256, "Vehicle Direction/Speed", "j1939", 6, 200, 8, "SAE J1939-71", (
+        Field("course_rad", 0, 16, 1 / 128, 0.0, DEG),
+        Field("speed_mps", 16, 16, 1 / 256, 0.0, KMH),
+        Field("pitch_rad", 32, 16, 1 / 128, -200.0, DEG, no_data=CFX_750, no_data_alone=STARFIRE_NO_FIX),
+        Field("altitude_m", 48, 16, 0.125, -2500.0),
+    )),
+    Pgn(65254, "Time/Date", "j1939", 6, 200, 8, "SAE J1939-71, SPN 959 to 964, 1601, 1602", (
+        Field("second_s", 0, 8, 0.25),
+        Field("minute", 8, 8),
+        Field("hour", 16, 8),
+        Field("month", 24, 8),
+        Field("quarter_days", 32, 8),
+        Field("year", 40, 8, 1.0, 1985.0),
+        Field("local_offset_min", 48, 8, 1.0, -125.0),
+        Field("local_offset_h", 56, 8, 1.0, -125.0),
+    ), (J1939_TIME,)),
+    Pgn(65535, "StarFire TCM", "j1939", 6, 200, 8, _STARFIRE, (
+        Field("roll_rad", 16, 16, 1 / 128, -200.0, DEG),
+        Field("yaw_rate_radps", 32, 16, 1 / 128, -200.0, DEG),
+    ), selector=0xE1, manufacturer=DEERE),
+    Pgn(65535, "StarFire quality", "j1939", 6, 200, 8, _STARFIRE, (
+        Field("accuracy", 24, 4),
+        Field("fix", 28, 4, names=STARFIRE_FIX),
+    ), selector=0x53, manufacturer=DEERE),
+    Pgn(65096, "Wheel-based Speed and Distance", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
+        Field("speed_mps", 0, 16, 0.001),
+        Field("direction", 56, 2, names=DIRECTION),
+    )),
+    Pgn(65097, "Ground-based Speed and Distance", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
+        Field("speed_mps", 0, 16, 0.001),
+        Field("direction", 56, 2, names=DIRECTION),
+    )),
+    Pgn(44032, "Guidance Machine Info", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
+        Field("curvature_per_m", 0, 16, 0.25, -8032.0, 1e-3),
+    )),
+    # J1939 counts both positive to the left, the yaw rate as far as is known: confirm on traffic.
+    Pgn(61449, "Vehicle Dynamic Stability Control 2", "j1939", 6, 10, 8, "SAE J1939-71, SPN 1807, 1808", (
+        Field("hand_wheel_angle_rad", 0, 16, 1 / 1024, -31.374, -1.0),
+        Field("yaw_rate_radps", 24, 16, 1 / 8192, -3.92, -1.0),
+    )),
+    Pgn(60928, "Address Claimed", "name", 6, 0, 8, "ISO 11783-5; canboat docs/canboat.json", (
+        Field("identity", 0, 21),
+        Field("manufacturer", 21, 11),
+        Field("device_instance", 32, 3),
+        Field("function_instance", 35, 5),
+        Field("function", 40, 8),
+        Field("device_class", 49, 7),
+        Field("system_instance", 56, 4),
+        Field("industry_group", 60, 3),
+        Field("arbitrary_address", 63, 1),
+    )),
+    Pgn(129025, "Position, Rapid Update", "nmea2000", 2, 100, 8, _CANBOAT, (
+        Field("latitude_deg", 0, 32, 1e-7, signed=True),
+        Field("longitude_deg", 32, 32, 1e-7, signed=True),
+    )),
+    Pgn(129026, "COG & SOG, Rapid Update", "nmea2000", 2, 250, 8, _CANBOAT, (
+        _SID,
+        Field("heading_reference", 8, 2, names=REFERENCE),
+        Field("course_rad", 16, 16, 1e-4),
+        Field("speed_mps", 32, 16, 0.01),
+    )),
+    Pgn(129029, "GNSS Position Data", "nmea2000", 3, 1000, 43, _CANBOAT, (
+        _SID,
+        Field("date_days", 8, 16),
+        Field("time_s", 24, 32, 1e-4),
+        Field("latitude_deg", 56, 64, 1e-16, signed=True),
+        Field("longitude_deg", 120, 64, 1e-16, signed=True),
+        Field("altitude_m", 184, 64, 1e-6, signed=True),
+        Field("system", 248, 4),
+        Field("fix", 252, 4, names=METHOD),
+        Field("integrity", 256, 2),
+        Field("satellites", 264, 8),
+        Field("hdop", 272, 16, 0.01, signed=True),
+        Field("pdop", 288, 16, 0.01, signed=True),
+        Field("geoid_separation_m", 304, 32, 0.01, signed=True),
+        Field("reference_stations", 336, 8),
+    ), (NMEA2000_TIME,), fast=True),
+    Pgn(127250, "Vessel Heading", "nmea2000", 2, 100, 8, _CANBOAT, (
+        _SID,
+        Field("heading_rad", 8, 16, 1e-4),
+        Field("deviation_rad", 24, 16, 1e-4, signed=True),
+        Field("variation_rad", 40, 16, 1e-4, signed=True),
+        Field("heading_reference", 56, 2, names=REFERENCE),
+    )),
+    Pgn(127251, "Rate of Turn", "nmea2000", 2, 100, 8, _CANBOAT, (
+        _SID,
+        Field("yaw_rate_radps", 8, 32, 3.125e-8, signed=True),
+    )),
+    Pgn(127257, "Attitude", "nmea2000", 3, 1000, 8, _CANBOAT, (
+        _SID,
+        Field("yaw_rad", 8, 16, 1e-4, signed=True),
+        Field("pitch_rad", 24, 16, 1e-4, signed=True),
+        Field("roll_rad", 40, 16, 1e-4, signed=True),
+    )),
+    Pgn(127245, "Rudder", "nmea2000", 2, 100, 8, _CANBOAT, (
+        Field("instance", 0, 8),
+        Field("direction_order", 8, 3),
+        Field("angle_order_rad", 16, 16, 1e-4, signed=True),
+        Field("wheel_angle_rad", 32, 16, 1e-4, signed=True),
+    )),
+    Pgn(126992, "System Time", "nmea2000", 3, 1000, 8, _CANBOAT, (
+        _SID,
+        Field("time_source", 8, 4),
+        Field("date_days", 16, 16),
+        Field("time_s", 32, 32, 1e-4),
+    ), (NMEA2000_TIME,)),
+    Pgn(129033, "Time & Date", "nmea2000", 3, 1000, 8, _CANBOAT, (
+        Field("date_days", 0, 16),
+        Field("time_s", 16, 32, 1e-4),
+        Field("local_offset_s", 48, 16, 60.0, signed=True),
+    ), (NMEA2000_TIME,)),
+)
+# fmt: on
+
+ROW: dict[tuple[int, int | None], Pgn] = {(row.pgn, row.selector): row for row in PGNS}
+"""Rows by (PGN, selector)."""
+
+
+def row(pgn: int, selector: int | None = None) -> Pgn:
+    """The row of a message. Raises ValueError where there is none."""
+    found = ROW.get((pgn, selector))
+    if found is None:
+        at = "" if selector is None else f" with selector 0x{selector:02X}"
+        raise ValueError(f"the table has no PGN {pgn}{at}; add a row to PGNS")
+    return found
