@@ -1,0 +1,223 @@
+"""`tilth discover`: listen to buses, or look into logs, and draft a machine file."""
+
+import argparse
+import json
+import math
+import re
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from pydantic import ValidationError
+
+from tilth.cli import WrongUse
+from tilth.replay.discover import FUNCTIONS, Findings, Source, Survey, listen
+from tilth.replay.machine_draft import described, draft
+from tilth.replay.readers import frames
+from tilth.replay.readers_log import LogError
+from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Bus
+
+MESSAGES_SHOWN = 8
+CANDIDATES_SHOWN = 5
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "discover",
+        help="listen to a bus and draft a machine file",
+        description="Say who speaks on these buses and draft a machine file. Drive a few turns meanwhile, so "
+        "that the wheel angle shows. Nothing is ever sent.",
+    )
+    parser.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG", help="recorded logs, instead of listening"
+    )
+    parser.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="INTERFACE:CHANNEL[,key=value…]",
+        help="such as socketcan:can0 or slcan:/dev/ttyUSB0,bitrate=250000; may be given several times",
+    )
+    parser.add_argument("--seconds", type=float, default=30.0, metavar="N", help="how long to listen (30)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft there, not to the screen")
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where nothing was heard, or a log could not be read to its end."""
+    if bool(args.bus) == bool(args.logs):
+        raise WrongUse(
+            "give --bus INTERFACE:CHANNEL to listen, such as --bus socketcan:can0, or logs to look into"
+        )
+    if not (math.isfinite(args.seconds) and args.seconds > 0):
+        raise WrongUse(f"--seconds {args.seconds:g}: give a number above zero")
+    if args.out is not None and args.out.exists():
+        raise WrongUse(f"{args.out}: exists; it is not overwritten, give another name")
+    buses = parse_buses(args.bus)
+    survey = Survey()
+    status = 0
+    try:
+        for frame in _logged(args.logs) if args.logs else _heard(buses, args.seconds):
+            survey.take(frame)
+    except LogError as error:
+        _say(str(error))
+        status = error.status
+    findings = survey.findings()
+    if not findings.frames:
+        if not status:
+            _say("no frame was heard; check that the devices are on, the channel and the bit rate")
+        return status or 1
+    _answer(args, findings, draft(findings, buses))
+    return status
+
+
+def _logged(logs: Sequence[Path]) -> Iterator[Frame]:
+    for path in logs:
+        yield from frames(path)
+
+
+def _heard(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:
+    stopping = False
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGINT, stop)
+    _say(f"listening for {seconds:g} s; Ctrl-C ends it early")
+    return listen(buses, seconds, lambda kind, text: _say(text), lambda: stopping)
+
+
+def parse_buses(specifications: Sequence[str]) -> list[Bus]:
+    """Buses of INTERFACE:CHANNEL[,key=value…]. Raises WrongUse."""
+    buses: list[Bus] = []
+    for given in specifications:
+        place, *pairs = given.split(",")
+        interface, colon, channel = place.partition(":")
+        values: dict[str, Any] = {}
+        for pair in pairs:
+            key, equals, text = pair.partition("=")
+            values[key] = _value(text)
+            colon = colon and equals
+        if not (interface and channel and colon):
+            raise WrongUse(f"--bus {given}: write INTERFACE:CHANNEL[,key=value…], such as socketcan:can0")
+        bitrate = values.pop("bitrate", 250_000)
+        plain = re.fullmatch(r"[A-Za-z0-9_.-]+", channel) and channel not in [bus.name for bus in buses]
+        name = channel if plain else f"can{len(buses)}"
+        try:
+            buses.append(
+                Bus(name=name, interface=interface, channel=channel, bitrate=bitrate, options=values)
+            )
+        except ValidationError as error:
+            raise WrongUse(f"--bus {given}: {error.errors()[0]['msg']}") from None
+    return buses
+
+
+def _value(text: str) -> str | int | float | bool:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
+    if args.out is not None:
+        try:
+            args.out.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
+        _say(f"the draft is in {args.out}; fill in the lines marked FILL IN, then: tilth check {args.out}")
+    if args.json:
+        print(json.dumps(as_json(findings, text)))
+        return
+    _show(findings)
+    if args.out is None:
+        print(text)
+
+
+def as_json(findings: Findings, text: str) -> dict[str, Any]:
+    return {
+        "frames": findings.frames,
+        "seconds": findings.seconds,
+        "buses": list(findings.buses),
+        "sources": [_source_as_json(source) for source in findings.sources],
+        "receivers": [
+            {"bus": r.bus, "source": r.source, "name": _name(r), "available": r.positions > 0}
+            for r in findings.receivers
+        ],
+        "wheel_angles": [
+            {
+                "bus": c.bus, "id": c.can_id, "extended": c.extended, "start_byte": c.start_byte,
+                "byte_order": c.byte_order, "signed": c.signed, "lowest": c.lowest, "highest": c.highest,
+                "per_s": c.per_s, "smoothness": c.smoothness, "yaw_correlation": c.yaw_correlation,
+                "likely": c.likely,
+            }
+            for c in findings.wheel_angles
+        ],
+        "machine_file": text,
+    }  # fmt: skip
+
+
+def _source_as_json(source: Source) -> dict[str, Any]:
+    return {
+        "bus": source.bus,
+        "source": source.source,
+        "name": _name(source),
+        "manufacturer": source.manufacturer,
+        "manufacturer_name": source.manufacturer_name or None,
+        "function": source.function,
+        "positions": source.positions,
+        "empty_positions": source.empty_positions,
+        "messages": [
+            {"pgn": m.pgn, "selector": m.selector, "title": m.title, "count": m.count, "per_s": m.per_s}
+            for m in source.messages
+        ],
+    }
+
+
+def _name(source: Source) -> str | None:
+    return None if source.name is None else f"{source.name:016X}"
+
+
+def _show(findings: Findings) -> None:
+    print(f"{findings.frames} frames in {findings.seconds:.1f} s")
+    for source in findings.sources:
+        name = f"NAME {_name(source)}" if source.name is not None else "no claim heard"
+        print(f"\n{source.bus}  address {source.source:3} (0x{source.source:02X})  {name}  {_device(source)}")
+        print(f"    {_messages(source)}")
+    print("\nMay be the wheel angle:" if findings.wheel_angles else "\nNothing moves as a wheel angle does.")
+    for candidate in findings.wheel_angles[:CANDIDATES_SHOWN]:
+        print(f"    {described(candidate)}")
+    print()
+
+
+def _device(source: Source) -> str:
+    words = []
+    if source.manufacturer is not None:
+        words.append(source.manufacturer_name or f"manufacturer {source.manufacturer}")
+    if source.function is not None:
+        words.append(FUNCTIONS.get(source.function, f"function {source.function}"))
+    if source.sends_positions:
+        words.append("POSITIONS" if source.positions else 'positions, all "not available"')
+    return ", ".join(words)
+
+
+def _messages(source: Source) -> str:
+    often = sorted(source.messages, key=lambda message: message.per_s, reverse=True)
+    words = []
+    for m in often[:MESSAGES_SHOWN]:
+        selector = "" if m.selector is None else f"/0x{m.selector:02X}"
+        words.append(f"{m.pgn}{selector} " + (f"at {m.per_s:.3g}/s" if m.per_s else f"({m.count})"))
+    return ", ".join(words) + (f", {len(often) - MESSAGES_SHOWN} more" if len(often) > MESSAGES_SHOWN else "")
+
+
+def _say(text: str) -> None:
+    print(f"tilth discover: {text}", file=sys.stderr)

@@ -1,0 +1,263 @@
+"""The demo: the virtual tractor on a CAN bus over loopback, the real daemon at its other end, a comparison.
+
+A second process plays the traffic; this one runs the same daemon as `tilth run`.
+"""
+
+import json
+import logging
+import math
+import re
+import select
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+from rich.table import Table
+
+from tilth.logger.daemon import Display, Summary, run_daemon
+from tilth.replay.tractor import Truth, drive
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate
+from tilth.schemas.machine import parse_machine
+
+MACHINE: Final = "machines/jd7930-parker500.toml"
+SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
+STARTING_S: Final = 30.0  # longest wait for the second process
+WITHIN: Final = 1.96  # sd, of a 95 % interval
+
+
+class DemoError(Exception):
+    """The demo cannot run; one sentence says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What a demo gave."""
+
+    truth: Truth
+    summary: Summary
+    frames_sent: int
+
+    @property
+    def frames_lost(self) -> int:
+        return self.frames_sent - self.summary.recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One parameter: truth beside estimate."""
+
+    name: str
+    truth: float
+    estimate: ParameterEstimate | None
+    interval: tuple[float, float] | None  # 95 %
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval holds the truth; None where there is no estimate."""
+        return None if self.interval is None else self.interval[0] <= self.truth <= self.interval[1]
+
+
+def run_demo(
+    seconds: float,
+    seed: int,
+    log_folder: Path,
+    display: Display | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Demo:
+    """Drive the packaged machine for so long, in real time. Raises DemoError and MachineError.
+
+    stop: asked ten times a second; the log is finished in any case.
+    """
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
+    packaged = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
+    with Player(packaged, seed, seconds) as player:
+        text = on_loopback(packaged, player.port)
+        machine = parse_machine(text)
+        summary = run_daemon(
+            machine,
+            text,
+            log_folder=log_folder,
+            prefix_suffix=SIMULATED,
+            status=display,
+            stop=lambda: player.finished(stop()),
+        )
+    if player.sent is None:
+        files = " ".join(str(path) for path in summary.log_files)
+        raise DemoError(f"the simulator died before its end; what came until then is in {files}")
+    return Demo(drive(machine, seed, seconds), summary, player.sent)
+
+
+def on_loopback(machine_text: str, port: int) -> str:
+    """The machine file with its one bus replaced by a socketcand server on this computer."""
+    bus = f"""[[bus]]
+name = "can0"
+interface = "socketcand"
+channel = "can0"
+bitrate = 250000
+options = {{ host = "127.0.0.1", port = {port} }}
+
+"""
+    return re.sub(r"\[\[bus\]\]\n[^\[]*", bus, machine_text, count=1)
+
+
+class Player:
+    """The second process: see socketcand_server.main."""
+
+    def __init__(self, machine_text: str, seed: int, seconds: float) -> None:
+        """Raises DemoError where it does not start."""
+        self.sent: int | None = None  # frames, as soon as it says so
+        self._ended = False
+        self._told_to_stop = False
+        # A session of its own: Ctrl-C in the terminal is for the daemon, which then ends the player.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tilth.replay.socketcand_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+        )
+        self._order({"machine_text": machine_text, "seed": seed, "seconds": seconds})
+        answer = self._answer(STARTING_S)
+        if answer is None:
+            self.close()
+            raise DemoError(
+                "the simulator did not start; run `python -m tilth.replay.socketcand_server` to see why"
+            )
+        self.port: int = answer["port"]
+
+    def finished(self, early: bool) -> bool:
+        """True when all is played and so has been received; early: play no further."""
+        if early and not self._told_to_stop:
+            self._told_to_stop = True
+            self._order({"stop": True})
+        if not self._ended:
+            answer = self._answer(0.0)
+            self._ended = answer is not None or self._process.poll() is not None
+            self.sent = answer["sent"] if answer is not None else None
+            return False  # once more round: what was sent last is still to be read
+        return True
+
+    def close(self) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._process.wait(STARTING_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _order(self, order: dict[str, Any]) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+
+    def _answer(self, timeout_s: float) -> dict[str, int] | None:
+        """The next line that it says; None where there is none in time, or where it has died."""
+        stdout = self._process.stdout
+        if stdout is None or not select.select([stdout], [], [], timeout_s)[0]:
+            return None
+        line = stdout.readline()
+        return json.loads(line) if line else None
+
+
+def compare(truth: Truth, estimate: Estimate | None) -> list[Comparison]:
+    """One row for each of PARAMETERS."""
+    rows = []
+    for i, name in enumerate(PARAMETERS):
+        parameter = estimate.parameters[i] if estimate is not None else None
+        rows.append(Comparison(name, truth.parameters[name], parameter, _interval(estimate, i)))
+    return rows
+
+
+def _interval(estimate: Estimate | None, i: int) -> tuple[float, float] | None:
+    """95 %, log-normal."""
+    if estimate is None:
+        return None
+    value, sd = estimate.parameters[i].value, estimate.parameters[i].sd
+    if value is None or sd is None:
+        return None
+    n = len(PARAMETERS)
+    log_sd = math.sqrt(estimate.log_covariance[i * n + i]) if estimate.log_covariance else sd / value
+    return value * math.exp(-WITHIN * log_sd), value * math.exp(WITHIN * log_sd)
+
+
+def result(demo: Demo) -> dict[str, Any]:
+    """What `tilth demo --json` says: that of a replay, with truth and the fate of the frames."""
+    summary = demo.summary
+    first, last = summary.first_frame_ns, summary.last_frame_ns
+    return {
+        "frames": summary.recorded,
+        "measurements": summary.measurements,
+        "rejected": summary.rejected,
+        "poses": summary.poses,
+        "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
+        "truncated": False,
+        "estimates": {method: _parameters(estimate) for method, estimate in summary.estimates.items()},
+        "nuisances": {
+            method: {name: {"value": value, "sd": sd} for name, (value, sd) in estimate.nuisances.items()}
+            for method, estimate in summary.estimates.items()
+        },
+        "truth": demo.truth.parameters,
+        "log": [str(path) for path in summary.log_files],
+        "frames_sent": demo.frames_sent,
+        "frames_lost": demo.frames_lost,
+    }
+
+
+def _parameters(estimate: Estimate) -> dict[str, dict[str, Any]]:
+    return {
+        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": p.reason}
+        for name, p in zip(PARAMETERS, estimate.parameters, strict=True)
+    }
+
+
+def comparison_table(demo: Demo) -> Table:
+    """Truth beside the recommended estimate, for a terminal."""
+    table = Table(title=f"Truth and estimate, seed {demo.truth.seed}", title_justify="left")
+    for heading, justify in _COLUMNS:
+        table.add_column(heading, justify=justify)
+    for row in compare(demo.truth, demo.summary.estimates.get("recommended")):
+        table.add_row(*_cells(row))
+    return table
+
+
+_COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
+    ("", "left"),
+    ("truth", "right"),
+    ("estimate", "right"),
+    ("95 % interval", "right"),
+    ("holds truth", "left"),
+    ("status", "left"),
+)
+
+
+def _cells(row: Comparison) -> tuple[str, ...]:
+    unit, scale, digits = ("kN/rad", 1e-3, 0) if row.name.startswith("C_") else ("m", 1.0, 2)
+    start = (f"{row.name}, {unit}", f"{row.truth * scale:.{digits}f}")
+    status = "unestimated" if row.estimate is None else row.estimate.status.name.lower()
+    if row.estimate is None or row.interval is None or row.estimate.value is None:
+        return *start, "", "", "", status
+    low, high = (f"{end * scale:.{digits}f}" for end in row.interval)
+    holds = "[green]yes[/]" if row.holds else "[red]no[/]"
+    return *start, f"{row.estimate.value * scale:.{digits}f}", f"{low} … {high}", holds, status
+
+
+def reasons(demo: Demo) -> list[str]:
+    """A line for each reason why there is no estimate, or none that is fresh."""
+    names: dict[str, list[str]] = {}
+    estimate = demo.summary.estimates.get("recommended")
+    for row in compare(demo.truth, estimate):
+        reason = "no estimator has spoken" if row.estimate is None else row.estimate.reason
+        if reason:
+            names.setdefault(reason, []).append(row.name)
+    return [f"{', '.join(of)}: {reason}" for reason, of in names.items()]

@@ -1,0 +1,245 @@
+"""What is on these buses? A survey of frames: who speaks, who may be a receiver, what may be the wheel angle.
+
+Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from tilth.logger.buses import Buses, Report
+from tilth.logger.clock import Clock
+from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates
+from tilth.schemas.can_id import NULL_ADDRESS, split
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Frame, Message
+from tilth.schemas.machine import Bus
+from tilth.schemas.messages import PGNS, row
+from tilth.schemas.wheel_angle import RUDDER
+
+MANUFACTURERS: Final[Mapping[int, str]] = {
+    12: "Deere Precision Farming", 33: "John Deere", 69: "Trimble", 88: "Hemisphere", 97: "Ag Leader",
+    98: "Trimble", 151: "Raven", 231: "Topcon", 1856: "Trimble",
+}  # fmt: skip
+FUNCTIONS: Final[Mapping[int, str]] = {0: "engine", 3: "transmission", 23: "navigation"}
+"""J1939's functions that do not depend on industry group and vehicle system."""
+
+CLAIM: Final = 60928
+MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
+_TABLE: Final = frozenset(known.pgn for known in PGNS)
+_SELECTED: Final = frozenset(known.pgn for known in PGNS if known.selector is not None)
+_FAST: Final = frozenset(known.pgn for known in PGNS if known.fast)
+_POSITIONS: Final = frozenset(known.pgn for known in PGNS if "latitude_deg" in known.words)
+
+
+@dataclass(frozen=True, slots=True)
+class SentMessage:
+    pgn: int
+    selector: int | None  # byte 0 of 65535
+    title: str
+    count: int
+    per_s: float  # 0: an event
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Who sends from one address."""
+
+    bus: str
+    source: int
+    name: int | None
+    manufacturer: int | None
+    function: int | None
+    messages: tuple[SentMessage, ...]
+    positions: int  # position messages that hold one
+    empty_positions: int  # position messages that say "not available"
+
+    @property
+    def manufacturer_name(self) -> str:
+        return "" if self.manufacturer is None else MANUFACTURERS.get(self.manufacturer, "")
+
+    @property
+    def sends_positions(self) -> bool:
+        return self.positions + self.empty_positions > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    frames: int
+    seconds: float
+    buses: tuple[str, ...]
+    sources: tuple[Source, ...]
+    wheel_angles: tuple[WheelCandidate, ...]  # the likeliest first
+
+    @property
+    def receivers(self) -> tuple[Source, ...]:
+        return tuple(source for source in self.sources if source.sends_positions)
+
+
+@dataclass(slots=True)
+class _Times:
+    """When a message came."""
+
+    first_ns: int
+    last_ns: int
+    count: int = 0
+
+    @property
+    def per_s(self) -> float:
+        """0 for what came a few times within a second: an event, no rate."""
+        seconds = (self.last_ns - self.first_ns) * 1e-9
+        return (self.count - 1) / seconds if seconds > 1.0 else 0.0
+
+
+@dataclass(slots=True)
+class _Speaker:
+    name: int | None = None
+    messages: dict[tuple[int, int | None], _Times] = field(default_factory=dict)
+    positions: int = 0
+    empty_positions: int = 0
+
+
+@dataclass(slots=True)
+class _Identifier:
+    times_ns: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+
+def listen(
+    configs: Sequence[Bus], seconds: float, report: Report, stop: Callable[[], bool]
+) -> Iterator[Frame]:
+    """Frames of these buses for so long, or until `stop()`. `report` is told what is wrong with a bus.
+
+    Raises MachineError where a bus names an interface that python-can does not know.
+    """
+    clock = Clock()
+    buses = Buses(configs, clock, report)
+    end_ns = clock.t_ns() + int(seconds * 1e9)
+    watch_ns = 0
+    try:
+        while (t_ns := clock.t_ns()) < end_ns and not stop():
+            yield from buses.read(0.1)
+            if t_ns >= watch_ns:
+                watch_ns = t_ns + 1_000_000_000
+                buses.watch(t_ns)
+    finally:
+        buses.close()
+
+
+class Survey:
+    """`take` every frame in its order, then ask for `findings`."""
+
+    def __init__(self) -> None:
+        self._decoder = Decoder()
+        self._frames = 0
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._buses: dict[str, None] = {}
+        self._speakers: dict[tuple[str, int], _Speaker] = {}
+        self._identifiers: dict[tuple[str, int, bool], _Identifier] = {}
+        self._yaw: dict[tuple[str, int], list[tuple[int, float]]] = {}
+
+    def take(self, frame: Frame) -> None:
+        self._frames += 1
+        self._last_ns = frame.rx_ns
+        if self._first_ns is None:
+            self._first_ns = frame.rx_ns
+        self._buses[frame.bus] = None
+        if frame.error:
+            return
+        self._count(frame)
+        for message in self._decoder.messages(frame):
+            self._told(message)
+
+    def findings(self) -> Findings:
+        seconds = (self._last_ns - (self._first_ns or 0)) * 1e-9
+        return Findings(
+            self._frames,
+            seconds,
+            tuple(self._buses),
+            tuple(
+                _source(bus, source, speaker)
+                for (bus, source), speaker in sorted(self._speakers.items())
+                if source != NULL_ADDRESS
+            ),
+            tuple(sorted(self._wheel_angles(), key=lambda candidate: candidate.score, reverse=True)),
+        )
+
+    def _count(self, frame: Frame) -> None:
+        pgn = None
+        if frame.extended:
+            can_id = split(frame.can_id)
+            pgn = can_id.pgn
+            selector = frame.data[0] if pgn in _SELECTED and frame.data else None
+            if pgn not in _FAST or (frame.data and frame.data[0] & 0x1F == 0):
+                times = self._speaker(frame.bus, can_id.source).messages.setdefault(
+                    (pgn, selector), _Times(frame.rx_ns, frame.rx_ns)
+                )
+                times.count += 1
+                times.last_ns = frame.rx_ns
+        if pgn in _TABLE and pgn not in _SELECTED and pgn != RUDDER:
+            return
+        key = (frame.bus, frame.can_id, frame.extended)
+        seen = self._identifiers.setdefault(key, _Identifier())
+        if len(seen.data) < MOST_SAMPLES:
+            seen.times_ns.append(frame.rx_ns)
+            seen.data.append(frame.data)
+
+    def _told(self, message: Message) -> None:
+        origin = message.origin
+        speaker = self._speaker(origin.bus, origin.source)
+        if origin.name is not None:
+            speaker.name = origin.name
+        if message.pgn in _POSITIONS:
+            held = "latitude_deg" in message.values
+            speaker.positions += held
+            speaker.empty_positions += not held
+        yaw_rate = message.values.get("yaw_rate_radps")
+        if yaw_rate is not None:
+            series = self._yaw.setdefault((origin.bus, origin.source), [])
+            series.append((message.rx_ns, float(yaw_rate)))
+
+    def _speaker(self, bus: str, source: int) -> _Speaker:
+        return self._speakers.setdefault((bus, source), _Speaker())
+
+    def _wheel_angles(self) -> Iterator[WheelCandidate]:
+        yaw = max(self._yaw.values(), key=len, default=[])
+        for (bus, can_id, extended), seen in self._identifiers.items():
+            words = candidates(bus, can_id, extended, seen.times_ns, seen.data, yaw)
+            best = max(words, key=lambda word: word.score, default=None)
+            if best is not None:
+                yield best
+
+
+def _source(bus: str, source: int, speaker: _Speaker) -> Source:
+    parts = _name_parts(speaker.name)
+    manufacturer = parts.get("manufacturer")
+    messages = tuple(
+        SentMessage(pgn, selector, _title(pgn, selector, manufacturer), times.count, times.per_s)
+        for (pgn, selector), times in sorted(
+            speaker.messages.items(), key=lambda item: (item[0][0], item[0][1] or 0)
+        )
+    )
+    return Source(
+        bus,
+        source,
+        speaker.name,
+        manufacturer,
+        parts.get("function"),
+        messages,
+        speaker.positions,
+        speaker.empty_positions,
+    )
+
+
+def _name_parts(name: int | None) -> dict[str, int]:
+    if name is None:
+        return {}
+    return {key: int(value) for key, value in row(CLAIM).layout.fields(name.to_bytes(8, "little")).items()}
+
+
+def _title(pgn: int, selector: int | None, manufacturer: int | None) -> str:
+    for known in PGNS:
+        if known.pgn == pgn and known.selector == selector and known.manufacturer in (None, manufacturer):
+            return known.title
+    return "proprietary" if pgn in PROPRIETARY else ""

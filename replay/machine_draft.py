@@ -1,0 +1,170 @@
+"""A machine file from what was heard on the buses: it parses once every line marked FILL IN is filled in."""
+
+from collections.abc import Iterator, Sequence
+
+from tilth.replay.discover import Findings, Source
+from tilth.replay.wheel_search import WheelCandidate
+from tilth.schemas.flow import Mount
+from tilth.schemas.machine import Bus
+from tilth.schemas.wheel_angle import RUDDER
+
+FILL_IN = "# FILL IN"
+DEERE = 33
+MOST_RECEIVERS = 4
+
+_HEAD = f"""\
+# A draft by `tilth discover`. Every line with "FILL IN" needs a value; then: tilth check THIS_FILE
+
+[machine]
+name = {FILL_IN}: a name in quotes; letters, digits, - and _
+
+[tractor]                         # distances from its CG; any quantity may be {{ value = …, sd = … }}
+a = {FILL_IN}: to the front axle, m
+b = {FILL_IN}: to the rear axle, m
+c = {FILL_IN}: to the hitch, behind, m
+mass = {FILL_IN}: kg, as driven, with ballast
+yaw_inertia = {FILL_IN}: kg m^2
+cg_height = {FILL_IN}: above the ground, m
+
+[implement]
+d = {FILL_IN}: hitch to its CG, m
+e = {FILL_IN}: CG to the axle, behind, m
+mass = {FILL_IN}: kg, as loaded
+yaw_inertia = {FILL_IN}: kg m^2
+cg_height = {FILL_IN}: above the ground, m
+
+# Priors of whole axles: these are of a 150 kW tractor with a grain cart. Their size has to be right, no more.
+"""
+_PRIORS = (("front", 220e3, 1.1), ("rear", 486e3, 1.5), ("implement", 167e3, 1.1))
+
+
+def draft(findings: Findings, buses: Sequence[Bus]) -> str:
+    """The text. buses: as they were opened; those of a log are left to be filled in."""
+    opened = {bus.name: bus for bus in buses}
+    parts = [_HEAD]
+    for axle, stiffness, length in _PRIORS:
+        parts.append(
+            f"[tyres.{axle}]\n"
+            f"cornering_stiffness = {stiffness:g}      # N/rad\n"
+            f"relaxation_length = {length:g}            # m\n"
+            "log_sd = 0.7\n"
+        )
+    parts += [_bus(name, opened.get(name)) for name in findings.buses or tuple(opened)]
+    parts += _receivers(findings)
+    parts.append(_wheel_angle(findings))
+    return "\n".join(parts)
+
+
+def _bus(name: str, bus: Bus | None) -> str:
+    lines = ["[[bus]]", f'name = "{name}"']
+    if bus is None:
+        lines.append(f'interface = {FILL_IN}: "socketcan" or another interface of python-can')
+        lines.append(f'channel = {FILL_IN}: such as "can0"')
+        lines.append("bitrate = 250000")
+    else:
+        channel = bus.channel if isinstance(bus.channel, int) else _quoted(bus.channel)
+        lines += [f'interface = "{bus.interface}"', f"channel = {channel}", f"bitrate = {bus.bitrate}"]
+        if bus.options:
+            lines.append(f"options = {{ {', '.join(f'{k} = {_toml(v)}' for k, v in bus.options.items())} }}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: str | int | float | bool) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _receivers(findings: Findings) -> Iterator[str]:
+    usable = [source for source in findings.receivers if source.positions]
+    silent = [source for source in findings.receivers if not source.positions]
+    for source in usable[:MOST_RECEIVERS]:
+        yield _receiver(source)
+    for source in [*usable[MOST_RECEIVERS:], *silent]:
+        why = "also sends positions" if source.positions else 'sends positions, all "not available"'
+        yield f"# Source {source.source} on {source.bus}, {_who(source)}, {why}.\n"
+    if not usable:
+        yield _receiver(None)
+
+
+def _receiver(source: Source | None) -> str:
+    lines = ["[[receiver]]" + (f"  # {_who(source)}, heard from address {source.source}" if source else "")]
+    lines.append(f"mount = {FILL_IN}: one of " + ", ".join(f'"{mount}"' for mount in Mount))
+    if source is None:
+        lines += [
+            f"bus = {FILL_IN}: name of its [[bus]], in quotes",
+            f"source = {FILL_IN}: its address, or name",
+        ]
+    elif source.name is not None:
+        lines += [f'bus = "{source.bus}"', f'name = "{source.name:016X}"']
+    else:
+        lines += [f'bus = "{source.bus}"', f"source = {source.source}  # no address claim was heard"]
+        lines.append(f"manufacturer = {FILL_IN}: code of its maker, John Deere 33, Trimble 98, Topcon 231, …")
+    lines.append(f"position = {FILL_IN}: [forward, right] of that body's CG and height above the ground, m")
+    deere = source is not None and source.manufacturer == DEERE
+    hint = "John Deere's usually does: see its display" if deere else "true where it does: see its settings"
+    lines.append(f"roll_corrected = {str(deere).lower()}  # reports the point on the ground? {hint}")
+    return "\n".join(lines) + "\n"
+
+
+def _who(source: Source) -> str:
+    if source.manufacturer is None:
+        return "maker unknown"
+    return source.manufacturer_name or f"manufacturer {source.manufacturer}"
+
+
+def _wheel_angle(findings: Findings) -> str:
+    best = findings.wheel_angles[0] if findings.wheel_angles else None
+    others = "".join(f"# May be it, too: {described(c)}\n" for c in findings.wheel_angles[1:4])
+    if best is None:
+        return (
+            "# No word was seen that moves as a wheel angle does: turn the wheel while listening.\n"
+            f"[wheel_angle]\nbus = {FILL_IN}: name of its [[bus]], in quotes\n"
+            f'id = {FILL_IN}: identifier, such as 0x18FF0B15\nbyte_order = {FILL_IN}: "big" or "little"\n'
+            f"start_byte = {FILL_IN}: from 0\nscale = {FILL_IN}: degrees per bit\n"
+        )
+    if best.pgn == RUDDER:
+        lines = [f"# {described(best)}", "[wheel_angle]", f'bus = "{best.bus}"', "pgn = 127245"]
+        return others + "\n".join([*lines, f"source = {best.can_id & 0xFF}", *_ending(best)])
+    mark = (
+        ""
+        if best.likely
+        else f"  {FILL_IN}, or leave it: moves smoothly, but was not seen to follow the yaw rate"
+    )
+    lines = [
+        f"# {described(best)}",
+        "[wheel_angle]",
+        f'bus = "{best.bus}"',
+        f"id = 0x{best.can_id:X}{mark}",
+        *([] if best.extended else ["extended = false"]),
+        f'byte_order = "{best.byte_order}"',
+        f"start_byte = {best.start_byte}",
+        "bits = 16",
+        f"signed = {str(best.signed).lower()}",
+        f"scale = {FILL_IN}: degrees per bit; the word went from {best.lowest} to {best.highest}",
+        *([] if best.signed else [f"offset = {FILL_IN}: degrees, so that straight ahead is 0"]),
+    ]
+    return others + "\n".join([*lines, *_ending(best)])
+
+
+def _ending(candidate: WheelCandidate) -> list[str]:
+    known = candidate.yaw_correlation is not None and abs(candidate.yaw_correlation) > 0.5
+    sign = -1 if known and (candidate.yaw_correlation or 0.0) < 0 else 1
+    hint = "as the yaw rate says" if known else "turn the wheel right: must come out positive"
+    return [f"sign = {sign}  # {hint}", "zero = { value = 0.0, sd = 0.5 }  # degrees when straight", ""]
+
+
+def described(candidate: WheelCandidate) -> str:
+    """One line for a person."""
+    c = candidate
+    follows = "no turn to compare with"
+    if c.yaw_correlation is not None:
+        follows = f"correlation with the yaw rate {c.yaw_correlation:+.2f}"
+    return (
+        f"0x{c.can_id:X} on {c.bus}, byte {c.start_byte}, {c.byte_order} endian: "
+        f"{c.per_s:.0f}/s, {c.lowest} to {c.highest}, {follows}"
+    )

@@ -1,0 +1,344 @@
+"""The demo as a person runs it, in processes of its own, and its parts."""
+
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import can
+import pytest
+import zenoh
+
+from tilth.cli import main
+from tilth.estimator.fold import initial, step
+from tilth.logger.clock import Clock
+from tilth.logger.daemon import Summary
+from tilth.replay.demo import (
+    MACHINE,
+    Demo,
+    DemoError,
+    compare,
+    comparison_table,
+    on_loopback,
+    reasons,
+    result,
+    run_demo,
+)
+from tilth.replay.readers import frames
+from tilth.replay.socketcand_server import Server, open_server, play
+from tilth.replay.tractor import Scenario, Truth, drive
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
+from tilth.schemas.machine import Machine, parse_machine
+
+TEXT = resources.files("tilth.deploy").joinpath(MACHINE).read_text()
+# Without asammdf, which reads files that are not needed here and takes two seconds to import.
+START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; sys.exit(main())"
+COMMAND = [sys.executable, "-c", START, "demo"]
+# A network of its own with nothing but loopback, and no privilege, where the system allows that.
+ALONE = ["unshare", "-rn", "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
+
+
+def _can_be_alone() -> bool:
+    if not (shutil.which("unshare") and shutil.which("ip")):
+        return False
+    return subprocess.run([*ALONE, "true"], capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return parse_machine(TEXT)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What four seconds of demo say."""
+    folder = tmp_path_factory.mktemp("demo")
+    command = [*COMMAND, "--seconds", "4", "--json", "--log", str(folder)]
+    if _can_be_alone():
+        command = [*ALONE, *command]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 1
+    answer: dict[str, Any] = json.loads(lines[0])
+    return answer
+
+
+def test_no_frame_is_lost(short: dict[str, Any], machine: Machine) -> None:
+    assert short["frames"] == short["frames_sent"]
+    # How many epochs there are depends on where within a second it began.
+    assert short["frames"] == pytest.approx(len(list(simulate(machine, 1, 4.0))), abs=80)
+    assert short["frames_lost"] == 0
+    assert short["duration_s"] == pytest.approx(4.0, abs=0.4)
+
+
+def test_the_answer_has_the_fields_of_a_replay_and_the_truth(short: dict[str, Any], machine: Machine) -> None:
+    assert short["truth"] == pytest.approx(drive(machine, 1, 4.0).parameters)
+    assert tuple(short["truth"]) == PARAMETERS
+    assert short["measurements"] > 1000
+    assert short["poses"] > 10
+    assert short["truncated"] is False
+    for method in ("steady_state", "recommended"):
+        assert tuple(short["estimates"][method]) == PARAMETERS
+        for parameter in short["estimates"][method].values():
+            assert set(parameter) == {"value", "sd", "status", "reason"}
+    assert set(short["nuisances"]) == set(short["estimates"])
+
+
+def test_its_log_replays_to_the_byte(short: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    (log,) = short["log"]
+    assert main(["replay", log, "--verify", "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed["verify"]["difference"] is None
+    assert replayed["verify"]["compared"] > short["measurements"]
+    assert not replayed["truncated"]
+    for key in ("frames", "measurements", "poses", "rejected", "estimates", "nuisances"):
+        assert replayed[key] == short[key], key
+
+
+def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*COMMAND, "--seconds", "600", "--json", "--log", str(tmp_path)]
+    said = tmp_path / "stderr"
+    with (
+        said.open("w") as stderr,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as process,
+    ):
+        _wait_for_bytes(process, tmp_path, 20_000)
+        keys = _keys_published(said.read_text())
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=60)
+    answer = json.loads(out)
+    assert process.returncode == 0, said.read_text()
+    assert answer["frames_lost"] == 0
+    assert 0 < answer["frames"] < 60_000
+    # Under the replay prefix only: no controller takes it for a tractor.
+    assert "tilth/jd7930-parker500/replay/status" in keys
+    assert all(key.startswith("tilth/jd7930-parker500/replay/") for key in keys)
+    assert main(["replay", *answer["log"], "--json"]) == 0
+    replayed = json.loads(capsys.readouterr().out)
+    assert replayed["frames"] == answer["frames"]
+    assert not replayed["truncated"]
+
+
+def test_a_simulator_that_dies_ends_the_run_with_a_whole_log(tmp_path: Path) -> None:
+    def kill_once_logged() -> bool:
+        if any(path.stat().st_size > 10_000 for path in tmp_path.glob("*.mcap")):
+            for child in _children("socketcand_server"):
+                os.kill(child, signal.SIGKILL)
+        return False
+
+    with pytest.raises(DemoError, match="died") as caught:
+        run_demo(600.0, 1, tmp_path, stop=kill_once_logged)
+    log = Path(str(caught.value).split()[-1])
+    assert len(list(frames(log))) > 100
+
+
+def _children(words: str) -> Iterator[int]:
+    """Process ids of this process's children with these words in their command."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            parent = int(stat.read_text().rpartition(")")[2].split()[1])
+            if parent == os.getpid() and words in stat.with_name("cmdline").read_text():
+                yield int(stat.parent.name)
+
+
+def _wait_for_bytes(process: subprocess.Popen[str], folder: Path, size: int) -> None:
+    """Until the log of a running demo holds so much; fails after some 50 s, or where it ends before."""
+    for _ in range(500):
+        if sum(path.stat().st_size for path in folder.glob("*.mcap")) >= size:
+            return
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(0.1)
+            break
+    process.kill()
+    pytest.fail("the demo writes no log")
+
+
+def _keys_published(said: str) -> list[str]:
+    """Keys that a running demo answers for; `said` names its endpoint where the usual one is taken."""
+    taken = re.search(r"listening on (tcp/[0-9.:]+)", said)
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([taken[1] if taken else "tcp/127.0.0.1:7447"]))
+    with zenoh.open(config) as session:
+        return [str(reply.ok.key_expr) for reply in session.get("tilth/**", timeout=5.0) if reply.ok]
+
+
+@pytest.mark.parametrize(
+    "words", [["--seconds", "0"], ["--seconds", "nan"], ["--seed", "-1"], ["--second", "x"]]
+)
+def test_wrong_use(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status: object = main(["demo", *words])
+    except SystemExit as left:
+        status = left.code
+    assert status == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_the_machine_file_differs_in_its_bus_only(machine: Machine) -> None:
+    moved = parse_machine(on_loopback(TEXT, 4711))
+    (bus,) = moved.bus
+    assert (bus.name, bus.interface, bus.options) == (
+        "can0",
+        "socketcand",
+        {"host": "127.0.0.1", "port": 4711},
+    )
+    assert moved.model_copy(update={"bus": machine.bus}) == machine
+
+
+def test_ninety_seconds_give_three_stiffnesses_that_hold_the_truth(machine: Machine) -> None:
+    """What the default demo shows at its end, without waiting for it."""
+    state = initial(machine)
+    for frame in simulate(machine, 1, 90.0):
+        step(state, frame)
+    rows = compare(drive(machine, 1, 90.0), state.estimates["recommended"])
+    for row in rows[:3]:
+        assert row.estimate is not None
+        assert row.estimate.status is Status.ESTIMATED, row.estimate.reason
+        assert row.holds, row
+    assert [row.holds for row in rows[3:]] == [None] * 3
+
+
+def _estimate(log_sd: float) -> Estimate:
+    covariance = [0.0] * 36
+    covariance[0] = log_sd**2
+    known = ParameterEstimate(200e3, 200e3 * log_sd, Status.ESTIMATED, "")
+    unknown = ParameterEstimate(None, None, Status.UNESTIMATED, "no turn")
+    return Estimate(0, "m", "m", (known, *[unknown] * 5), tuple(covariance), (None,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("true", "log_sd", "holds"),
+    [(220e3, 0.1, True), (170e3, 0.1, True), (250e3, 0.1, False), (163e3, 0.1, False)],
+)
+def test_the_interval_is_log_normal(machine: Machine, true: float, log_sd: float, holds: bool) -> None:
+    truth = drive(machine, 1, 0.1)
+    row, other = compare(_with(truth, true), _estimate(log_sd))[:2]
+    assert row.interval == pytest.approx((200e3 * math.exp(-1.96 * log_sd), 200e3 * math.exp(1.96 * log_sd)))
+    assert row.holds is holds
+    assert other.interval is None
+    assert other.holds is None
+
+
+def _with(truth: Truth, c_af: float) -> Truth:
+    return replace(truth, parameters=truth.parameters | {"C_af": c_af})
+
+
+def test_lost_frames_and_a_run_without_estimates_are_told(machine: Machine) -> None:
+    summary = Summary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
+    demo = Demo(drive(machine, 1, 0.1), summary, 10)
+    assert result(demo)["frames_lost"] == 1
+    assert result(demo)["duration_s"] == 0.0
+    assert comparison_table(demo).row_count == 6
+    assert reasons(demo) == [", ".join(PARAMETERS) + ": no estimator has spoken"]
+
+
+# The bus.
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    server = open_server()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def orders() -> Iterator[tuple[BinaryIO, BinaryIO]]:
+    """(what the player listens to, where to write): none come until the second is closed."""
+    reading, writing = os.pipe()
+    with os.fdopen(reading, "rb", 0) as ours, os.fdopen(writing, "wb", 0) as theirs:
+        yield ours, theirs
+
+
+@contextmanager
+def _playing(
+    server: Server, frames: list[Frame], clients: int, orders: tuple[BinaryIO, BinaryIO]
+) -> Iterator[list[int]]:
+    """Plays in a thread as soon as so many clients listen; gives a list that receives the count sent."""
+    sent: list[int] = []
+
+    def serve() -> None:
+        while len(server.listening()) < clients:
+            server.serve(0.01, orders[0])
+        sent.append(play(server, iter(frames), Clock(), orders[0]))
+        while not server.serve(0.05, orders[0]):
+            continue
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield sent
+    finally:
+        orders[1].close()
+        thread.join(10.0)
+
+
+def _traffic(machine: Machine, seconds: float) -> list[Frame]:
+    """Half a second of it is due at once, the rest in real time."""
+    start_ns = Clock().t_ns() // 10_000_000 * 10_000_000 - 500_000_000
+    return list(simulate(machine, 1, seconds, Scenario(utc_start_ns=start_ns, clock_offset_s=0.0)))
+
+
+def _client(server: Server) -> can.BusABC:
+    return can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=server.port)
+
+
+def _heard(bus: can.BusABC, count: int) -> list[can.Message]:
+    """So many messages, or what there was before five seconds of silence."""
+    heard: list[can.Message] = []
+    while len(heard) < count and (message := bus.recv(5.0)) is not None:
+        heard.append(message)
+    return heard
+
+
+def test_every_client_gets_every_frame_in_order(
+    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+) -> None:
+    played = _traffic(machine, 0.8)
+    with _playing(server, played, 2, orders) as sent, _client(server) as one, _client(server) as other:
+        for bus in (one, other):
+            heard = _heard(bus, len(played))
+            assert [(m.arbitration_id, bytes(m.data)) for m in heard] == [(f.can_id, f.data) for f in played]
+            assert [m.timestamp for m in heard] == pytest.approx([f.rx_ns * 1e-9 for f in played], abs=2e-6)
+            assert all(m.is_extended_id for m in heard)
+    assert sent == [len(played)]
+
+
+def test_clients_that_leave_do_no_harm(
+    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+) -> None:
+    played = _traffic(machine, 0.7)
+    with socket.create_connection(("127.0.0.1", server.port)):
+        pass  # only looked in
+    with _playing(server, played, 1, orders) as sent, _client(server) as stays:
+        _client(server).shutdown()
+        assert len(_heard(stays, len(played))) == len(played)
+    assert sent == [len(played)]
+
+
+def test_frames_are_not_sent_before_their_time(
+    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+) -> None:
+    played = _traffic(machine, 0.9)
+    clock = Clock()
+    with _playing(server, played, 1, orders), _client(server) as bus:
+        for frame in played:
+            assert bus.recv(5.0) is not None
+            assert clock.t_ns() >= frame.rx_ns
