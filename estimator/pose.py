@@ -296,6 +296,7 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) 
         key=lambda utc: utc.resolution_s,
         default=None,
     )
+    used = [index for body in bodies for index in body.antennas]
     assert state.origin_deg is not None
     return Pose(
         t_ns=t_ns,
@@ -309,7 +310,8 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) 
         sd_wheel_angle=wheel[1] if wheel else None,
         direction=_direction(state, tractor, t_ns),
         utc_ns=finest.utc_ns(t_ns) if finest else None,
-        receivers=sum(len(body.antennas) for body in bodies),
+        sd_time=state.latency.sd_mean(used) if used else 0.0,
+        receivers=len(used),
         flags=tuple(sorted(set(flags))),
     )
 

@@ -74,6 +74,7 @@ def _encode_pose(pose: flow.Pose) -> bytes:
         origin_longitude_deg=pose.origin_longitude_deg,
         direction=pose.direction,
         receivers=pose.receivers,
+        sd_time=pose.sd_time,
         flags=pose.flags,
     )
     _set_present(message, pose, _POSE_FIELDS)
@@ -164,6 +165,7 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "Pose": {
         "origin_latitude_deg": 1e-12, "origin_longitude_deg": 1e-12, "articulation": 1e-7,
         "sd_articulation": 1e-7, "wheel_angle": 1e-9, "sd_wheel_angle": 1e-9,
+        "sd_time": 1e-7,
     },
     "BodyPose": {
         "x": 1e-6, "y": 1e-6, "sd_position": 1e-6, "heading": 1e-7, "sd_heading": 1e-7,

@@ -220,6 +220,9 @@ class Pose:
     sd_wheel_angle: float | None
     direction: int  # +1 forward, -1 reverse, 0 standstill or unknown
     utc_ns: int | None
+    sd_time: (
+        float  # s, of the instant itself: latency that all receivers share; only in sd_position beyond this
+    )
     receivers: int  # how many of them this pose rests on
     flags: tuple[str, ...]  # e.g. "lost:implement_rear"; see docs/notation.md
 

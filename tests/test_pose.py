@@ -113,7 +113,8 @@ def test_unknown_latencies_are_told_apart_by_the_rigid_bodies() -> None:
 def test_a_common_latency_cannot_be_seen_and_stays_in_the_sd() -> None:
     _, out = run(Circle(latency_s={m: 0.15 for m in ALL}))
     assert out[-1].tractor.sd_position is not None
-    assert out[-1].tractor.sd_position > 4.5 * 0.025
+    assert out[-1].sd_time == pytest.approx(0.025, abs=0.003)
+    assert out[-1].tractor.sd_position > 4.5 * out[-1].sd_time
 
 
 def test_published_sd_covers_the_noise() -> None:

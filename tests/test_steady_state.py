@@ -46,7 +46,7 @@ def drive(
         yield Pose(
             START_NS + k * 200_000_000, 43.5, -83.4, body, cart,
             float(articulation) + tractor_heading - pairs[1] - n[5] * SD["heading"], 0.0085,
-            delta + zero + n[6] * SD["wheel"], SD["wheel"], 1, None, 4, (),
+            delta + zero + n[6] * SD["wheel"], SD["wheel"], 1, None, 0.0, 4, (),
         )  # fmt: skip
 
 

@@ -123,7 +123,7 @@ class BodyPose(_message.Message):
     def __init__(self, x: _Optional[float] = ..., y: _Optional[float] = ..., sd_position: _Optional[float] = ..., heading: _Optional[float] = ..., sd_heading: _Optional[float] = ..., forward_velocity: _Optional[float] = ..., lateral_velocity: _Optional[float] = ..., sd_velocity: _Optional[float] = ..., sd_lateral_velocity: _Optional[float] = ..., yaw_rate: _Optional[float] = ..., sd_yaw_rate: _Optional[float] = ..., roll: _Optional[float] = ..., sd_roll: _Optional[float] = ...) -> None: ...
 
 class Pose(_message.Message):
-    __slots__ = ("t_ns", "origin_latitude_deg", "origin_longitude_deg", "tractor", "implement", "articulation", "sd_articulation", "wheel_angle", "sd_wheel_angle", "direction", "utc_ns", "receivers", "flags")
+    __slots__ = ("t_ns", "origin_latitude_deg", "origin_longitude_deg", "tractor", "implement", "articulation", "sd_articulation", "wheel_angle", "sd_wheel_angle", "direction", "utc_ns", "receivers", "flags", "sd_time")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -137,6 +137,7 @@ class Pose(_message.Message):
     UTC_NS_FIELD_NUMBER: _ClassVar[int]
     RECEIVERS_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
+    SD_TIME_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     origin_latitude_deg: float
     origin_longitude_deg: float
@@ -150,7 +151,8 @@ class Pose(_message.Message):
     utc_ns: int
     receivers: int
     flags: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, t_ns: _Optional[int] = ..., origin_latitude_deg: _Optional[float] = ..., origin_longitude_deg: _Optional[float] = ..., tractor: _Optional[_Union[BodyPose, _Mapping]] = ..., implement: _Optional[_Union[BodyPose, _Mapping]] = ..., articulation: _Optional[float] = ..., sd_articulation: _Optional[float] = ..., wheel_angle: _Optional[float] = ..., sd_wheel_angle: _Optional[float] = ..., direction: _Optional[int] = ..., utc_ns: _Optional[int] = ..., receivers: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ...) -> None: ...
+    sd_time: float
+    def __init__(self, t_ns: _Optional[int] = ..., origin_latitude_deg: _Optional[float] = ..., origin_longitude_deg: _Optional[float] = ..., tractor: _Optional[_Union[BodyPose, _Mapping]] = ..., implement: _Optional[_Union[BodyPose, _Mapping]] = ..., articulation: _Optional[float] = ..., sd_articulation: _Optional[float] = ..., wheel_angle: _Optional[float] = ..., sd_wheel_angle: _Optional[float] = ..., direction: _Optional[int] = ..., utc_ns: _Optional[int] = ..., receivers: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., sd_time: _Optional[float] = ...) -> None: ...
 
 class Parameter(_message.Message):
     __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass")
