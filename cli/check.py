@@ -1,0 +1,40 @@
+"""`tilth check`: what is wrong before a run."""
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from tilth.logger.check import PROBLEM, check
+from tilth.logger.machine_file import read_machine
+
+_WORD = {"ok": "OK", "note": "NOTE", "problem": "PROBLEM"}
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "check",
+        help="say before a run what is wrong",
+        description="Say before a run what is wrong with configuration, buses, disk, clock and Zenoh.",
+    )
+    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument(
+        "--seconds", type=float, default=2.0, metavar="N", help="listen to the buses so long (2)"
+    )
+    parser.add_argument(
+        "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where there is a problem."""
+    machine, _ = read_machine(args.machine)
+    findings = check(machine, args.log or Path(machine.log.folder), args.seconds)
+    fine = all(finding.state != PROBLEM for finding in findings)
+    if args.json:
+        print(json.dumps({"ok": fine, "checks": [asdict(finding) for finding in findings]}))
+    else:
+        for finding in findings:
+            print(f"{_WORD[finding.state]:8} {finding.what}: {finding.text}")
+    return 0 if fine else 1

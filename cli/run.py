@@ -1,0 +1,70 @@
+"""`tilth run`: log the buses of a machine, estimate, publish."""
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+
+from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.machine_file import read_machine
+from tilth.logger.status_line import PanelDisplay, PlainDisplay
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "run",
+        help="log the buses of a machine, estimate, publish",
+        description="Log the buses of a machine, estimate, publish; until Ctrl-C or SIGTERM.",
+    )
+    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument(
+        "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"
+    )
+    parser.add_argument("--no-zenoh", action="store_true", help="publish nothing")
+    parser.add_argument("--plain", action="store_true", help="plain lines also in a terminal")
+    parser.add_argument("--seconds", type=float, metavar="N", help="stop by itself")
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where frames were lost, not recorded, or none came at all."""
+    machine, text = read_machine(args.machine)
+    stopping = False
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(signum, stop)
+    plain = args.plain or not sys.stdout.isatty()
+    display = PlainDisplay(sys.stdout) if plain else PanelDisplay(machine.name)
+    try:
+        summary = run_daemon(
+            machine,
+            text,
+            log_folder=args.log,
+            zenoh=not args.no_zenoh,
+            seconds=args.seconds,
+            status=display,
+            stop=lambda: stopping,
+        )
+    finally:
+        display.close()
+    print(_last_words(summary))
+    return 0 if summary.recorded == summary.frames > 0 and not (summary.lost or summary.faults) else 1
+
+
+def _last_words(summary: Summary) -> str:
+    files = " ".join(str(path) for path in summary.log_files)
+    words = [f"{summary.frames} frames, {summary.measurements} measurements, {summary.poses} poses"]
+    if summary.lost:
+        words.append(f"{summary.lost} frames lost in the kernel: the computer was too busy")
+    if summary.not_recorded:
+        words.append(f"{summary.not_recorded} frames not recorded")
+    if summary.faults:
+        words.append(
+            f"the estimators failed {summary.faults} times: report it with the log, which is complete"
+        )
+    words.append(f"Log: {files}" if files else "No log was written.")
+    return "\n".join(words)

@@ -1,0 +1,73 @@
+"""The one clock of a run: CLOCK_REALTIME at its start plus what CLOCK_MONOTONIC has counted since.
+
+It never steps. The wall clock may (NTP, a GNSS time source, a person); the relation of the two is recorded.
+"""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+STEP_NS = 100_000_000  # a change of (wall clock - this clock) that counts as a step, between two looks
+OLDEST_NS = 2_000_000_000  # an interface's stamp further back than this is no stamp of this frame
+NEWEST_NS = -1_000_000  # or this far in the future: two reads of the wall clock, and its slewing
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """What the clocks of the computer said at one instant, ns."""
+
+    t_ns: int
+    realtime_ns: int
+    monotonic_ns: int
+    boottime_ns: int
+
+
+class Clock:
+    """`offset_ns` is what has to be added to CLOCK_MONOTONIC to give t_ns."""
+
+    def __init__(self) -> None:
+        self.offset_ns = time.time_ns() - time.monotonic_ns()
+        self.bad_stamps = 0
+        self._wall_ahead_ns = 0
+
+    def t_ns(self) -> int:
+        return time.monotonic_ns() + self.offset_ns
+
+    def stamps(self, realtime_s: float) -> tuple[int, int]:
+        """(t_ns, rx_ns) of a frame read just now that its interface stamped `realtime_s` (since 1970, s).
+
+        rx_ns comes from the stamp's age, so it stays right when the wall clock has stepped before the frame
+        came. A stamp that cannot be this frame's is counted and replaced by t_ns.
+        """
+        t_ns = time.monotonic_ns() + self.offset_ns
+        age_ns = time.time_ns() - int(realtime_s * 1e9)
+        if NEWEST_NS <= age_ns <= OLDEST_NS:
+            return t_ns, t_ns - age_ns if age_ns > 0 else t_ns
+        self.bad_stamps += 1
+        return t_ns, t_ns
+
+    def relation(self) -> Relation:
+        monotonic_ns = time.monotonic_ns()
+        return Relation(
+            t_ns=monotonic_ns + self.offset_ns,
+            realtime_ns=time.time_ns(),
+            monotonic_ns=monotonic_ns,
+            boottime_ns=time.clock_gettime_ns(time.CLOCK_BOOTTIME),
+        )
+
+    def step_ns(self, relation: Relation) -> int:
+        """How far the wall clock has stepped since the last look, a second ago; 0 where it only drifted."""
+        ahead_ns = relation.realtime_ns - relation.t_ns
+        moved_ns = ahead_ns - self._wall_ahead_ns
+        self._wall_ahead_ns = ahead_ns
+        return moved_ns if abs(moved_ns) > STEP_NS else 0
+
+
+def boot_id() -> str:
+    """Tells one start of this computer from the next; empty where the system has none."""
+    path = Path("/proc/sys/kernel/random/boot_id")
+    return path.read_text().strip() if path.exists() else ""
+
+
+def utc_text(t_ns: int, pattern: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
+    return time.strftime(pattern, time.gmtime(t_ns // 1_000_000_000))

@@ -1,0 +1,290 @@
+"""The live driver: buses in, log and Zenoh out, the fold between.
+
+    read frames ─► log each raw ─► fold ─► log what it gives ─► publish it
+
+One loop, one clock. Whatever fails is said, shown and logged as an event; frames are recorded until the end.
+"""
+
+import contextlib
+import gc
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from zenoh import ZError
+
+from tilth.logger.buses import Buses
+from tilth.logger.clock import Clock
+from tilth.logger.guarded_fold import RECOMMENDED_METHOD, GuardedFold
+from tilth.logger.liveness import Sensors
+from tilth.logger.mcap_log import software
+from tilth.logger.recording import Recording
+from tilth.logger.status import bus_status, problems_of, rejected
+from tilth.logger.zenoh_sink import ZenohSink
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Estimate, Event, Frame, Measurement
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto import tilth_pb2 as pb
+
+TURN_S = 0.1  # longest wait for a frame: a stop is noticed in that time
+SECOND_NS = 1_000_000_000
+SHOW_NS = 500_000_000
+
+
+class Display(Protocol):
+    """Where a person looks. status_line.py has two of them."""
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None: ...
+
+    def event(self, event: Event) -> None: ...
+
+
+class NoDisplay:
+    """Shows nothing: for tests and for a daemon inside another program."""
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        return
+
+    def event(self, event: Event) -> None:
+        return
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a run did."""
+
+    started_ns: int
+    ended_ns: int
+    first_frame_ns: int | None
+    last_frame_ns: int | None
+    frames: int
+    measurements: int
+    poses: int
+    rejected: dict[str, int]
+    estimates: dict[str, Estimate]  # method -> the last
+    log_files: tuple[Path, ...]
+    recorded: int  # frames in the log
+    not_recorded: int  # frames that came while the log could not be written
+    lost: int  # frames that the kernel dropped, as far as it says
+    bad_stamps: int
+    faults: int  # of the estimators
+    problems: tuple[str, ...]  # at the end
+
+
+class Daemon:
+    """Everything that one run holds open. `turn` it until it is time to `close`."""
+
+    def __init__(
+        self, machine: Machine, machine_text: str, folder: Path, suffix: str | None, display: Display
+    ) -> None:
+        """suffix: of the Zenoh prefix, None to publish nothing.
+
+        Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
+        """
+        self._machine = machine
+        self._display = display
+        self._events: deque[tuple[str, str]] = deque()
+        self._clock = Clock()
+        self._started_ns = self._clock.t_ns()
+        self._fold = GuardedFold(machine)
+        self._buses = Buses(machine.bus, self._clock, self._report)
+        self._recording = Recording(folder, machine, machine_text, self._clock, self._report)
+        self._sink = self._open_zenoh(suffix) if suffix is not None else None
+        self._sensors = Sensors(machine)
+        self._version = software()["version"]
+        self._estimates: dict[str, Estimate] = {}  # method -> the last
+        self._status = pb.Status()
+        self._first_frame_ns: int | None = None
+        self._last_frame_ns: int | None = None
+        self._frames = 0
+        self._next_second_ns = self._started_ns
+        self._next_show_ns = self._started_ns
+
+    @property
+    def uptime_s(self) -> float:
+        return (self._clock.t_ns() - self._started_ns) * 1e-9
+
+    def turn(self, timeout_s: float = TURN_S) -> int:
+        """Wait for frames and take them, then do what is due. Returns the number of frames."""
+        frames = self._buses.read(timeout_s)
+        for frame in frames:
+            self.take(frame)
+        if frames:
+            self._frames += len(frames)
+            self._last_frame_ns = frames[-1].t_ns
+            if self._first_frame_ns is None:
+                self._first_frame_ns = frames[0].t_ns
+        t_ns = self._clock.t_ns()
+        if t_ns >= self._next_second_ns:
+            self._second(t_ns)
+        if t_ns >= self._next_show_ns:
+            self._show(t_ns)
+        self._publish_events()
+        return len(frames)
+
+    def close(self) -> Summary:
+        """Take what the buses have still got, finish the log, end the session."""
+        deadline_ns = self._clock.t_ns() + SECOND_NS
+        with (
+            contextlib.ExitStack() as last
+        ):  # each of these, whatever happens to the others; the lowest first
+            if self._sink is not None:
+                last.callback(self._sink.close)
+            last.callback(self._publish_events)
+            last.callback(self._recording.close)
+            last.callback(self._publish_events)
+            last.callback(self._buses.close)
+            while self.turn(0.0) and self._clock.t_ns() < deadline_ns:
+                continue
+            self._second(self._clock.t_ns())
+        return self._summary()
+
+    def take(self, frame: Frame) -> None:
+        """Raw first: whatever happens after, the frame is in the log."""
+        self._recording.frame(frame)
+        for publication, data in self._fold.take(frame):
+            self._put(publication.topic, publication.t_ns, data)
+            value = publication.value
+            if isinstance(value, Measurement):
+                self._sensors.heard(value)
+            elif isinstance(value, Estimate):
+                self._estimates[value.method] = value
+            elif isinstance(value, Event):
+                self._tell(value)
+
+    def _put(self, topic: str, t_ns: int, data: bytes) -> None:
+        self._recording.message(topic, t_ns, data)
+        if self._sink is not None:
+            self._sink.put(topic, data)
+
+    def _second(self, t_ns: int) -> None:
+        self._next_second_ns = t_ns + SECOND_NS
+        self._watch_clock()
+        self._buses.watch(t_ns)
+        self._recording.tick(t_ns, self._fold.renew)
+        self._status = self._build_status(t_ns)
+        self._put("/status", t_ns, CHANNEL["/status"].encode(self._status))
+
+    def _show(self, t_ns: int) -> None:
+        self._next_show_ns = t_ns + SHOW_NS
+        try:
+            self._display.show(self._status, self._estimates.get(RECOMMENDED_METHOD))
+        except OSError:  # the terminal is gone; the log goes on
+            self._display = NoDisplay()
+
+    def _tell(self, event: Event) -> None:
+        try:
+            self._display.event(event)
+        except OSError:
+            self._display = NoDisplay()
+
+    def _watch_clock(self) -> None:
+        relation = self._clock.relation()
+        step_ns = self._clock.step_ns(relation)
+        if step_ns:
+            text = (
+                f"the computer's clock was set by {step_ns * 1e-9:+.3f} s; the log's own clock goes on evenly"
+            )
+            self._report("clock", text)
+            self._recording.clocks("step")
+
+    def _report(self, kind: str, text: str) -> None:
+        # Kept until the frames of this turn are in the log: the file's times never run back.
+        self._events.append((kind, text))
+
+    def _publish_events(self) -> None:
+        while self._events:
+            event = Event(self._clock.t_ns(), *self._events.popleft())
+            self._put("/event", event.t_ns, CHANNEL["/event"].encode(event))
+            self._tell(event)
+
+    def _open_zenoh(self, suffix: str) -> ZenohSink | None:
+        try:
+            sink = ZenohSink(self._machine, suffix)
+        except ZError as error:
+            first = str(error).splitlines()[0]
+            self._report(
+                "zenoh", f"nothing is published on Zenoh: {first}; correct [zenoh] in the machine file"
+            )
+            return None
+        if sink.note:
+            self._report("zenoh", sink.note)
+        return sink
+
+    def _build_status(self, t_ns: int) -> pb.Status:
+        recording = self._recording
+        status = pb.Status(
+            t_ns=t_ns,
+            run=recording.run_id,
+            version=self._version,
+            uptime_s=(t_ns - self._started_ns) * 1e-9,
+            frames=self._frames,
+            measurements=self._fold.measurements,
+            poses=self._fold.poses,
+            buses=[bus_status(source, t_ns) for source in self._buses.sources],
+            receivers=self._sensors.receivers(t_ns),
+            wheel_angle=self._sensors.wheel_angle(t_ns),
+            rejected=[pb.Count(reason=reason, count=count) for reason, count in self._rejected().items()],
+            recording=recording.recording,
+            log_file=str(recording.files[-1]) if recording.recording else "",
+            log_bytes=recording.size_bytes,
+        )
+        if recording.free_bytes is not None:
+            status.disk_free_bytes = recording.free_bytes
+        status.problems.extend(problems_of(status, recording))
+        return status
+
+    def _rejected(self) -> dict[str, int]:
+        return rejected(self._fold.rejected, self._buses.sources, self._clock.bad_stamps)
+
+    def _summary(self) -> Summary:
+        return Summary(
+            started_ns=self._started_ns,
+            ended_ns=self._clock.t_ns(),
+            first_frame_ns=self._first_frame_ns,
+            last_frame_ns=self._last_frame_ns,
+            frames=self._frames,
+            measurements=self._fold.measurements,
+            poses=self._fold.poses,
+            rejected=self._rejected(),
+            estimates=dict(self._estimates),
+            log_files=tuple(self._recording.files),
+            recorded=self._recording.frames,
+            not_recorded=self._recording.missed,
+            lost=sum(source.lost for source in self._buses.sources),
+            bad_stamps=self._clock.bad_stamps,
+            faults=self._fold.faults,
+            problems=tuple(self._status.problems),
+        )
+
+
+def run_daemon(
+    machine: Machine,
+    machine_text: str,
+    *,
+    log_folder: Path | None = None,
+    zenoh: bool = True,
+    prefix_suffix: str = "",
+    seconds: float | None = None,
+    status: Display | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Summary:
+    """Run until `stop()` or for so many seconds; the log file is whole in any case.
+
+    log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
+    buses carry a simulation. status: where to show, if anywhere. Raises MachineError as Daemon does.
+    """
+    folder = Path(machine.log.folder) if log_folder is None else log_folder
+    suffix = prefix_suffix if zenoh else None
+    daemon = Daemon(machine, machine_text, folder, suffix, status or NoDisplay())
+    # What exists by now stays: the collector need not look at it again and again.
+    gc.collect()
+    gc.freeze()
+    try:
+        while not stop() and (seconds is None or daemon.uptime_s < seconds):
+            daemon.turn()
+    finally:  # also of an error nobody foresaw: the log is whole
+        summary = daemon.close()
+    return summary

@@ -1,0 +1,43 @@
+"""Opens a machine file and the DBC file that it names."""
+
+import tomllib
+from pathlib import Path
+
+from tilth.schemas.machine import Machine, MachineError, parse_machine
+
+
+def read_machine(path: Path | str) -> tuple[Machine, str]:
+    """The machine of a file and the file's own text, as it goes into the log.
+
+    A relative wheel_angle.dbc counts from the machine file's folder. Raises MachineError in one sentence.
+    """
+    path = Path(path)
+    text = _text(path, "machine file")
+    dbc = _dbc_name(text)
+    dbc_text = None if dbc is None else _text(path.parent / dbc, "wheel_angle.dbc")
+    try:
+        return parse_machine(text, dbc_text), text
+    except MachineError as error:
+        raise MachineError(f"{path}: {error}") from None
+
+
+def _dbc_name(text: str) -> str | None:
+    """wheel_angle.dbc, where the text is good enough to say so; parse_machine explains what is wrong."""
+    try:
+        section = tomllib.loads(text).get("wheel_angle")
+    except tomllib.TOMLDecodeError:
+        return None
+    name = section.get("dbc") if isinstance(section, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def _text(path: Path, what: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise MachineError(f"{path}: the {what} is not UTF-8 text; save it as UTF-8") from None
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise MachineError(
+            f"{path}: the {what} cannot be read ({reason}); give the path of one that exists"
+        ) from None

@@ -1,0 +1,76 @@
+"""What the daemon says of itself: tilth.Status, once a second, with every problem in a sentence."""
+
+from collections.abc import Iterable, Mapping
+
+from tilth.logger.buses import Source
+from tilth.logger.recording import Recording
+from tilth.schemas.proto import tilth_pb2 as pb
+
+LOW_HOURS = 1.0  # of recording left
+SAMPLE_S = 20.0  # of recording before its rate is believed
+NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
+
+_RECEIVER_PROBLEMS: Mapping[str, str] = {
+    "waiting": "not heard yet; check its power, its bus, its NAME (said when it is switched on) or source",
+    "no_data": "heard, but it gives no position; check its antenna and corrections",
+    "lost": "no longer heard; check its power and plug",
+}
+_WHEEL_PROBLEMS: Mapping[str, str] = {
+    "waiting": "not heard yet; check its power, its bus and [wheel_angle] in the machine file",
+    "lost": "no longer heard; check its power and plug",
+}
+_GOOD_FIXES = ("rtk_fixed", "precise", "simulated", "")
+
+
+def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
+    status = pb.BusStatus(
+        name=source.name,
+        state=source.state,
+        frames=source.frames,
+        frames_per_s=source.frames_per_s,
+        reopened=max(source.opened - 1, 0),
+        error_frames=source.error_frames,
+        lost_frames=source.lost,
+        reason=source.reason,
+    )
+    if source.state != "open":
+        status.silent_s = (t_ns - source.heard_ns) * 1e-9
+    return status
+
+
+def rejected(of_fold: Mapping[str, int], sources: Iterable[Source], bad_stamps: int) -> dict[str, int]:
+    """Reasons and counts of every layer."""
+    counts = dict(of_fold)
+    for source in sources:
+        for reason, count in (("remote", source.remote_frames), ("can_fd", source.fd_frames)):
+            if count:
+                counts[reason] = counts.get(reason, 0) + count
+    if bad_stamps:
+        counts["stamp"] = bad_stamps
+    return counts
+
+
+def problems_of(status: pb.Status, recording: Recording) -> list[str]:
+    """What a person should do something about, worst first."""
+    found = [recording.problem] if recording.problem else []
+    found += [f"bus {bus.name} {bus.state}: {bus.reason}" for bus in status.buses if bus.state != "open"]
+    for receiver in status.receivers:
+        name = receiver.mount.replace("_", " ")
+        if receiver.state in _RECEIVER_PROBLEMS:
+            found.append(f"{name}: {_RECEIVER_PROBLEMS[receiver.state]}")
+        elif receiver.fix not in _GOOD_FIXES:
+            found.append(f"{name}: fix is {receiver.fix}, no RTK; check corrections")
+    if status.wheel_angle.state in _WHEEL_PROBLEMS:
+        found.append(f"wheel angle: {_WHEEL_PROBLEMS[status.wheel_angle.state]}")
+    left = hours_left(recording.free_bytes, recording.size_bytes, status.uptime_s)
+    if left is not None and left < LOW_HOURS:
+        found.append(f"disk: {left * 60:.0f} minutes of recording left; make room in {recording.folder}")
+    return found
+
+
+def hours_left(free_bytes: int | None, written_bytes: int, uptime_s: float) -> float | None:
+    """Of recording, at the rate of this run or at a nominal one while it is young."""
+    if free_bytes is None:
+        return None
+    rate = written_bytes / uptime_s if uptime_s > SAMPLE_S and written_bytes else NOMINAL_BYTES_PER_S
+    return free_bytes / rate / 3600.0

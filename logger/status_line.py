@@ -1,0 +1,198 @@
+"""Where a person looks: a panel in a terminal, plain lines where there is none.
+
+The daemon's loop draws it, so nothing here may take long or wait.
+"""
+
+from collections import deque
+from typing import TextIO
+
+from rich.columns import Columns
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from tilth.logger.clock import utc_text
+from tilth.logger.status import hours_left
+from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
+from tilth.schemas.proto import tilth_pb2 as pb
+
+PLAIN_NS = 5_000_000_000
+EVENTS_SHOWN = 4
+PROBLEMS_SHOWN = 6
+STIFFNESSES = ("front", "rear", "implement")  # the first three of PARAMETERS
+_COLOUR = {
+    "open": "green", "alive": "green", "waiting": "yellow",
+    "silent": "red", "failed": "red", "no_data": "red", "lost": "red",
+}  # fmt: skip
+
+
+class PlainDisplay:
+    """A line at each event, and one each five seconds."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._next_ns = 0
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        if status.t_ns >= self._next_ns and status.t_ns:
+            self._next_ns = status.t_ns + PLAIN_NS
+            self._write(status.t_ns, plain_line(status, estimate))
+
+    def event(self, event: Event) -> None:
+        self._write(event.t_ns, f"{event.kind}: {event.text}")
+
+    def close(self) -> None:
+        return
+
+    def _write(self, t_ns: int, text: str) -> None:
+        self._stream.write(f"{utc_text(t_ns, '%H:%M:%SZ')} {text}\n")
+        self._stream.flush()
+
+
+class PanelDisplay:
+    """One panel that stays in place; events pass through it."""
+
+    def __init__(self, machine: str, console: Console | None = None) -> None:
+        self._machine = machine
+        self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
+        self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        self._live.start()  # only the first time does anything
+        self._live.update(panel(self._machine, status, estimate, tuple(self._events)), refresh=True)
+
+    def event(self, event: Event) -> None:
+        self._events.append(event)
+
+    def close(self) -> None:
+        """Leave the last panel standing and give the terminal back."""
+        self._live.stop()
+
+
+def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
+    """The state of the run in one line."""
+    alive = sum(receiver.state == "alive" for receiver in status.receivers)
+    rate = sum(bus.frames_per_s for bus in status.buses)
+    parts = [
+        "recording" if status.recording else "NOT RECORDING",
+        f"{status.log_bytes / 1e6:.1f} MB",
+        f"{status.frames} frames ({rate:.0f}/s)",
+        f"receivers {alive}/{len(status.receivers)}",
+        f"wheel angle {status.wheel_angle.state}",
+        *(f"{name} {stiffness_text(one)}" for name, one in _stiffnesses(estimate)),
+    ]
+    if status.problems:
+        parts.append(
+            f"PROBLEM {status.problems[0]}"
+            + (f" (and {len(status.problems) - 1} more)" * (len(status.problems) > 1))
+        )
+    return ", ".join(parts)
+
+
+def stiffness_text(one: ParameterEstimate) -> str:
+    """Value with the half-width of its 95 % interval, or what keeps it from being known."""
+    if one.value is None or one.sd is None:
+        return f"{one.status.name.lower()}"
+    stale = "" if one.status is Status.ESTIMATED else f" ({one.status.name.lower()})"
+    return f"{one.value / 1e3:.0f} ± {1.96 * one.sd / 1e3:.0f} kN/rad{stale}"
+
+
+def panel(
+    machine: str, status: pb.Status, estimate: Estimate | None, events: tuple[Event, ...]
+) -> RenderableType:
+    """Buses, sensors, soil, log and problems: all at a glance."""
+    healthy = status.recording and not status.problems
+    return Panel(
+        Group(
+            _headline(status),
+            Columns((_buses(status), _sensors(status), _soil(estimate)), padding=(0, 3)),
+            _log_line(status),
+            *(Text(f"✘ {problem}", style="bold red") for problem in status.problems[:PROBLEMS_SHOWN]),
+            *(
+                Text(
+                    f"{utc_text(e.t_ns, '%H:%M:%SZ')} {e.text}",
+                    style="dim",
+                    overflow="ellipsis",
+                    no_wrap=True,
+                )
+                for e in events
+            ),
+        ),
+        title=f"Tilth  {machine}",
+        border_style="green" if healthy else "red",
+    )
+
+
+def _headline(status: pb.Status) -> Text:
+    minutes, seconds = divmod(int(status.uptime_s), 60)
+    clock = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+    if status.recording:
+        return Text.assemble(
+            ("● RECORDING", "bold green"), f"  {clock}  {status.frames} frames, {status.poses} poses"
+        )
+    return Text.assemble((" NOT RECORDING ", "bold white on red"), f"  {clock}  {status.frames} frames")
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for column in columns:
+        table.add_column(column, no_wrap=True, justify="right" if column.endswith("/s") else "left")
+    return table
+
+
+def _state(state: str) -> Text:
+    mark = "✔" if state in ("open", "alive") else "✘" if _COLOUR.get(state) == "red" else "…"
+    return Text(f"{mark} {state.replace('_', ' ')}", style=_COLOUR.get(state, ""))
+
+
+def _buses(status: pb.Status) -> Table:
+    table = _table("bus", "", "frames/s", "bad")
+    for bus in status.buses:
+        bad = bus.error_frames + bus.lost_frames
+        table.add_row(bus.name, _state(bus.state), f"{bus.frames_per_s:.0f}", Text(f"{bad or ''}", "red"))
+    return table
+
+
+def _sensors(status: pb.Status) -> Table:
+    table = _table("sensor", "", "fix", "age")
+    for receiver in status.receivers:
+        table.add_row(
+            receiver.mount.replace("_", " "),
+            _state(receiver.state),
+            receiver.fix.replace("_", " "),
+            _age(receiver),
+        )
+    table.add_row("wheel angle", _state(status.wheel_angle.state), "", _age(status.wheel_angle))
+    return table
+
+
+def _age(receiver: pb.ReceiverStatus) -> str:
+    return f"{receiver.age_s:.1f} s" if receiver.HasField("age_s") else ""
+
+
+def _soil(estimate: Estimate | None) -> Table:
+    table = _table("tyres", "stiffness")
+    for name, one in _stiffnesses(estimate):
+        style = {Status.ESTIMATED: "bold", Status.STALE: "yellow", Status.INVALID: "red"}.get(
+            one.status, "dim"
+        )
+        table.add_row(name, Text(stiffness_text(one), style=style))
+    return table
+
+
+def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate]]:
+    none = ParameterEstimate(None, None, Status.UNESTIMATED, "")
+    rows = estimate.parameters[:3] if estimate is not None else (none,) * 3
+    return list(zip(STIFFNESSES, rows, strict=True))
+
+
+def _log_line(status: pb.Status) -> Text:
+    if not status.HasField("disk_free_bytes"):
+        return Text(status.log_file)
+    left = hours_left(int(status.disk_free_bytes), status.log_bytes, status.uptime_s) or 0.0
+    room = f"{status.disk_free_bytes / 1e9:.1f} GB free, {'over 99' if left > 99 else f'{left:.0f}'} h"
+    return Text(
+        f"{status.log_file or 'no log file'}  {status.log_bytes / 1e6:.1f} MB  ({room})", overflow="fold"
+    )

@@ -1,0 +1,115 @@
+"""Publishes on Zenoh: <prefix>/<machine>/<key> for each row of CHANNELS that has a key.
+
+A plain get answers with the last value, a liveliness token says that this process lives. Values are dropped
+rather than waited for: nothing here may cost a frame.
+"""
+
+import json
+import socket
+from collections.abc import Sequence
+
+import zenoh
+
+from tilth.schemas.channels import CHANNELS
+from tilth.schemas.machine import Machine
+
+
+class ZenohSink:
+    """One session. `note` says what is unusual about it, empty if nothing is."""
+
+    def __init__(self, machine: Machine, prefix_suffix: str = "") -> None:
+        """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
+
+        Raises zenoh.ZError where no session can be had.
+        """
+        self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
+        self.failures = 0
+        self.endpoints, self.note = _endpoints(machine)
+        self._session = zenoh.open(_config(machine, self.endpoints))
+        self._publishers = {
+            channel.topic: self._session.declare_publisher(
+                f"{self.base}/{channel.key}",
+                encoding=zenoh.Encoding(channel.encoding),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,  # do not wait for more to send together
+            )
+            for channel in CHANNELS
+            if channel.key is not None
+        }
+        self._last: dict[str, bytes] = {}  # topic -> what a get answers
+        self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
+        self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
+
+    def put(self, topic: str, data: bytes) -> None:
+        """Publish; a topic that has no key is passed over. Never raises, never waits."""
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            return
+        try:
+            publisher.put(data)
+        except zenoh.ZError:
+            self.failures += 1
+        self._last[topic] = data
+
+    def close(self) -> None:
+        """Withdraw the token and end the session."""
+        try:
+            self._token.undeclare()
+            self._session.close()
+        except zenoh.ZError:
+            self.failures += 1
+
+    def _answer(self, query: zenoh.Query) -> None:
+        # Runs in a thread of Zenoh's: takes a copy, changes nothing.
+        for topic, data in list(self._last.items()):
+            publisher = self._publishers[topic]
+            if query.key_expr.intersects(publisher.key_expr):
+                query.reply(publisher.key_expr, data, encoding=publisher.encoding)
+
+
+def free_endpoint(endpoint: str) -> str:
+    """The endpoint with a port that nobody uses now, where it is TCP and its own is taken."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol != "tcp" or not port.isdigit():
+        return endpoint
+    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
+    for wanted in (int(port), 0):
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host.strip("[]"), wanted))
+            except OSError:
+                continue
+            return f"{protocol}/{host}:{probe.getsockname()[1]}"
+    return endpoint
+
+
+def _endpoints(machine: Machine) -> tuple[list[str], str]:
+    """Where to listen, and a note where that is not what the machine file says."""
+    wanted = machine.zenoh.listen
+    free = [free_endpoint(endpoint) for endpoint in wanted]
+    if free == wanted:
+        return free, ""
+    return free, f"{', '.join(wanted)} is taken by another program; listening on {', '.join(free)}"
+
+
+def _config(machine: Machine, listen: Sequence[str]) -> zenoh.Config:
+    config = zenoh.Config()
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(machine.zenoh.connect),
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def try_session(machine: Machine) -> str:
+    """Open a session as a run would and close it; what is unusual about it, or "". Raises zenoh.ZError."""
+    endpoints, note = _endpoints(machine)
+    zenoh.open(_config(machine, endpoints)).close()
+    return note

@@ -1,0 +1,144 @@
+"""`tilth check` and what it finds: each thing wrong in turn, on real buses, disks and sessions."""
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+from loopback import free_port, machine_text, rig, udp_bus
+
+from tilth.cli import main
+from tilth.logger import check as check_module
+from tilth.logger.check import NOTE, OK, PROBLEM, Finding, check
+from tilth.logger.clock import Clock, Relation
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.machine import MachineError
+
+VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-check"\n\n'
+SECONDS = 0.15
+
+
+@pytest.fixture
+def talking() -> Iterator[None]:
+    """Somebody who sends on the virtual bus all the time."""
+    stop = threading.Event()
+    with can.Bus(interface="virtual", channel="tilth-check") as bus:
+
+        def talk() -> None:
+            while not stop.wait(0.005):
+                bus.send(can.Message(arbitration_id=0x18FF0001, is_extended_id=True, data=b"x"))
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        yield
+        stop.set()
+        thread.join()
+
+
+def of(findings: list[Finding], what: str) -> Finding:
+    (one,) = [finding for finding in findings if finding.what == what]
+    return one
+
+
+@pytest.mark.usefixtures("talking")
+def test_all_is_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text(machine_text(tmp_path / "logs", VIRTUAL))
+    assert main(["check", str(file), "--seconds", str(SECONDS)]) == 0
+    out, err = capsys.readouterr()
+    assert err == "" and "OK       bus can0: " in out and "frames in 0." in out
+    assert "hours of recording" in out and not (tmp_path / "logs").exists()
+
+    assert main(["check", str(file), "--json", "--seconds", str(SECONDS)]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["ok"] is True
+    whats = [row["what"] for row in answer["checks"]]
+    assert whats[:2] == ["configuration", "bus can0"] and {"log folder", "disk", "clock", "zenoh"} <= set(
+        whats
+    )
+    assert {row["state"] for row in answer["checks"]} <= {"ok", "note"}
+
+
+def test_a_silent_bus_a_missing_one_and_a_folder_in_the_way(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "logs").write_text("in the way")
+    missing = '[[bus]]\nname = "can9"\ninterface = "socketcan"\nchannel = "nosuchcan9"\n\n'
+    file = tmp_path / "m.toml"
+    file.write_text(machine_text(tmp_path / "logs" / "deep", udp_bus("can0", free_port()), missing))
+    assert main(["check", str(file), "--json", "--seconds", str(SECONDS)]) == 1
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    found = {row["what"]: row for row in answer["checks"] if row["state"] == "problem"}
+    assert answer["ok"] is False and err == "" and set(found) == {"bus can0", "bus can9", "log folder"}
+    assert "silent" in found["bus can0"]["text"] and "nosuchcan9" in found["bus can9"]["text"]
+    assert all(";" in row["text"] for row in found.values())  # each says what to do
+
+
+@pytest.mark.usefixtures("talking")
+def test_a_zenoh_port_that_is_taken_is_worth_a_note_and_a_wrong_one_is_a_problem(tmp_path: Path) -> None:
+    machine, _ = rig(tmp_path, VIRTUAL)
+    port = int(machine.zenoh.listen[0].rpartition(":")[2])
+    with socket.create_server(("127.0.0.1", port)):
+        taken = of(check(machine, tmp_path, SECONDS), "zenoh")
+    assert taken.state == NOTE and str(port) in taken.text
+    wrong = machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update={"listen": ["nonsense"]})})
+    assert of(check(wrong, tmp_path, SECONDS), "zenoh").state == PROBLEM
+    assert of(check(machine, tmp_path, SECONDS), "zenoh").state == OK
+
+
+class OddClock(Clock):
+    """The computer's clock says something else than at the start."""
+
+    ahead_s = 0.0
+
+    def relation(self) -> Relation:
+        now = super().relation()
+        return replace(now, realtime_ns=now.realtime_ns + int(self.ahead_s * 1e9))
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "state", "words"),
+    [
+        (0.0, OK, "UTC"),
+        (-1.7e9, PROBLEM, "cannot be; set the clock"),  # no battery: it starts in 1970
+        (5.0, PROBLEM, "set anew while this check ran"),
+    ],
+)
+@pytest.mark.usefixtures("talking")
+def test_the_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead_s: float, state: str, words: str
+) -> None:
+    monkeypatch.setattr(check_module, "Clock", OddClock)
+    monkeypatch.setattr(OddClock, "ahead_s", ahead_s)
+    found = of(check(rig(tmp_path, VIRTUAL)[0], tmp_path, SECONDS), "clock")
+    assert found.state == state and words in found.text
+
+
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: Vector__XXX
+BO_ 2566844949 WAS: 8 Vector__XXX
+ SG_ Angle : 0|16@1- (0.01,0) [-90|90] "deg" Vector__XXX
+"""
+WHEEL = '[wheel_angle]\nbus = "can0"\ndbc = "was.dbc"\nsignal = "Angle"\n\n'
+
+
+def test_a_dbc_file_is_found_beside_the_machine_file(tmp_path: Path) -> None:
+    text = machine_text(tmp_path, VIRTUAL)
+    text = text[: text.index("[wheel_angle]")] + WHEEL + text[text.index("[log]") :]
+    file = tmp_path / "m.toml"
+    file.write_text(text)
+    with pytest.raises(MachineError, match=r"was\.dbc: the wheel_angle\.dbc cannot be read \(no such file"):
+        read_machine(file)
+    (tmp_path / "was.dbc").write_text(DBC)
+    machine, same = read_machine(file)
+    assert machine.wheel_angle.dbc_text == DBC and same == text
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(MachineError, match="not UTF-8"):
+        read_machine(file)

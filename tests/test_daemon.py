@@ -1,0 +1,382 @@
+"""The whole live chain: real buses, real log, real signals. What goes wrong is said and costs no frame."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import can
+import pytest
+from loopback import (
+    Sender,
+    answers,
+    free_port,
+    logged_frames,
+    machine_text,
+    messages,
+    numbered,
+    records_of,
+    rig,
+    salvaged,
+    session,
+    udp_bus,
+    until,
+)
+from mcap.reader import make_reader
+
+from tilth.cli import main
+from tilth.estimator import fold
+from tilth.logger import daemon as daemon_module
+from tilth.logger import guarded_fold
+from tilth.logger.clock import Clock, Relation
+from tilth.logger.daemon import Daemon, NoDisplay, run_daemon
+from tilth.logger.guarded_fold import PAUSE_NS, GuardedFold
+from tilth.logger.status_line import PlainDisplay
+from tilth.replay.traffic import simulate
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Estimate, Event, Frame, Publication, Status
+from tilth.schemas.proto import tilth_pb2 as pb
+
+VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-daemon"\n\n'
+
+
+COMMAND = """
+import sys
+sys.modules["asammdf"] = None  # two seconds of import for reading files
+from tilth.cli import main
+raise SystemExit(main())
+"""
+
+
+@dataclass
+class Command:
+    """`tilth run`, starting in a process of its own."""
+
+    process: "subprocess.Popen[str]"
+    folder: Path
+
+    def ready(self) -> None:
+        assert self.process.stdout is not None
+        assert "recording, 0.0 MB" in self.process.stdout.readline()
+
+    @property
+    def log(self) -> Path:
+        (path,) = self.folder.iterdir()
+        return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Command], int]]:
+    """Three of them on one bus, and the bus's port. Early, so that they start while other tests wait."""
+    port = free_port()
+    started = {}
+    for name in ("TERM", "INT", "KILL"):
+        folder = tmp_path_factory.mktemp(name)
+        file = folder / "m.toml"
+        # Chunks so large that only the flush of each second brings anything to the disk.
+        text = machine_text(folder / "logs", udp_bus("can0", port), log="chunk_kilobytes = 4096")
+        file.write_text(text)
+        words = [sys.executable, "-c", COMMAND, "run", str(file)]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        started[name] = Command(process, folder / "logs")
+    yield started, port
+    for command in started.values():
+        command.process.kill()
+        command.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def sender() -> Iterator[Sender]:
+    with Sender() as process:
+        yield process
+
+
+@pytest.fixture
+def talker() -> Iterator[can.BusABC]:
+    with can.Bus(interface="virtual", channel="tilth-daemon") as bus:
+        yield bus
+
+
+def say(bus: can.BusABC, frame: Frame) -> None:
+    bus.send(can.Message(arbitration_id=frame.can_id, is_extended_id=frame.extended, data=frame.data))
+
+
+class Shown:
+    """A display that remembers."""
+
+    def __init__(self) -> None:
+        self.status = pb.Status()
+        self.events: list[Event] = []
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        self.status = status
+
+    def event(self, event: Event) -> None:
+        self.events.append(event)
+
+
+# ---- the chain ----
+
+
+def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> None:
+    """Frames of another process over a real socket: all logged as sent; the log gives the same bytes."""
+    port = free_port()
+    machine, text = rig(tmp_path, udp_bus("can0", port), log="rotate_minutes = 0.03")
+    sent = list(simulate(machine, 5, 4.0))
+    shown = Shown()
+    began = threading.Event()
+
+    def stop() -> bool:
+        if not began.is_set() and shown.status.buses and shown.status.buses[0].state == "open":
+            began.set()
+            sender.begin([port], [(0, f, (f.t_ns - sent[0].t_ns) * 1e-9) for f in sent])
+        return shown.status.frames == len(sent)
+
+    summary = run_daemon(machine, text, seconds=30.0, status=shown, stop=stop)
+    sender.finish()
+    assert summary.frames == summary.recorded == len(sent) and summary.lost == summary.not_recorded == 0
+    got = [frame for path in summary.log_files for frame in logged_frames(path)]
+    assert [(f.can_id, f.extended, f.data) for f in got] == [(f.can_id, f.extended, f.data) for f in sent]
+    assert len(summary.log_files) > 1
+    for path in summary.log_files:
+        snapshot = records_of(path, "/snapshot", pb.Snapshot)
+        replay = GuardedFold(machine, snapshot[0].state_json if snapshot else None)
+        again = [(p.topic, p.t_ns, data) for f in logged_frames(path) for p, data in replay.take(f)]
+        with messages(path) as rows:
+            live = [(c.topic, m.log_time, m.data) for c, m in rows if c.topic in CHANNEL]
+            taken_ns = 0
+            for channel, row in rows:  # raw first: results stand behind the frame that caused them
+                raw = channel.topic.startswith("/can/")
+                assert raw or channel.topic not in CHANNEL or row.log_time >= taken_ns
+                assert raw or channel.topic != "/pose" or row.log_time == taken_ns
+                taken_ns = row.log_time if raw else taken_ns
+        identical = [row for row in live if CHANNEL[row[0]].identical]
+        assert identical == [row for row in again if CHANNEL[row[0]].identical]
+    assert summary.measurements > 1000 and summary.poses > 0 and summary.faults == 0
+    assert {r.state for r in shown.status.receivers} == {
+        "alive"
+    } and shown.status.wheel_angle.state == "alive"
+    assert {r.fix for r in shown.status.receivers} == {"rtk_fixed"}
+
+
+def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: can.BusABC) -> None:
+    machine, text = rig(tmp_path, VIRTUAL)
+    daemon = Daemon(machine, text, tmp_path, "", NoDisplay())
+    say(talker, numbered(1)[0])
+    with session(machine.zenoh.listen) as other:
+        key = f"tilth/{machine.name}/status"
+
+        def told() -> pb.Status:
+            return pb.Status.FromString(answers(other, key).get(key, (b"", ""))[0])
+
+        until(lambda: told().frames == 1 and told().uptime_s > 1.0, daemon.turn)
+        last = told()
+    summary = daemon.close()
+    assert last.recording and last.log_file == str(summary.log_files[0]) and last.log_bytes > 0
+    assert [bus.name for bus in last.buses] == ["can0"] and len(last.receivers) == 4
+    assert any("tractor front: not heard yet" in problem for problem in last.problems)
+    statuses = records_of(summary.log_files[0], "/status", pb.Status)
+    assert last in statuses and len(statuses) <= 4
+    assert statuses[1].t_ns - statuses[0].t_ns == pytest.approx(1e9, abs=4e8)
+
+
+# ---- signals, with the real command in a process of its own ----
+
+
+def test_signals_and_a_crash(commands: tuple[dict[str, Command], int], sender: Sender) -> None:
+    """SIGTERM and SIGINT end with a whole file and all frames; SIGKILL costs what was not yet synced."""
+    started, port = commands
+    for command in started.values():
+        command.ready()
+    sent = numbered(2500)
+    sender.begin([port], [(0, frame, i / 1000) for i, frame in enumerate(sent)])
+    sender.finish()
+    started["KILL"].process.kill()
+    for name, signum in (("TERM", signal.SIGTERM), ("INT", signal.SIGINT)):
+        command = started[name]
+        command.process.send_signal(signum)
+        out, _ = command.process.communicate(timeout=20)
+        assert command.process.returncode == 0, out
+        assert f"2500 frames, 0 measurements, 0 poses\nLog: {command.log}\n" in out
+        assert [frame.data for frame in logged_frames(command.log)] == [frame.data for frame in sent]
+    started["KILL"].process.wait(10)
+    left = salvaged(started["KILL"].log.read_bytes())
+    assert [frame.data for frame in left] == [frame.data for frame in sent[: len(left)]]
+    assert len(left) >= 1000
+
+
+# ---- what goes wrong ----
+
+
+def test_a_fault_in_the_estimators_costs_no_frame(
+    tmp_path: Path, talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, text = rig(tmp_path, VIRTUAL)
+
+    def breaks(state: fold.State, frame: Frame) -> list[Publication]:
+        if frame.data == numbered(4)[3].data:
+            raise ZeroDivisionError("a model")
+        return fold.step(state, frame)
+
+    monkeypatch.setattr(guarded_fold, "step", breaks)
+    shown = Shown()
+    for frame in numbered(10):
+        say(talker, frame)  # nobody listens yet
+    daemon = Daemon(machine, text, tmp_path, None, shown)
+    until(lambda: daemon.turn() == 0 and shown.status.buses[0].state == "open", lambda: None)
+    for frame in numbered(10):
+        say(talker, frame)
+    until(lambda: daemon.turn() == 0 and bool(shown.events), lambda: None)
+    summary = daemon.close()
+    (path,) = summary.log_files
+    assert [f.data for f in logged_frames(path)] == [f.data for f in numbered(10)] and summary.faults == 1
+    (event,) = [event for event in shown.events if event.kind == "fault"]
+    assert "ZeroDivisionError: a model" in event.text
+    (told,) = records_of(path, "/soil_tire", pb.SoilTireEstimate)
+    assert {row.status for row in told.parameters} == {int(Status.INVALID)}
+    assert all("ZeroDivisionError" in row.reason and not row.HasField("value") for row in told.parameters)
+    replay = GuardedFold(machine)  # fails at the same frame and says the same
+    again = [data for f in logged_frames(path) for p, data in replay.take(f) if p.topic == "/soil_tire"]
+    assert again == [told.SerializeToString()] and replay.faults == 1
+
+
+def test_after_a_fault_the_fold_pauses_and_its_counts_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, _ = rig(tmp_path, VIRTUAL)
+    guarded = GuardedFold(machine)
+    frames = list(simulate(machine, 1, 3.0))
+    for frame in frames:
+        guarded.take(frame)
+    before = (guarded.measurements, guarded.poses, guarded.rejected)
+    with monkeypatch.context() as broken:
+        broken.setattr(guarded_fold, "step", lambda state, frame: 1 / 0)
+        assert guarded.take(frames[-1]) != [] and guarded.take(frames[-1]) == [] and guarded.faults == 1
+    assert (guarded.measurements, guarded.poses, guarded.rejected) == before
+    last_ns = frames[-1].t_ns
+    assert guarded.take(replace(frames[-1], t_ns=last_ns + PAUSE_NS - 1)) == []
+    again = [replace(f, t_ns=f.t_ns + 4 * PAUSE_NS, rx_ns=f.rx_ns + 4 * PAUSE_NS) for f in frames]
+    assert sum(len(guarded.take(frame)) for frame in again) > 500 and guarded.measurements > before[0]
+
+
+def test_a_log_folder_that_cannot_be_written_does_not_stop_the_rest(
+    tmp_path: Path, talker: can.BusABC
+) -> None:
+    (tmp_path / "logs").write_text("in the way")
+    machine, text = rig(tmp_path / "logs", VIRTUAL)
+    shown = Shown()
+    daemon = Daemon(machine, text, tmp_path / "logs", "", shown)
+    with session(machine.zenoh.listen) as other:
+        key = f"tilth/{machine.name}/event"
+        until(lambda: key in answers(other, key), daemon.turn)
+        assert b"not recording" in answers(other, key)[key][0]
+    say(talker, numbered(1)[0])
+    until(lambda: shown.status.frames == 1, daemon.turn)
+    summary = daemon.close()
+    assert summary.frames == summary.not_recorded == 1 and summary.log_files == ()
+    assert not shown.status.recording and "not recording" in shown.status.problems[0]
+
+
+def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
+    tmp_path: Path, talker: can.BusABC
+) -> None:
+    missing = '[[bus]]\nname = "can9"\ninterface = "socketcan"\nchannel = "nosuchcan9"\n\n'
+    machine, text = rig(tmp_path, VIRTUAL, missing)
+    shown = Shown()
+    daemon = Daemon(machine, text, tmp_path, None, shown)
+    until(lambda: bool(shown.events), daemon.turn)
+    say(talker, numbered(1)[0])
+    until(lambda: shown.status.frames == 1, daemon.turn)
+    summary = daemon.close()
+    assert "can9" in shown.events[0].text and "nosuchcan9" in shown.events[0].text
+    assert any(problem.startswith("bus can9 failed") for problem in shown.status.problems)
+    assert [frame.bus for frame in logged_frames(summary.log_files[0])] == ["can0"]
+    (event,) = records_of(summary.log_files[0], "/event", pb.Event)
+    assert event.kind == "bus" and event.text == shown.events[0].text
+
+
+class SteppingClock(Clock):
+    """The computer's clock is set forward by an hour at the second look."""
+
+    looks = 0
+
+    def relation(self) -> Relation:
+        now = super().relation()
+        self.looks += 1
+        return now if self.looks < 3 else replace(now, realtime_ns=now.realtime_ns + 3_600_000_000_000)
+
+
+def test_a_step_of_the_clock_is_noted_and_the_log_goes_on_evenly(
+    tmp_path: Path, talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(daemon_module, "Clock", SteppingClock)
+    machine, text = rig(tmp_path, VIRTUAL)
+    shown = Shown()
+    daemon = Daemon(machine, text, tmp_path, None, shown)
+    until(lambda: bool(shown.events), daemon.turn)
+    for frame in numbered(3):
+        say(talker, frame)
+    until(lambda: shown.status.frames == 3, daemon.turn)
+    summary = daemon.close()
+    assert shown.events[0].kind == "clock" and "set by +3600.000 s" in shown.events[0].text
+    times = [frame.t_ns for frame in logged_frames(summary.log_files[0])]
+    assert times == sorted(times) and times[-1] - times[0] < 1_000_000_000
+    assert clock_records(summary.log_files[0]) == ["start", "step", "end"]
+
+
+def clock_records(path: Path) -> list[str]:
+    with path.open("rb") as stream:
+        return [r.metadata["why"] for r in make_reader(stream).iter_metadata() if r.name == "clock"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, ["cannot be read", "no such file"]),
+        ("[machine\n", ["not a TOML file"]),
+        (VIRTUAL.replace("virtual", "virtul"), ['bus can0: interface = "virtul"', 'did you mean "virtual"?']),
+        (VIRTUAL.replace("channel", "chanel"), ["chanel", "channel"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_wrong_machine_file_is_one_sentence_and_exit_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, text: str | None, words: list[str]
+) -> None:
+    file = tmp_path / "m.toml"
+    if text is not None:
+        file.write_text(machine_text(tmp_path / "logs", text) if text.startswith("[[bus]]") else text)
+    assert main([command, str(file)]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and all(word in err for word in words)
+    assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [([], "COMMAND"), (["rum"], "run"), (["run"], "MACHINE.toml"), (["run", "--sec", "x"], "")],
+)
+def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    out, err = capsys.readouterr()
+    assert end.value.code == 2 and out == "" and err.count("\n") == 1 and said in err and "--help" in err
+
+
+def test_a_terminal_that_goes_away_does_not_stop_the_log(tmp_path: Path, talker: can.BusABC) -> None:
+    machine, text = rig(tmp_path, VIRTUAL)
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as gone:
+        daemon = Daemon(machine, text, tmp_path, None, PlainDisplay(gone))
+        for _ in range(3):
+            daemon.turn(0.0)
+        say(talker, numbered(1)[0])
+        until(lambda: daemon.turn() == 1, lambda: None)
+        assert daemon.close().recorded == 1
+        with contextlib.suppress(BrokenPipeError):
+            gone.close()

@@ -1,0 +1,139 @@
+"""What others hear of the daemon: real sessions over TCP on this computer."""
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import pytest
+import zenoh
+from loopback import START_NS, answers, free_port, rig, session, udp_bus
+
+from tilth.logger.zenoh_sink import ZenohSink, free_endpoint, try_session
+from tilth.schemas.channels import CHANNELS, payload
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
+from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.proto import tilth_pb2 as pb
+
+KEYED = [channel for channel in CHANNELS if channel.key is not None]
+BASE = "tilth/jd7930-parker500"
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return rig(tmp_path, udp_bus("can0", 1))[0]
+
+
+@pytest.fixture
+def sink(machine: Machine) -> Iterator[ZenohSink]:
+    one = ZenohSink(machine)
+    yield one
+    one.close()
+
+
+def heard(queue: "SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
+    return queue.get(timeout=10)
+
+
+def estimate(value: float) -> Publication:
+    rows = tuple(ParameterEstimate(value, 1.0, Status.ESTIMATED, "") for _ in PARAMETERS)
+    return Publication(START_NS, "/soil_tire", Estimate(START_NS, "recommended", "m", rows, (), ()))
+
+
+def test_a_controller_hears_each_estimate_and_can_ask_for_the_last(sink: ZenohSink) -> None:
+    with session(sink.endpoints) as other:
+        samples: SimpleQueue[zenoh.Sample] = SimpleQueue()
+        subscriber = other.declare_subscriber(f"{BASE}/soil_tire", samples.put)
+        assert answers(other, f"{BASE}/soil_tire") == {}  # nothing yet, and no wait for it
+        for value in (1.0, 2.0):
+            sink.put("/soil_tire", payload(estimate(value)))
+        for value in (1.0, 2.0):
+            sample = heard(samples)
+            told = pb.SoilTireEstimate.FromString(sample.payload.to_bytes())
+            assert [row.name for row in told.parameters] == list(PARAMETERS)
+            assert told.parameters[0].value == value
+            assert str(sample.encoding) == "application/protobuf;tilth.SoilTireEstimate"
+        last, encoding = answers(other, f"{BASE}/soil_tire")[f"{BASE}/soil_tire"]
+        assert last == payload(estimate(2.0)) and encoding == "application/protobuf;tilth.SoilTireEstimate"
+        subscriber.undeclare()
+
+
+def test_every_channel_with_a_key_is_published_and_answers(sink: ZenohSink) -> None:
+    with session(sink.endpoints) as other:
+        samples: SimpleQueue[zenoh.Sample] = SimpleQueue()
+        subscriber = other.declare_subscriber(f"{BASE}/**", samples.put)
+        assert answers(other, f"{BASE}/**") == {}  # the subscription is known once this is answered
+        for channel in CHANNELS:
+            sink.put(channel.topic, channel.topic.encode())
+        wanted = {f"{BASE}/{c.key}": (c.topic.encode(), c.encoding) for c in KEYED}
+        got = {
+            str(s.key_expr): (s.payload.to_bytes(), str(s.encoding)) for s in (heard(samples) for _ in KEYED)
+        }
+        assert got == wanted and answers(other, f"{BASE}/**") == wanted
+        assert samples.empty()  # nothing of the channels without a key
+        subscriber.undeclare()
+
+
+def test_a_token_says_that_the_daemon_lives(machine: Machine) -> None:
+    sink = ZenohSink(machine)
+    with session(sink.endpoints) as other:
+        tokens: SimpleQueue[zenoh.Sample] = SimpleQueue()
+        watch = other.liveliness().declare_subscriber(f"{BASE}/alive", tokens.put, history=True)
+        assert heard(tokens).kind == zenoh.SampleKind.PUT
+        sink.close()
+        assert heard(tokens).kind == zenoh.SampleKind.DELETE
+        watch.undeclare()
+
+
+def test_a_replay_can_never_be_heard_on_a_live_key(machine: Machine) -> None:
+    sink = ZenohSink(machine, "replay")
+    with session(sink.endpoints) as other:
+        for channel in KEYED:
+            sink.put(channel.topic, b"x")
+        keys = set(answers(other, f"{BASE}/**"))
+        assert keys == {f"{BASE}/replay/{channel.key}" for channel in KEYED}
+        live = {f"{BASE}/{channel.key}" for channel in KEYED}
+        assert not any(answers(other, key) for key in live)
+        tokens = [r.ok.key_expr for r in other.liveliness().get("**", timeout=5.0) if r.ok is not None]
+        assert [str(key) for key in tokens] == [f"{BASE}/replay/alive"]
+    sink.close()
+
+
+def test_a_taken_port_is_said_and_another_used(machine: Machine) -> None:
+    first, second = ZenohSink(machine), ZenohSink(machine)
+    assert first.note == "" and first.endpoints == machine.zenoh.listen
+    assert machine.zenoh.listen[0] in second.note and second.endpoints[0] in second.note
+    assert try_session(machine) != ""
+    with session(second.endpoints) as other:
+        second.put("/soil_tire", b"x")
+        assert answers(other, f"{BASE}/soil_tire")[f"{BASE}/soil_tire"][0] == b"x"
+    second.close()
+    first.close()
+    assert try_session(machine) == ""
+
+
+def test_the_machine_file_listens_on_this_computer_only_unless_it_says_more() -> None:
+    assert Zenoh().listen == ["tcp/127.0.0.1:7447"] and Zenoh().connect == []
+
+
+def test_a_wrong_endpoint_is_an_error_and_one_that_does_not_answer_is_none(machine: Machine) -> None:
+    def with_zenoh(**settings: Any) -> Machine:
+        return machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update=settings)})
+
+    with pytest.raises(zenoh.ZError):
+        ZenohSink(with_zenoh(listen=["nonsense"]))
+    sink = ZenohSink(with_zenoh(connect=[f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"]))
+    sink.put("/pose", b"x")
+    assert sink.failures == 0
+    sink.close()
+
+
+def test_a_free_port_is_left_alone() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    assert free_endpoint(f"tcp/127.0.0.1:{port}") == f"tcp/127.0.0.1:{port}"
+    with socket.create_server(("127.0.0.1", port)):
+        other = free_endpoint(f"tcp/127.0.0.1:{port}")
+        assert other.startswith("tcp/127.0.0.1:") and other != f"tcp/127.0.0.1:{port}"
+    for other in ("udp/127.0.0.1:7447", "tcp/localhost", "nonsense"):
+        assert free_endpoint(other) == other
