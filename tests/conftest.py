@@ -1,5 +1,6 @@
 """Options of the test run."""
 
+import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
 import pytest
 
 
