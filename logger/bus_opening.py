@@ -127,10 +127,9 @@ def _as_socket(descriptor: int) -> Iterator[socket.socket | None]:
 
 
 def _interface_is_up(config: Bus) -> None:
-    """python-can leaves a socket behind where there is no such interface, and hears nothing where it is down."""
-    socket.socket(
-        socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW
-    ).close()  # raises where the kernel has no CAN
+    """python-can leaves a socket behind where there is none, and hears nothing where it is down."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW):
+        pass  # raises where the kernel has no CAN
     flags = _NETWORKS / str(config.channel) / "flags"
     if not flags.exists():
         raise OSError(errno.ENODEV, "there is no such interface")

@@ -231,6 +231,15 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(tmp_path: 
     assert run.recording.frames + run.recording.missed == len(frames)
 
 
+def test_a_disk_without_any_room_is_not_littered_with_empty_files(tmp_path: Path) -> None:
+    with file_size_limit(500):
+        run = Recorder(tmp_path)
+        for frame in run.from_now(numbered(12_000)):  # two further tries
+            run.take(frame)
+        run.recording.close()
+    assert list(tmp_path.iterdir()) == [] and run.recording.missed == 12_000 and len(run.events) == 1
+
+
 def test_a_folder_that_is_removed_is_noticed_and_made_again(tmp_path: Path) -> None:
     folder = tmp_path / "logs"
     run = Recorder(folder)
