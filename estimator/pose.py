@@ -175,26 +175,30 @@ def _sd_tilt(state: Aligner, body: _Body) -> float:
 
 def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[str]) -> None:
     """Heading of a body with one receiver: by the hitch, by its own word, or carried on by the yaw rate."""
-    name = NAMES[body.index]
     ((index, antenna),) = body.antennas.items()
-    found: tuple[float, float] | None = None
-    if other.heading is not None and len(other.antennas) == 2:
-        found, how = _by_hitch(state, body, other, antenna), "hitch"
-    if found is None:
-        track = state.tracks[MOUNTS[index].value]
-        found, how = angle_at(track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS), "reported"
+    track = state.tracks[MOUNTS[index].value]
+    whole = other.heading is not None and len(other.antennas) == 2
+    ways = {
+        "hitch": _by_hitch(state, body, other, antenna) if whole else None,
+        "reported": angle_at(track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS),
+        "yaw_rate": _carried_on(state, body, t_ns),
+    }
+    for way, found in ways.items():
+        if found is not None:
+            flags.append(f"heading_by_{way}:{NAMES[body.index]}")
+            body.heading, body.sd_heading = wrap(found[0]), found[1]
+            return
+    flags.append(f"no_heading:{NAMES[body.index]}")
+
+
+def _carried_on(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
+    """(heading, sd) of the last whole pose turned on by the yaw rate since."""
     previous = state.last_heading[body.index]
-    if found is None and previous and body.yaw_rate and t_ns - previous[0] <= GYRO_CARRY_NS:
-        since = (t_ns - state.posed_ns) * 1e-9
-        age = (t_ns - previous[0]) * 1e-9
-        carried = previous[1] + body.yaw_rate[0] * since
-        found, how = (carried, previous[2] + GYRO_WALK * math.sqrt(age)), "yaw_rate"
-        state.last_heading[body.index] = (previous[0], carried, previous[2])
-    if found is None:
-        flags.append(f"no_heading:{name}")
-        return
-    flags.append(f"heading_by_{how}:{name}")
-    body.heading, body.sd_heading = wrap(found[0]), found[1]
+    if previous is None or body.yaw_rate is None or t_ns - previous[0] > GYRO_CARRY_NS:
+        return None
+    carried = previous[1] + body.yaw_rate[0] * (t_ns - state.posed_ns) * 1e-9
+    state.last_heading[body.index] = (previous[0], carried, previous[2])
+    return carried, previous[2] + GYRO_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
 
 
 def _by_hitch(state: Aligner, body: _Body, other: _Body, antenna: Antenna) -> tuple[float, float] | None:

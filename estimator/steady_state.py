@@ -134,8 +134,8 @@ def _learn(state: SteadyState, machine: Machine, sample: Sample) -> bool:
         state.reason = "outlier"
         state.refused["outlier"] = state.refused.get("outlier", 0) + 1
         return False
-    state.x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)
-    state.p = (p + p.T) / 2
+    x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)[:2]
+    state.x, state.p = x, (p + p.T) / 2
     state.steady_s += BLOCK * POSE_NS * 1e-9
     state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
     return True

@@ -198,7 +198,9 @@ def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         import asammdf
         from asammdf.blocks.utils import MdfException, count_channel_groups
     except ImportError:
-        raise ForeignLog(f"{log.path}: reading MF4 needs one package more: pip install 'tilth[mf4]'") from None
+        raise ForeignLog(
+            f"{log.path}: reading MF4 needs one package more: pip install 'tilth[mf4]'"
+        ) from None
     import can
 
     asammdf.set_global_option("raise_on_incomplete_blocks", False)
