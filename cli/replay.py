@@ -16,6 +16,7 @@ from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
 from tilth.logger.zenoh_sink import ZenohSink
+from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.compare import Comparison
 from tilth.replay.driver import Outputs, Pace, Summary, replay
 from tilth.replay.readers import MCAP, frames, open_log
@@ -171,22 +172,11 @@ def _as_json(summary: Summary, comparison: Comparison | None) -> dict[str, objec
         "poses": summary.poses,
         "duration_s": summary.duration_ns * 1e-9,
         "truncated": summary.truncated,
-        "estimates": {method: _parameters(estimate) for method, estimate in summary.estimates.items()},
-        "nuisances": {
-            method: {name: {"value": value, "sd": sd} for name, (value, sd) in estimate.nuisances.items()}
-            for method, estimate in summary.estimates.items()
-        },
+        **estimates_and_nuisances(summary.estimates),
     }
     if comparison is not None:
         answer["verify"] = {"compared": comparison.compared, "difference": comparison.difference or None}
     return answer
-
-
-def _parameters(estimate: Estimate) -> dict[str, object]:
-    return {
-        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": p.reason}
-        for name, p in zip(PARAMETERS, estimate.parameters, strict=True)
-    }
 
 
 def _show(summary: Summary, comparison: Comparison | None) -> None:
@@ -203,7 +193,7 @@ def _show(summary: Summary, comparison: Comparison | None) -> None:
     )
     for reason, count in sorted(summary.rejected.items()):
         console.print(f"rejected: {count} {reason}")
-    if not summary.estimates:
+    if not summary.poses:
         console.print("No estimate: there were too few poses; see what is rejected, and the machine file.")
     if comparison is not None:
         same_bytes = f"All {comparison.compared} results are those that were logged live, to the byte."

@@ -19,6 +19,7 @@ class Estimator:
     state: type
     initial: Callable[[Machine], Any]
     take: Callable[[Any, Machine, Pose], Estimate | None]  # changes the state; an estimate when one is due
+    estimate: Callable[[Any, Machine, int], Estimate]  # what can be said at a time, ns
     clock_stepped: Callable[[Any], None]  # the log's clock ran back: forget times, keep what was learned
 
 
@@ -28,6 +29,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.SteadyState,
         steady_state.initial,
         steady_state.take,
+        steady_state.estimate,
         steady_state.clock_stepped,
     ),
 )

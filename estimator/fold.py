@@ -18,6 +18,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
 from tilth.schemas.machine import Machine
 
+RECOMMENDED = "recommended"
 REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
 
 _FLAG_TEXT = {
@@ -60,11 +61,24 @@ class State:
 
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
-    return State(machine, Decoder(machine), aligner.initial(machine), _estimators(machine))
+    estimators = {row.method: row.initial(machine) for row in ESTIMATORS}
+    state = State(machine, Decoder(machine), aligner.initial(machine), estimators)
+    state.estimates = _estimates_now(state)
+    return state
 
 
-def _estimators(machine: Machine) -> dict[str, Any]:
-    return {row.method: row.initial(machine) for row in ESTIMATORS}
+def _estimates_now(state: State) -> dict[str, Estimate]:
+    """Method -> what can be said at this moment; "recommended" beside them."""
+    now = {
+        row.method: row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
+        for row in ESTIMATORS
+    }
+    return {**now, RECOMMENDED: _recommended(*now.values())}
+
+
+def _recommended(only: Estimate) -> Estimate:
+    """Of one estimator, the recommended one is that one. The rule comes with the second."""
+    return replace(only, method=RECOMMENDED)
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -117,9 +131,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
 def _estimate(state: State, t_ns: int, estimate: Estimate, out: list[Publication]) -> None:
     state.estimates[estimate.method] = estimate
     out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    # Of one estimator, the recommended one is that one. The rule comes with the second.
-    recommended = replace(estimate, method="recommended")
-    state.estimates[recommended.method] = recommended
+    recommended = state.estimates[RECOMMENDED] = _recommended(estimate)
     out.append(Publication(t_ns, "/soil_tire", recommended))
 
 
@@ -162,4 +174,5 @@ def restore(machine: Machine, text: str) -> State:
     }  # fmt: skip
     state = from_plain(State, plain, given)
     assert isinstance(state, State)
+    state.estimates = _estimates_now(state)
     return state

@@ -15,9 +15,10 @@ from typing import Protocol
 
 from zenoh import ZError
 
+from tilth.estimator.fold import RECOMMENDED
 from tilth.logger.buses import Buses
 from tilth.logger.clock import Clock
-from tilth.logger.guarded_fold import RECOMMENDED_METHOD, GuardedFold
+from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.liveness import Sensors
 from tilth.logger.mcap_log import software
 from tilth.logger.recording import Recording
@@ -94,7 +95,6 @@ class Daemon:
         self._sink = self._open_zenoh(suffix) if suffix is not None else None
         self._sensors = Sensors(machine)
         self._version = software()["version"]
-        self._estimates: dict[str, Estimate] = {}  # method -> the last
         self._status = pb.Status()
         self._first_frame_ns: int | None = None
         self._last_frame_ns: int | None = None
@@ -149,8 +149,6 @@ class Daemon:
             value = publication.value
             if isinstance(value, Measurement):
                 self._sensors.heard(value)
-            elif isinstance(value, Estimate):
-                self._estimates[value.method] = value
             elif isinstance(value, Event):
                 self._tell(value)
 
@@ -170,7 +168,7 @@ class Daemon:
     def _show(self, t_ns: int) -> None:
         self._next_show_ns = t_ns + SHOW_NS
         try:
-            self._display.show(self._status, self._estimates.get(RECOMMENDED_METHOD))
+            self._display.show(self._status, self._fold.estimates[RECOMMENDED])
         except OSError:  # the terminal is gone; the log goes on
             self._display = NoDisplay()
 
@@ -249,7 +247,7 @@ class Daemon:
             measurements=self._fold.measurements,
             poses=self._fold.poses,
             rejected=self._rejected(),
-            estimates=dict(self._estimates),
+            estimates=dict(self._fold.estimates),
             log_files=tuple(self._recording.files),
             recorded=self._recording.frames,
             not_recorded=self._recording.missed,

@@ -5,15 +5,14 @@ Live and replay both drive this, so that a replay fails where the live run faile
 
 from collections import Counter
 
-from tilth.estimator.fold import State, initial, restore, snapshot, step
+from tilth.estimator.fold import RECOMMENDED, State, initial, restore, snapshot, step
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, ParameterEstimate, Publication, Status
 from tilth.schemas.machine import Machine
 
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
-RECOMMENDED_METHOD = "recommended"
 _METHOD_OF = {  # topic -> method, of all channels that carry estimates
-    channel.topic: channel.topic.removeprefix("/soil_tire").removeprefix("/") or RECOMMENDED_METHOD
+    channel.topic: channel.topic.removeprefix("/soil_tire").removeprefix("/") or RECOMMENDED
     for channel in CHANNELS
     if channel.topic.startswith("/soil_tire")
 }
@@ -26,6 +25,7 @@ class GuardedFold:
         """The fold before the first frame, or as `renew` wrote it. Raises ValueError for another's text."""
         self.state: State = initial(machine) if state_json is None else restore(machine, state_json)
         self.faults = 0
+        self.estimates = dict(self.state.estimates)  # method -> the last, also of a fault
         self._machine = machine
         self._resume_ns = 0
         self._counted = Counter[str]()  # of states given up
@@ -49,9 +49,15 @@ class GuardedFold:
         if frame.t_ns < self._resume_ns:
             return []
         try:
-            return [(publication, payload(publication)) for publication in step(self.state, frame)]
+            publications = step(self.state, frame)
+            told = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
-            return self._start_anew(frame.t_ns, error)
+            publications = self._start_anew(frame.t_ns, error)
+            told = [(publication, payload(publication)) for publication in publications]
+        for publication in publications:
+            if isinstance(publication.value, Estimate):
+                self.estimates[publication.value.method] = publication.value
+        return told
 
     def renew(self) -> str:
         """The state as text; the fold goes on from just that text, so that live is replay by construction."""
@@ -70,7 +76,7 @@ class GuardedFold:
         self._rejected.update(self.state.rejected)
         self.state = initial(self._machine)
 
-    def _start_anew(self, t_ns: int, error: Exception) -> list[tuple[Publication, bytes]]:
+    def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:
         self._give_up()
         self._resume_ns = t_ns + PAUSE_NS
         reason = f"the estimators failed ({type(error).__name__}: {error}) and start again; frames are logged"
@@ -78,4 +84,4 @@ class GuardedFold:
         publications = [Publication(t_ns, "/event", Event(t_ns, "fault", reason))]
         for topic, method in _METHOD_OF.items():
             publications.append(Publication(t_ns, topic, Estimate(t_ns, method, "", none, (), ())))
-        return [(publication, payload(publication)) for publication in publications]
+        return publications

@@ -15,8 +15,7 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers import open_log
 from tilth.replay.readers_log import EmptyLog, Log
 from tilth.replay.readers_rig import Say, on_buses_of
-from tilth.schemas.channels import CHANNELS
-from tilth.schemas.flow import Estimate, Event, Frame, Publication
+from tilth.schemas.flow import Estimate, Event, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
@@ -25,16 +24,8 @@ SHOWN = 4096  # frames between two looks of the progress bar
 SAID = frozenset({"fault", "clock_step"})  # kinds of events that a person at a replay should read
 _SOIL_TIRE = "/soil_tire"
 
+
 # The result of which method stands on a topic.
-_METHOD = {
-    channel.topic: channel.topic.removeprefix(_SOIL_TIRE + "/")
-    if channel.topic != _SOIL_TIRE
-    else "recommended"
-    for channel in CHANNELS
-    if channel.topic.startswith(_SOIL_TIRE)
-}
-
-
 @dataclass(slots=True)
 class Summary:
     """What a replay did."""
@@ -170,21 +161,15 @@ class _Run:
             writer.frame(frame)
         for publication, data in self._fold.take(frame):
             topic = publication.topic
-            if topic in _METHOD or topic == "/event":
-                self._keep(publication)
+            value = publication.value
+            if isinstance(value, Event) and value.kind in SAID:
+                self._say(value.text)
             if writer is not None:
                 writer.message(topic, publication.t_ns, data)
             if publish is not None:
                 publish(topic, data)
             if comparison is not None:
                 comparison.recomputed(topic, publication.t_ns, data)
-
-    def _keep(self, publication: Publication) -> None:
-        value = publication.value
-        if isinstance(value, Estimate):
-            self.summary.estimates[_METHOD[publication.topic]] = value
-        elif isinstance(value, Event) and value.kind in SAID:
-            self._say(value.text)
 
     def _snapshot(self, log: Log, stored: Snapshot) -> None:
         """Go on from a stored state, as the daemon did that stored it."""
@@ -206,6 +191,7 @@ class _Run:
 
     def close_counts(self) -> None:
         """Add to the summary what the fold has counted since it was started or its state taken from a log."""
+        self.summary.estimates = dict(self._fold.estimates)
         now = _counts(self._fold)
         self._counts.update(now)
         self._counts.subtract(self._before)
