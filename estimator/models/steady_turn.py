@@ -44,4 +44,4 @@ def steady_turn(inputs: Array, a: float, b: float, c: float, d: float, e: float)
     )  # [3 equations, 4 coefficients, n]
     matrix = np.moveaxis(balance[:, :3, :], -1, 0)
     right = -balance[:, 3, :].T[..., None]
-    return np.asarray(np.linalg.solve(matrix, right)[..., 0])
+    return np.asarray(np.linalg.solve(matrix, right)[..., 0], np.float64)

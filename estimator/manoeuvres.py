@@ -1,0 +1,66 @@
+"""Ways to steer that tell something about a rig: wheel angle over time, rad, from a table."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+START_S = 1.0  # straight before it begins
+
+
+class Manoeuvre(NamedTuple):
+    """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0."""
+
+    name: str
+    meaning: str
+    wheel_angle: Callable[[Array, float, Generator], Array]
+
+
+def step(time: Array, amplitude: float, rng: Generator) -> Array:
+    return np.where(time >= START_S, amplitude, 0.0)
+
+
+def steps(time: Array, amplitude: float, rng: Generator) -> Array:
+    return np.where(time >= START_S, amplitude, 0.0) * np.where((time - START_S) // 3.0 % 2 == 0, 1.0, -1.0)
+
+
+def chirp(time: Array, amplitude: float, rng: Generator) -> Array:
+    low, high = 0.05, 1.0  # Hz, over the whole time
+    since = np.clip(time - START_S, 0.0, None)
+    rise = (high - low) / max(float(since[-1]), 1e-9)
+    return amplitude * np.sin(2 * np.pi * (low + 0.5 * rise * since) * since)
+
+
+def random_levels(time: Array, amplitude: float, rng: Generator) -> Array:
+    count = int(time[-1] / 0.3) + 2
+    ends = START_S + np.cumsum(rng.uniform(0.3, 2.0, count))
+    levels = rng.uniform(-amplitude, amplitude, count + 1)
+    return np.where(time >= START_S, levels[np.searchsorted(ends, time, side="right")], 0.0)
+
+
+def row_following(time: Array, amplitude: float, rng: Generator) -> Array:
+    tones = np.linspace(0.05, 0.5, 10)  # Hz: corrections of a guidance system on a straight row
+    phases = rng.uniform(0.0, 2 * np.pi, len(tones))
+    waves = np.sin(2 * np.pi * np.outer(time, tones) + phases).sum(axis=1)
+    return np.where(time >= START_S, amplitude * waves / len(tones), 0.0)
+
+
+MANOEUVRES = (
+    Manoeuvre("step", "the wheels turned at once and held", step),
+    Manoeuvre("steps", "to one side and the other, three seconds each", steps),
+    Manoeuvre("chirp", "swinging from 0.05 to 1 Hz", chirp),
+    Manoeuvre("random", "random levels, held for 0.3 to 2 s", random_levels),
+    Manoeuvre("row", "small corrections on a straight row", row_following),
+)
+
+
+def manoeuvre_named(name: str) -> Manoeuvre:
+    """The row of that name. Raises ValueError that lists the names."""
+    for row in MANOEUVRES:
+        if row.name == name:
+            return row
+    raise ValueError(f'there is no manoeuvre "{name}"; there are {", ".join(m.name for m in MANOEUVRES)}')
