@@ -4,6 +4,7 @@ A pose stands on a grid of POSE_NS of the log's clock. It is due when every rece
 position at or after that instant, at the latest DEADLINE_NS after it.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -11,14 +12,29 @@ from tilth.estimator import latency, plausibility
 from tilth.estimator.geometry import to_plane
 from tilth.estimator.latency import Latency
 from tilth.estimator.track import NEAR_NS, Sample, Track
-from tilth.schemas.flow import Measurement, Mount, Position, VehicleSpeed, WheelAngle
+from tilth.schemas.flow import (
+    Attitude,
+    Fix,
+    Heading,
+    Measurement,
+    Mount,
+    Position,
+    UtcTime,
+    VehicleSpeed,
+    Velocity,
+    WheelAngle,
+    YawRate,
+)
 from tilth.schemas.machine import Machine
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
 LOST_NS = 1_000_000_000  # no usable position for this long
 SILENCE_NS = 10_000_000_000  # nobody spoke: no poses of what nobody saw
+FARTHEST = 5_000.0  # m from the origin: beyond, grid north leaves true north by more than a milliradian
+AGREEING = 100.0  # m: two positions that may both be true
 MOUNTS = tuple(Mount)
+_USED = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
 
 @dataclass(slots=True)
@@ -33,10 +49,12 @@ class Aligner:
     direction: int = 0  # told by the vehicle: +1, -1; 0 where it does not tell
     direction_ns: int = 0
     origin_deg: tuple[float, float] | None = None
+    candidate_deg: tuple[float, float] | None = None  # for an origin
     due_ns: int = 0  # instant of the next pose; 0 before the first position
     posed_ns: int = 0
     last_heading: list[tuple[int, float, float] | None] = field(default_factory=lambda: [None, None])
     suspicion: plausibility.Suspicion = field(default_factory=plausibility.Suspicion)
+    lasting: plausibility.Lasting = field(default_factory=plausibility.Lasting)
 
 
 def initial(machine: Machine) -> Aligner:
@@ -69,12 +87,11 @@ def take(state: Aligner, measurement: Measurement) -> None:
     track = state.tracks[mount.value]
     if isinstance(measurement, Position):
         _take_position(state, track, measurement)
-    else:
+    elif isinstance(measurement, _USED):
         track.take(measurement)
 
 
 def _take_position(state: Aligner, track: Track, position: Position) -> None:
-    t_ns = track.instant(position)
     if position.pgn != track.position_pgn:
         # A receiver may tell one position twice, as 129025 and as 129029: the one that came last is used
         # only where the other has fallen silent, so that nothing is counted twice.
@@ -84,11 +101,26 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
         track.position_pgn = position.pgn
     if not track.usable():
         return
-    if state.origin_deg is None:
-        state.origin_deg = (position.latitude_deg, position.longitude_deg)
-        state.due_ns = (t_ns // POSE_NS + 1) * POSE_NS
-    at = to_plane(state.origin_deg, position.latitude_deg, position.longitude_deg)
-    track.place(t_ns, position.rx_ns, at, position.sd, position.repeat)
+    here = (position.latitude_deg, position.longitude_deg)
+    if state.origin_deg is None and not _set_origin(state, here, position.rx_ns):
+        return
+    assert state.origin_deg is not None
+    at = to_plane(state.origin_deg, *here)
+    if math.hypot(*at) > FARTHEST and _set_origin(state, here, position.rx_ns):
+        at = (0.0, 0.0)
+    track.place(position.rx_ns, at, position.sd, position.repeat)
+
+
+def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
+    """Put the plane's origin here once a second position agrees: one may be a receiver's first guess."""
+    candidate, state.candidate_deg = state.candidate_deg, here
+    if candidate is None or math.hypot(*to_plane(candidate, *here)) > AGREEING:
+        return False
+    state.origin_deg, state.candidate_deg = here, None
+    state.due_ns = state.due_ns or (rx_ns // POSE_NS + 1) * POSE_NS
+    for track in state.tracks.values():
+        track.positions.clear()
+    return True
 
 
 def due(state: Aligner, now_ns: int) -> int | None:

@@ -30,7 +30,6 @@ class Baseline:
     heading: float
     sd_heading: float
     excess: float  # measured less surveyed length, m
-    sd_excess: float  # from white noise and timing
     speed_along: float  # speed of the pair along the baseline, m/s
 
 
@@ -43,40 +42,52 @@ def baseline(front: Antenna, rear: Antenna, sd_tilt: float) -> Baseline:
     forward, right = front.lever[0] - rear.lever[0], front.lever[1] - rear.lever[1]
     length = math.hypot(forward, right)
     bearing = math.atan2(east, north)
-    across, along = 0.0, 0.0
-    speed_along = 0.0
+    across, speed_along = 0.0, 0.0
     for antenna in (front, rear):
         velocity = antenna.velocity or (0.0, 0.0)
         speed = math.hypot(*velocity)
         angle = math.atan2(velocity[1], velocity[0]) - bearing
         smear = speed * antenna.sd_time
         across += antenna.sd**2 + (smear * math.sin(angle)) ** 2
-        along += antenna.sd**2 + (smear * math.cos(angle)) ** 2
         speed_along += speed * math.cos(angle) / 2
     return Baseline(
         heading=wrap(bearing - math.atan2(right, forward)),
         sd_heading=math.sqrt(across + sd_tilt**2) / length,
         excess=math.hypot(north, east) - length,
-        sd_excess=math.sqrt(along + sd_tilt**2),
         speed_along=speed_along,
     )
 
 
 def centre(antennas: Sequence[Antenna], heading: float, sd_heading: float) -> tuple[Vector, float]:
     """((north, east) of the CG, sd per axis), m: the antennas less their levers, weighted by variance."""
-    total, north, east, reach = 0.0, 0.0, 0.0, 0.0
-    for antenna in antennas:
-        speed = math.hypot(*antenna.velocity) if antenna.velocity else 0.0
-        weight = 1 / (antenna.sd**2 + (speed * antenna.sd_time) ** 2)
-        arm = rotate(antenna.lever, heading)
-        total += weight
-        north += weight * (antenna.at[0] - arm[0])
-        east += weight * (antenna.at[1] - arm[1])
-        reach += weight * math.hypot(*antenna.lever)
-    lever_arm = reach / total if len(antennas) == 1 else 0.0  # a pair fixes its own middle
+    variances = [_variance(antenna) for antenna in antennas]
+    total = sum(1 / variance for variance in variances)
+    shares = [1 / variance / total for variance in variances]
+    north = east = forward = right = 0.0  # of the CG; of the weighted antennas from it
+    for antenna, share in zip(antennas, shares, strict=True):
+        offset = rotate(antenna.lever, heading)
+        north += share * (antenna.at[0] - offset[0])
+        east += share * (antenna.at[1] - offset[1])
+        forward += share * antenna.lever[0]
+        right += share * antenna.lever[1]
+    if len(antennas) == 2:
+        # The heading comes from the same two points, so their errors enter once more through the arm that is
+        # left between their mean and the CG: along the baseline with signs, across it as it is.
+        ahead = antennas[0].lever[0] - antennas[1].lever[0], antennas[0].lever[1] - antennas[1].lever[1]
+        square = ahead[0] ** 2 + ahead[1] ** 2
+        turn = (forward * ahead[0] + right * ahead[1]) / square
+        slide = (forward * ahead[1] - right * ahead[0]) / square
+        variance = (shares[0] - turn) ** 2 * variances[0] + (shares[1] + turn) ** 2 * variances[1]
+        variance = max(variance, 1 / total) + slide**2 * sum(variances)
+    else:
+        variance = variances[0] + (math.hypot(*antennas[0].lever) * sd_heading) ** 2
     # Noise common to all receivers of a site does not average out: no better than the best one.
-    best = min(antenna.sd**2 for antenna in antennas)
-    return (north / total, east / total), math.sqrt(max(1 / total, best) + (lever_arm * sd_heading) ** 2)
+    return (north, east), math.sqrt(max(variance, min(antenna.sd**2 for antenna in antennas)))
+
+
+def _variance(antenna: Antenna) -> float:
+    speed = math.hypot(*antenna.velocity) if antenna.velocity else 0.0
+    return antenna.sd**2 + (speed * antenna.sd_time) ** 2
 
 
 def centre_velocity(

@@ -20,7 +20,9 @@ class Estimator:
     initial: Callable[[Machine], Any]
     take: Callable[[Any, Machine, Pose], Estimate | None]  # changes the state; an estimate when one is due
     estimate: Callable[[Any, Machine, int], Estimate]  # what can be said at a time, ns
-    clock_stepped: Callable[[Any], None]  # the log's clock ran back: forget times, keep what was learned
+    clock_stepped: Callable[
+        [Any, int], None
+    ]  # the log's clock ran on by so many ns, below zero; keep what was learned
 
 
 ESTIMATORS: tuple[Estimator, ...] = (

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tilth.estimator import aligner
-from tilth.estimator.aligner import Aligner
+from tilth.estimator.aligner import SILENCE_NS, Aligner
 from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
@@ -30,6 +30,10 @@ _FLAG_TEXT = {
     "repeating": "repeats old positions",
     "swapped": "stands in another's place: two receivers are exchanged",
     "moved": "is not where the machine file says",
+    "doubtful": "does not fit the rig at this instant",
+    "late": "is late; its position is carried on",
+    "latency": "reports later than the machine file allows, or was moved along",
+    "fix_unknown": "has stopped telling its fix",
 }
 
 
@@ -45,9 +49,8 @@ class State:
     measurements: int = 0
     poses: int = 0
     clock_steps: int = 0
-    latest_ns: int = 0  # t_ns of the last frame
+    latest_ns: int = 0  # greatest t_ns since the last step back of the clock
     flags: tuple[str, ...] = ()  # of the last pose
-    last_pose: Pose | None = None
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest
 
     @property
@@ -86,14 +89,20 @@ def step(state: State, frame: Frame) -> list[Publication]:
     out: list[Publication] = []
     if frame.t_ns < state.latest_ns - REWIND_NS:
         _clock_stepped(state, frame, out)
-    state.latest_ns = frame.t_ns
+    elif state.latest_ns and frame.t_ns > state.latest_ns + SILENCE_NS:
+        seconds = (frame.t_ns - state.latest_ns) * 1e-9
+        out.append(
+            Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", f"no frame for {seconds:.1f} s"))
+        )
+    state.latest_ns = max(frame.t_ns, state.latest_ns)
     state.frames += 1
     placed = False
     for measurement in state.decoder.measurements(frame):
         placed |= _take(state, frame.t_ns, measurement, out)
     due_ns = state.aligner.due_ns
-    if due_ns and (placed or frame.rx_ns >= due_ns + aligner.DEADLINE_NS):
-        for pose in poses(state.aligner, frame.rx_ns):
+    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
+    if due_ns and (placed or now_ns >= due_ns + aligner.DEADLINE_NS):
+        for pose in poses(state.aligner, now_ns):
             _pose(state, frame.t_ns, pose, out)
     return out
 
@@ -111,12 +120,12 @@ def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publicati
 
 def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
-    state.last_pose = pose
     out.append(Publication(t_ns, "/pose", pose))
     for flag in pose.flags:
         kind, _, who = flag.partition(":")
         if flag not in state.flags and kind in _FLAG_TEXT:
-            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who} {_FLAG_TEXT[kind]}")))
+            text = "is silent" if who == "wheel_angle" else _FLAG_TEXT[kind]
+            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who} {text}")))
     for flag in state.flags:
         kind, _, who = flag.partition(":")
         if flag not in pose.flags and kind in _FLAG_TEXT:
@@ -141,12 +150,13 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
     for row in ESTIMATORS:
-        row.clock_stepped(state.estimators[row.method])
+        row.clock_stepped(state.estimators[row.method], frame.t_ns - state.latest_ns)
+    state.latest_ns = frame.t_ns
     text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"
     out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "clock_step", text)))
 
 
-_REBUILT = frozenset({"machine", "decoder", "estimators", "last_pose", "estimates"})
+_REBUILT = frozenset({"machine", "decoder", "estimators", "estimates"})
 
 
 def snapshot(state: State) -> str:
@@ -170,9 +180,11 @@ def restore(machine: Machine, text: str) -> State:
     stored = plain.pop("estimators", {})
     estimators = {row.method: from_plain(row.state, stored.get(row.method)) for row in ESTIMATORS}
     given = {
-        "machine": machine, "decoder": decoder, "estimators": estimators, "last_pose": None, "estimates": {},
+        "machine": machine, "decoder": decoder, "estimators": estimators, "estimates": {},
     }  # fmt: skip
     state = from_plain(State, plain, given)
     assert isinstance(state, State)
+    if set(state.aligner.tracks) != {receiver.mount.value for receiver in machine.receiver}:
+        raise ValueError("this stored state is of a machine with other receivers")
     state.estimates = _estimates_now(state)
     return state

@@ -19,6 +19,7 @@ CORRELATED = 25.0  # poses (5 s) whose position errors count as one: multipath i
 DRIFT = 0.5e-3  # s per sqrt(s)
 SURVEY = 0.02  # m: error of a surveyed distance, never averaged away
 GATE = 5.0  # sd
+SHARED = 0.5  # correlation of what the machine file says of two receivers: often one guess for all
 
 
 @dataclass(slots=True)
@@ -32,7 +33,8 @@ class Latency:
         return round(float(self.tau[receiver]) * 1e9)
 
     def drift(self, seconds: float) -> None:
-        self.covariance += np.eye(4) * (DRIFT**2 * min(seconds, 10.0))
+        """Let the differences wander; what all share could not be learned again."""
+        self.covariance += (np.eye(4) - 0.25) * (DRIFT**2 * min(seconds, 10.0))
 
     def observe(self, row: Array, ahead: float, sd: float, speed: float) -> None:
         """Distances say that `row` · τ is off by −ahead / speed.
@@ -63,4 +65,5 @@ class Latency:
 
 def prior(sds: list[float]) -> Latency:
     """Before any motion: as the machine file says. sds: [4], s."""
-    return Latency(covariance=np.diag(np.square(sds)))
+    correlation = SHARED + (1 - SHARED) * np.eye(4)
+    return Latency(covariance=correlation * np.outer(sds, sds))

@@ -22,6 +22,12 @@ from tilth.schemas.flow import BodyPose, FixType, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 MOVING = 0.3  # m/s
+FIX_NS = 5_000_000_000  # a fix told longer ago is not known any more
+STRAIGHT = 0.05  # rad/s: below, a body that goes at CRUISE or more goes where it points
+CRUISE = 1.5  # m/s
+LATENCY_SDS = 2.5  # of the machine file: a latency further off is none, or the receiver was moved along
+LATENCY_SLACK_S = 0.02
+WHEEL_HOLD_NS = 250_000_000
 UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that nobody measures
 GYRO_CARRY_NS = 5_000_000_000  # a heading is carried on by the yaw rate at most this long
 GYRO_WALK = math.radians(0.3)  # rad per sqrt(s), its growing sd
@@ -71,16 +77,18 @@ def _pose_at(state: Aligner, t_ns: int) -> Pose:
 
 def _receiver_flags(state: Aligner, t_ns: int) -> list[str]:
     flags: list[str] = []
-    for mount in state.tracks:
-        track = state.tracks[mount]
+    for mount, track in state.tracks.items():
+        index = MOUNTS.index(Mount(mount))
+        excess_s = abs(state.latency.excess_ns(index)) * 1e-9
+        if excess_s > LATENCY_SDS * _receiver(state.machine, MOUNTS[index]).latency.sd + LATENCY_SLACK_S:
+            flags.append(f"latency:{mount}")
         if not track.usable():
             flags.append(f"no_fix:{mount}")
         elif not track.positions:
             flags.append(f"waiting:{mount}")
-        elif t_ns - track.positions[-1][0] > HOLD_NS:
-            repeating = track.repeated_ns > track.placed_ns and track.repeated_ns > t_ns - LOST_NS
-            flags.append(f"repeating:{mount}" if repeating else f"lost:{mount}")
-        if track.fix is FixType.RTK_FLOAT:
+        if track.fix is not None and t_ns - track.fix_ns > FIX_NS:
+            flags.append(f"fix_unknown:{mount}")
+        elif track.fix is FixType.RTK_FLOAT:
             flags.append(f"floating:{mount}")
         elif track.fix in (FixType.GNSS, FixType.DGNSS, FixType.PRECISE):
             flags.append(f"no_rtk:{mount}")
@@ -103,6 +111,9 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
     for i, track, at in present:
         found = track.position_at(at) if track.usable() else None
         if found is None:
+            if track.usable() and track.positions:
+                repeating = track.repeated_ns > max(track.placed_ns, t_ns - LOST_NS)
+                flags.append(f"{'repeating' if repeating else 'lost'}:{MOUNTS[i].value}")
             continue
         point, sd, extrapolated = found
         if extrapolated:
@@ -138,22 +149,47 @@ def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
 def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[str]:
     """Take out the receivers that do not fit the surveyed rig; say so."""
     antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
-    if len(antennas) < 2:
-        return []
     speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
-    smear = speed * max(a.sd_time for a in antennas.values()) + max(a.sd for a in antennas.values())
-    found = plausibility.examine(
-        {m: a.at for m, a in antennas.items()},
-        {m: a.lever for m, a in antennas.items()},
-        state.machine.tractor.c.value,
-        state.machine.implement.d.value,
-        smear,
-    )
+    smear = max((speed * a.sd_time + a.sd for a in antennas.values()), default=0.0)
+    c, d = state.machine.tractor.c.value, state.machine.implement.d.value
+    levers = {mount: antenna.lever for mount, antenna in antennas.items()}
+    found = plausibility.examine({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
+    _look_long(state, bodies)
+    if not found:
+        timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
+        wrong = [*state.lasting.bodies(timing), *_backwards(state, bodies)]
+        found = tuple(f"moved:{MOUNTS[i].value}" for body in wrong for i in bodies[body].antennas)
     persistent = state.suspicion.judge(found)
     for flag in found:
         index = MOUNTS.index(Mount(flag.partition(":")[2]))
-        del bodies[index // 2].antennas[index]
+        bodies[index // 2].antennas.pop(index, None)
     return list(persistent) or [f"doubtful:{flag.partition(':')[2]}" for flag in found]
+
+
+def _look_long(state: Aligner, bodies: list[_Body]) -> None:
+    """Add this instant to the means of what should be nothing."""
+    for body in bodies:
+        if len(body.antennas) < 2:
+            continue
+        front, rear = (body.antennas[i] for i in BODIES[body.index])
+        pair = baseline(front, rear, 0.0)
+        state.lasting.excess[body.index].add(pair.excess)
+        rate = body.yaw_rate[0] if body.yaw_rate else 1.0
+        going = centre_velocity([front, rear], pair.heading, rate, 0.0)
+        if going is not None and abs(rate) < STRAIGHT and math.hypot(*going[:2]) > CRUISE:
+            # Of a course and its opposite the nearer: reversing is no fault.
+            state.lasting.sideways[body.index].add(math.atan2(going[1], abs(going[0])))
+
+
+def _backwards(state: Aligner, bodies: list[_Body]) -> list[int]:
+    """The tractor, where its receivers have it go back while the vehicle says forward, or the other way."""
+    if len(bodies[0].antennas) < 2 or state.direction == 0 or state.posed_ns - state.direction_ns > LOST_NS:
+        return []
+    front, rear = (bodies[0].antennas[i] for i in BODIES[0])
+    going = centre_velocity([front, rear], baseline(front, rear, 0.0).heading, 0.0, 0.0)
+    if going is None or abs(going[0]) < CRUISE or going[0] * state.direction > 0:
+        return []
+    return [0]
 
 
 def _solve_pair(state: Aligner, body: _Body) -> None:
@@ -263,10 +299,20 @@ def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[str]) -> None:
     cg, sd = centre(antennas, body.heading, body.sd_heading)
     speed = math.hypot(*body.velocity[:2]) if body.velocity else 0.0
     common = state.latency.sd_mean(list(body.antennas)) * speed
-    tilt = _section(state.machine, body.index).cg_height.value * (body.roll[1] if body.roll else UNKNOWN_TILT)
+    tilt = _reach(state, body) * (body.roll[1] if body.roll else UNKNOWN_TILT)
     body.cg, body.sd_cg = cg, math.sqrt(sd**2 + common**2 + tilt**2)
     if len(antennas) == 2:
         state.last_heading[body.index] = (t_ns, body.heading, body.sd_heading)
+
+
+def _reach(state: Aligner, body: _Body) -> float:
+    """Height between what the receivers report and the CG, m: the arm through which a roll error moves it."""
+    cg_height = _section(state.machine, body.index).cg_height.value
+    reaches = []
+    for i in body.antennas:
+        receiver = _receiver(state.machine, MOUNTS[i])
+        reaches.append(cg_height - (0.0 if receiver.roll_corrected else receiver.position[2]))
+    return abs(sum(reaches)) / len(reaches)
 
 
 def _rate_of_heading(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
@@ -292,7 +338,7 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) 
     if tractor.heading is not None and implement.heading is not None:
         articulation = wrap(tractor.heading - implement.heading)
         sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
-    wheel = sample_at(state.wheel, t_ns, HOLD_NS)
+    wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
     if wheel is None:
         flags.append("lost:wheel_angle" if state.wheel_ns else "waiting:wheel_angle")
     finest = min(

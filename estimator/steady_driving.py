@@ -19,12 +19,12 @@ YAW_ACCELERATION = 0.08  # rad/s^2
 SPEED_RANGE = 0.4  # m/s
 LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
 LONGEST_GAP_S = 1.0
-UNKNOWN_ROLL_SD = math.radians(1.5)  # where nobody measures it
 
 _DISQUALIFYING = (
-    ({"swapped", "moved", "doubtful"}, "receivers do not fit the rig"),
-    ({"floating", "no_rtk", "no_fix"}, "no RTK fix"),
+    ({"swapped", "moved", "doubtful", "latency"}, "receivers do not fit the rig"),
+    ({"floating", "no_rtk", "no_fix", "fix_unknown"}, "no RTK fix"),
     ({"late"}, "late receiver"),
+    ({"no_roll"}, "roll not measured"),  # unseen, a side slope of 3 degrees moves C_ai by a third
     ({"heading_by_hitch", "heading_by_reported", "heading_by_yaw_rate"}, "heading not from two receivers"),
 )
 
@@ -58,8 +58,8 @@ class Steadiness:
 
     block: deque[Sample] = field(default_factory=lambda: deque(maxlen=BLOCK))
     fresh: int = 0  # poses of the block that have not been part of an average
-    unsettled_m: float = math.inf  # still to go until the implement is in line
-    unsettled_s: float = math.inf
+    unsettled_m: float = 0.0  # still to go until the implement is in line
+    unsettled_s: float = 0.0
 
 
 def observe(
@@ -74,8 +74,6 @@ def observe(
         state.block.clear()
         _unsettle(state, implement_length)
         return None, reason or "gap in the poses"
-    if math.isinf(state.unsettled_m):
-        _unsettle(state, implement_length)
     state.unsettled_m -= sample.u * seconds
     state.unsettled_s -= seconds
     state.block.append(sample)
@@ -159,7 +157,7 @@ def _sample(pose: Pose) -> tuple[Sample | None, str]:
         sd_heading_t=tractor.sd_heading or 0.0,
         sd_heading_i=implement.sd_heading or 0.0,
         sd_wheel_angle=pose.sd_wheel_angle or 0.0,
-        sd_roll_t=UNKNOWN_ROLL_SD if tractor.sd_roll is None else tractor.sd_roll,
-        sd_roll_i=UNKNOWN_ROLL_SD if implement.sd_roll is None else implement.sd_roll,
+        sd_roll_t=tractor.sd_roll or 0.0,
+        sd_roll_i=implement.sd_roll or 0.0,
     )
     return sample, ""

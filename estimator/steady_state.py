@@ -37,7 +37,10 @@ CORRELATED_SHARE = 0.4  # of a position's sd that stays for PAIR_MEMORY and does
 PAIR_MEMORY_S = 20.0
 DRIFT_M = 50_000.0  # distance over which the soil forgets itself
 STEP = 1e-4  # of the central differences
-GATE = 16.0  # chi-square of three outputs, 0.1 %
+GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
+SURPRISE_MEMORY = 10.0  # samples, 10 s
+LARGEST_SURPRISE = 6.0  # that one sample may count for
+SURPRISED = 2.0  # beyond: the soil is another, or the rig is
 SUPPORTED = 0.5  # posterior over prior sd of the logarithm: above, the data do not support a number
 RANK_GAIN = 3.0  # information over prior information, for a direction to count as determined
 STALE_S = 300.0
@@ -59,8 +62,10 @@ class SteadyState:
     seen_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
-    steady_s: float = 0.0  # data used
+    steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
+    surprise: float = 1.0  # recent mean of the squared, normalised innovation per output; 1 is as expected
+    forgotten: int = 0  # times that learning began anew
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
     reason: str = "no steady driving yet"  # of the latest pose
 
@@ -105,10 +110,11 @@ def take(state: SteadyState, machine: Machine, pose: Pose) -> Estimate | None:
     return estimate(state, machine, pose.t_ns)
 
 
-def clock_stepped(state: SteadyState) -> None:
-    """Time ran back: forget what was going on, keep what was learned."""
+def clock_stepped(state: SteadyState, by_ns: int) -> None:
+    """Time ran back: forget what was going on, keep what was learned and how old it is."""
     state.steadiness = Steadiness()
-    state.seen_ns = state.published_ns = state.informed_ns = 0
+    state.seen_ns = state.published_ns = 0
+    state.informed_ns += by_ns if state.informed_ns else 0
 
 
 def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
@@ -124,24 +130,49 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
 
 
 def _learn(state: SteadyState, machine: Machine, sample: Sample) -> bool:
-    """One update. False where the outputs are too far from what was expected."""
-    predicted, slope, spread = _linearise(state.x, machine, sample)
+    """One update. Whether it taught of stiffness: not straight driving, nor outputs too far from expected."""
+    teaches = abs(sample.wheel_angle - state.x[3]) > TEACHING_ANGLE
+    try:
+        predicted, slope, spread = _linearise(state.x, machine, sample, teaches)
+    except np.linalg.LinAlgError:
+        return _refuse(state, "no steady turn exists at these stiffnesses")
     measured, noise = _outputs(sample, spread)
     rows = [0, 1] if sample.v is None else [0, 1, 2]
     innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
     expected = slope @ state.p @ slope.T + noise
-    if float(innovation @ np.linalg.solve(expected, innovation)) > GATE:
-        state.reason = "outlier"
-        state.refused["outlier"] = state.refused.get("outlier", 0) + 1
-        return False
+    distance = float(innovation @ np.linalg.solve(expected, innovation))
+    if not math.isfinite(distance):
+        return _refuse(state, "not a number")
+    state.surprise += (min(distance / len(rows), LARGEST_SURPRISE) - state.surprise) / SURPRISE_MEMORY
+    if state.surprise > SURPRISED:
+        _forget(state)
+    if distance > GATE[len(rows)]:
+        return _refuse(state, "outlier")
     x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)[:2]
     state.x, state.p = x, (p + p.T) / 2
-    state.steady_s += BLOCK * POSE_NS * 1e-9
-    state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
-    return True
+    if teaches:
+        state.steady_s += BLOCK * POSE_NS * 1e-9
+        state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
+    return bool(teaches)
 
 
-def _linearise(x: Array, machine: Machine, sample: Sample) -> tuple[Array, Array, Array]:
+def _refuse(state: SteadyState, reason: str) -> bool:
+    state.reason = reason
+    state.refused[reason] = state.refused.get(reason, 0) + 1
+    return False
+
+
+def _forget(state: SteadyState) -> None:
+    """What was learned no longer explains what is seen: keep the values, give up the confidence in them."""
+    state.p[:3, :] = 0.0
+    state.p[:, :3] = 0.0
+    state.p[:3, :3] = np.diag(state.prior[:3] ** 2)
+    state.surprise = 1.0
+    state.steady_s = state.sideslip_s = 0.0
+    state.forgotten += 1
+
+
+def _linearise(x: Array, machine: Machine, sample: Sample, teaches: bool) -> tuple[Array, Array, Array]:
     """(outputs [3], their slope over STATES [3, 8], their covariance from noisy inputs [3, 3])."""
     inputs = (sample.u, sample.wheel_angle - x[3], sample.roll_t, sample.roll_i)
     point = np.array([*np.exp(x[:3]), *np.exp(x[6:8]), *inputs])
@@ -151,7 +182,7 @@ def _linearise(x: Array, machine: Machine, sample: Sample) -> tuple[Array, Array
     z = steady_turn(np.vstack([point, point + nudges, point - nudges]), *geometry)[:, [1, 2, 0]]
     gradient = (z[1:10] - z[10:19]).T / (2 * STEP)  # [3, 9] in the order of steady_turn.INPUTS
     slope = np.zeros((3, 8))
-    if abs(point[6]) > TEACHING_ANGLE:
+    if teaches:
         slope[:, :3] = gradient[:, :3]
         slope[:, 6:8] = gradient[:, 3:5]
     slope[:, 3] = -gradient[:, 6]
@@ -207,7 +238,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         },
         rank=rank,
         condition=condition,
-        excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s},
+        excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
     )
 

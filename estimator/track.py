@@ -57,14 +57,15 @@ class Track:
     rolls: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
     pitches: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
     fix: FixType | None = None
+    fix_ns: int = 0  # arrival of what told it
     position_pgn: int = 0  # the message its positions come from: the most frequent one it sends
-    heard_ns: int = 0  # arrival of the last message
     placed_ns: int = 0  # arrival of the last position that was new, or held at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
 
-    def take(self, measurement: Measurement) -> int:
-        """Keep a measurement other than a position; its instant, ns."""
-        t_ns = self.instant(measurement)
+    def take(self, measurement: Measurement) -> None:
+        """Keep a measurement other than a position."""
+        epoch_ns = self.clock.other(measurement.rx_ns, measurement.pgn, measurement.sid)
+        t_ns = epoch_ns - self.latency_ns
         match measurement:
             case Velocity(course=course, speed=speed, sd=sd):
                 self.velocities.append((t_ns, speed * math.cos(course), speed * math.sin(course), sd))
@@ -78,22 +79,17 @@ class Track:
             case Heading(heading=heading, sd=sd):
                 self.headings.append((t_ns, heading, sd))
             case Fix(fix=fix):
-                self.fix = fix
+                self.fix, self.fix_ns = fix, measurement.rx_ns
             case UtcTime(utc_ns=utc_ns, sd=sd):
                 self.utc.measured(t_ns, utc_ns, sd)
             case _:
                 pass
-        return t_ns
 
-    def instant(self, measurement: Measurement) -> int:
-        """When it was measured, ns."""
-        self.heard_ns = measurement.rx_ns
-        return self.clock.arrive(measurement.rx_ns, measurement.pgn, measurement.sid) - self.latency_ns
-
-    def place(self, t_ns: int, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
+    def place(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
         """Keep a position on the plane. A repeated one is news only at standstill."""
+        t_ns = self.clock.position(rx_ns) - self.latency_ns
         if repeat:
-            moving = not self.velocities or math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
+            moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
             if moving:
                 self.repeated_ns = rx_ns
                 return

@@ -21,7 +21,8 @@ def _run(
         epoch = k * period_s * (1 + skew)
         late = jitter_s * rng.random()
         for place, pgn in enumerate(CLUMP):
-            said = clock.arrive(START_NS + round((epoch + late + 0.004 * place) * 1e9), pgn, None)
+            rx_ns = START_NS + round((epoch + late + 0.004 * place) * 1e9)
+            said = clock.position(rx_ns) if place == 0 else clock.other(rx_ns, pgn, None)
             out.append((epoch, (said - START_NS) * 1e-9))
     return out
 
@@ -46,23 +47,60 @@ def test_jitter_is_taken_out_at_any_period_and_skew(period_ms: int, jitter_s: fl
 
 def test_messages_of_one_clump_share_an_instant() -> None:
     out = _run(EpochClock(), 0.2, 0.02, 100)
-    for k in range(0, len(out), len(CLUMP)):
+    for k in range(10 * len(CLUMP), len(out), len(CLUMP)):  # once the period is known
         assert len({said for _, said in out[k : k + len(CLUMP)]}) == 1
 
 
 def test_a_sid_ties_messages_that_queued_apart_and_a_constant_sid_does_not() -> None:
+    changing, constant = EpochClock(), EpochClock()
+    for k in range(4):
+        at = START_NS + k * 1_000_000_000
+        first = changing.other(at, 129026, k)
+        assert (changing.other(at + 90_000_000, 127250, k) == first) == (k > 0)  # once it was seen to change
+        constant.other(at, 129026, 0)
+        assert constant.other(at + 90_000_000, 127250, 0) == at + 90_000_000
+
+
+@pytest.mark.parametrize("phase_s", [0.002, 0.055, 0.07, 0.08, 0.1, 0.165, 0.195])
+@pytest.mark.parametrize("period_s", [0.1, 0.145, 0.25, 1.0])
+def test_other_messages_never_move_the_grid_of_positions(phase_s: float, period_s: float) -> None:
+    alone, together = EpochClock(), EpochClock()
+    rng = np.random.default_rng(4)
+    events = [(k * 0.1 + 0.02 * rng.random(), True) for k in range(200)]
+    events += [(k * period_s + phase_s, False) for k in range(round(20 / period_s))]
+    for at, is_position in sorted(events):
+        rx_ns = START_NS + round(at * 1e9)
+        if is_position:
+            assert alone.position(rx_ns) == together.position(rx_ns)
+        else:
+            together.other(rx_ns, 127250, None)
+
+
+def test_frames_that_overtake_one_another_do_no_harm() -> None:
     clock = EpochClock()
-    first = clock.arrive(START_NS, 129026, 7)
-    assert clock.arrive(START_NS + 90_000_000, 127250, 7) == first
-    assert clock.arrive(START_NS + 100_000_000, 129026, 7) != first
+    for k in range(60):
+        at = START_NS + k * 100_000_000
+        clock.position(at)
+        clock.position(at - 2_000_000)  # a fast packet that began earlier is complete later
+    assert clock.period_ns == 100_000_000
+    assert abs(clock.epoch_ns - (START_NS + 59 * 100_000_000 - 2_000_000)) < 1e6
+
+
+@pytest.mark.parametrize("period_ms", [104, 208, 260, 1030])
+def test_a_period_near_a_common_one_is_not_taken_for_it(period_ms: int) -> None:
+    clock = EpochClock()
+    out = _run(clock, period_ms * 1e-3, 0.01, 400)
+    assert clock.period_ns == period_ms * 1_000_000
+    assert clock.resets == 0
+    assert max(abs(said - epoch) for epoch, said in out[-300:]) < 0.012
 
 
 def test_a_dropout_keeps_the_grid_and_a_step_starts_it_anew() -> None:
     clock = EpochClock()
-    _run(clock, 0.2, 0.02, 50)
-    after_gap = clock.arrive(START_NS + round((50 * 0.2 + 2.0 + 0.019) * 1e9), 65267, None)
-    assert abs(after_gap - START_NS - 12.0e9) < 4e6  # 19 ms late, 2 s away: still on the old grid
-    clock.arrive(START_NS - 3_600_000_000_000, 65267, None)
+    _run(clock, 0.2, 0.02, 150)
+    after_gap = clock.position(START_NS + round((150 * 0.2 + 2.0 + 0.019) * 1e9))
+    assert abs(after_gap - START_NS - 32.0e9) < 4e6  # 19 ms late, 2 s away: still on the old grid
+    clock.position(START_NS - 3_600_000_000_000)
     assert clock.resets == 1
     assert clock.epoch_ns == START_NS - 3_600_000_000_000
 
@@ -96,8 +134,6 @@ def test_a_device_that_changes_its_rate_is_followed(before_s: float, after_s: fl
     clock = EpochClock()
     _run(clock, before_s, 0.01, 40)
     start = START_NS + round(40 * before_s * 1e9)
-    late = [
-        rx - clock.arrive(rx, 129025, None) for rx in (start + round(k * after_s * 1e9) for k in range(80))
-    ]
+    late = [rx - clock.position(rx) for rx in (start + round(k * after_s * 1e9) for k in range(80))]
     assert clock.period_ns == round(after_s * 1e9)
     assert abs(late[-1]) < 2e6
