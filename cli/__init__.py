@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from tilth.logger.lean_can import import_can
 from tilth.schemas.machine import MachineError
 
 # One row per command: module tilth.cli.<name> has `add(subparsers)`, which adds the parser of that name, and
@@ -21,12 +22,17 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("decode", "print the messages of a log, one JSON object a line"),
     ("replay", "feed logs through the estimators again"),
     ("demo", "drive a simulated tractor through the whole chain"),
+    ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),
+    ("model", "say how a rig moves, and what a drive can tell of its tyres"),
 )
 
 
 class WrongUse(Exception):
     """Raised by a command that cannot start: one sentence that says what to do. Exit status 2."""
+
+
+RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read no MF4
 
 
 class _Parser(argparse.ArgumentParser):
@@ -42,6 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     wanted = next((word for word in words if not word.startswith("-")), None)
+    if wanted in RECORDERS:
+        import_can()
     for name, summary in COMMANDS:
         if name == wanted:
             importlib.import_module(f"tilth.cli.{name}").add(subparsers)

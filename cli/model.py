@@ -1,0 +1,129 @@
+"""`tilth model`: what the models say of a rig before it is driven."""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from tilth.cli import WrongUse
+from tilth.estimator.identifiability import SENSOR_SETS
+from tilth.estimator.manoeuvres import MANOEUVRES, manoeuvre_named
+from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.logger.machine_file import read_machine
+from tilth.replay.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
+from tilth.replay.rig_tables import rig_tables
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "model",
+        help="say how a rig moves, and what a drive can tell of its tyres",
+        description="Say of a rig, before it is driven, how it turns, settles and answers to steering, what "
+        "a regulator can make of it, and how well a manoeuvre can tell its tyres' parameters.",
+    )
+    drive = Drive()
+    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument(
+        "--model",
+        action="append",
+        choices=[model.name for model in MODELS],
+        help="may be given several times (kinematic, dynamic and relaxation)",
+    )
+    parser.add_argument(
+        "--speed",
+        action="append",
+        type=_between(*SPEED_RANGE, "m/s"),
+        metavar="M/S",
+        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
+    )
+    parser.add_argument(
+        "--manoeuvre",
+        choices=[row.name for row in MANOEUVRES],
+        default=drive.manoeuvre.name,
+        help=f"what is driven to learn the tyres ({drive.manoeuvre.name})",
+    )
+    parser.add_argument(
+        "--sensors",
+        choices=list(SENSOR_SETS),
+        default=drive.sensors,
+        help=f"what is measured meanwhile ({drive.sensors})",
+    )
+    parser.add_argument(
+        "--wheel-angle",
+        type=_between(0.1, 20.0, "degrees"),
+        default=math.degrees(drive.amplitude),
+        metavar="DEG",
+        help="how far the manoeuvre turns the wheels (5)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_between(2.0, 300.0, "s"),
+        default=drive.seconds,
+        metavar="N",
+        help="how long the manoeuvre is (30)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw it, too: a file .svg, .png or .pdf; it is overwritten"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Always 0."""
+    machine, _ = read_machine(args.machine)
+    try:
+        rig = rig_of(machine)
+    except ValueError as error:
+        raise WrongUse(f"{args.machine}: {error}") from None
+    models = [model_named(name) for name in dict.fromkeys(args.model or [])] or list(LINEAR)
+    speeds = list(dict.fromkeys(args.speed or SPEEDS))
+    amplitude = math.radians(args.wheel_angle)
+    drive = Drive(manoeuvre_named(args.manoeuvre), args.sensors, amplitude, args.seconds)
+    if args.plot is not None:
+        _plot(args.plot, machine.machine.name, rig, [model.name for model in models], speeds)
+    report = {"machine": machine.machine.name} | rig_report(rig, models, speeds, drive)
+    if args.json:
+        print(json.dumps(report, allow_nan=False))
+        return 0
+    console = Console(highlight=False)
+    for part in rig_tables(machine.machine.name, report):
+        console.print(part)
+    return 0
+
+
+def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float]) -> None:
+    from tilth.replay import plots, rig_plot  # matplotlib takes a second: only who plots pays for it
+
+    if path.suffix.lower() not in plots.FORMATS:
+        raise WrongUse(f"--plot {path}: give a name that ends in {', '.join(plots.FORMATS)}")
+    if len(speeds) > rig_plot.MOST_SPEEDS:
+        raise WrongUse(
+            f"--plot {path}: a figure has room for {rig_plot.MOST_SPEEDS} speeds, not {len(speeds)}"
+        )
+    try:
+        rig_plot.draw_rig(name, rig, [model_named(model) for model in models], speeds, path)
+    except OSError as error:
+        raise WrongUse(
+            f"--plot {path}: {(error.strerror or str(error)).lower()}; give another path"
+        ) from None
+    print(f"tilth model: drew {path}", file=sys.stderr)
+
+
+def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """A type for argparse: a number from low to high."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"give a number from {low:g} to {high:g} {unit}, not {text}")
+        return value
+
+    return number
