@@ -7,11 +7,12 @@ standard deviation that grows.
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
 from tilth.estimator.epoch_clock import EpochClock, UtcClock
-from tilth.estimator.geometry import Vector
+from tilth.estimator.geometry import Vector, wrap
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -174,22 +175,21 @@ def _turn(vector: Vector, angle: float) -> Vector:
 
 def sample_at(samples: deque[Sample], t_ns: int, hold_ns: int) -> tuple[float, float] | None:
     """(value, sd) at t: linear between samples, held at most hold_ns past the last; None otherwise."""
-    before, after = _around(samples, t_ns)
-    if before is None or t_ns - before[0] > hold_ns:
-        return None
-    if after is None or after[0] - before[0] > BRIDGE_NS:
-        return before[1], before[2]
-    share = (t_ns - before[0]) / (after[0] - before[0])
-    return before[1] + share * (after[1] - before[1]), max(before[2], after[2])
+    return _value_at(samples, t_ns, hold_ns, lambda difference: difference)
 
 
 def angle_at(samples: deque[Sample], t_ns: int, hold_ns: int) -> tuple[float, float] | None:
     """As `sample_at`, for angles that wrap."""
+    return _value_at(samples, t_ns, hold_ns, wrap)
+
+
+def _value_at(
+    samples: deque[Sample], t_ns: int, hold_ns: int, shortest: Callable[[float], float]
+) -> tuple[float, float] | None:
     before, after = _around(samples, t_ns)
     if before is None or t_ns - before[0] > hold_ns:
         return None
     if after is None or after[0] - before[0] > BRIDGE_NS:
         return before[1], before[2]
     share = (t_ns - before[0]) / (after[0] - before[0])
-    turn = (after[1] - before[1] + math.pi) % math.tau - math.pi
-    return before[1] + share * turn, max(before[2], after[2])
+    return before[1] + share * shortest(after[1] - before[1]), max(before[2], after[2])
