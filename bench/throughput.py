@@ -11,6 +11,11 @@ The mix of (a) and (c), frames/s: two StarFire-like receivers 102, two NMEA 2000
 tractor ECU 30, and 452 that nobody wants: 800 together. (b) plays the same on each bus, 2.3 times as fast.
 """
 
+# ruff: noqa: E402
+from tilth.logger.lean_can import import_can
+
+import_can()  # as `tilth run` does, before anybody else imports python-can
+
 import argparse
 import json
 import multiprocessing
