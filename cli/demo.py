@@ -49,9 +49,9 @@ def run(args: argparse.Namespace) -> int:
     plain = args.json or not sys.stdout.isatty()
     display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
     try:
-        demo = run_demo(args.seconds, args.seed, args.log, display, lambda: stopping)
+        demo = run_demo(args.seconds, args.seed, args.log, display, lambda: stopping, _say)
     except DemoError as error:
-        print(f"tilth demo: {error}", file=sys.stderr)
+        _say(str(error))
         return 1
     finally:
         display.close()
@@ -60,6 +60,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         _tell(demo)
     return 1 if demo.frames_lost or demo.summary.faults else 0
+
+
+def _say(text: str) -> None:
+    print(f"tilth demo: {text}", file=sys.stderr)
 
 
 def _tell(demo: Demo) -> None:

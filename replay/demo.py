@@ -10,7 +10,7 @@ import re
 import select
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -20,13 +20,18 @@ from typing import Any, Final, Literal, Self
 from rich.table import Table
 
 from tilth.logger.daemon import Display, Summary, run_daemon
-from tilth.replay.tractor import Truth, drive
+from tilth.replay.answer import estimates_and_nuisances
+from tilth.replay.scenario import Scenario
+from tilth.replay.simulate import PACKAGED
+from tilth.replay.tractor import draw
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate
 from tilth.schemas.machine import parse_machine
 
-MACHINE: Final = "machines/jd7930-parker500.toml"
 SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
-STARTING_S: Final = 30.0  # longest wait for the second process
+STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
+SOON_S: Final = 4.0  # of that without a word
+ENDING_S: Final = 30.0  # longest wait for it to end
+TICK_S: Final = 0.1
 WITHIN: Final = 1.96  # sd, of a 95 % interval
 
 
@@ -38,7 +43,8 @@ class DemoError(Exception):
 class Demo:
     """What a demo gave."""
 
-    truth: Truth
+    seed: int
+    truth: Mapping[str, float]  # PARAMETERS, N/rad and m
     summary: Summary
     frames_sent: int
 
@@ -68,14 +74,15 @@ def run_demo(
     log_folder: Path,
     display: Display | None = None,
     stop: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Demo:
     """Drive the packaged machine for so long, in real time. Raises DemoError and MachineError.
 
-    stop: asked ten times a second; the log is finished in any case.
+    stop: asked ten times a second; the log is finished in any case. say: told what takes its time.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
-    packaged = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
-    with Player(packaged, seed, seconds) as player:
+    packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    with Player(packaged, seed, seconds, stop, say) as player:
         text = on_loopback(packaged, player.port)
         machine = parse_machine(text)
         summary = run_daemon(
@@ -89,7 +96,7 @@ def run_demo(
     if player.sent is None:
         files = " ".join(str(path) for path in summary.log_files)
         raise DemoError(f"the simulator died before its end; what came until then is in {files}")
-    return Demo(drive(machine, seed, seconds), summary, player.sent)
+    return Demo(seed, draw(machine, seed, Scenario()), summary, player.sent)
 
 
 def on_loopback(machine_text: str, port: int) -> str:
@@ -108,8 +115,15 @@ options = {{ host = "127.0.0.1", port = {port} }}
 class Player:
     """The second process: see socketcand_server.main."""
 
-    def __init__(self, machine_text: str, seed: int, seconds: float) -> None:
-        """Raises DemoError where it does not start."""
+    def __init__(
+        self,
+        machine_text: str,
+        seed: int,
+        seconds: float,
+        stop: Callable[[], bool],
+        say: Callable[[str], None],
+    ) -> None:
+        """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
         self.sent: int | None = None  # frames, as soon as it says so
         self._ended = False
         self._told_to_stop = False
@@ -122,13 +136,28 @@ class Player:
             start_new_session=True,
         )
         self._order({"machine_text": machine_text, "seed": seed, "seconds": seconds})
-        answer = self._answer(STARTING_S)
-        if answer is None:
+        try:
+            self.port = self._ready(stop, say)
+        except DemoError:
+            self._process.terminate()
             self.close()
-            raise DemoError(
-                "the simulator did not start; run `python -m tilth.replay.socketcand_server` to see why"
-            )
-        self.port: int = answer["port"]
+            raise
+
+    def _ready(self, stop: Callable[[], bool], say: Callable[[str], None]) -> int:
+        """Its port."""
+        for tick in range(round(STARTING_S / TICK_S)):
+            answer = self._answer(TICK_S)
+            if answer is not None:
+                return answer["port"]
+            if stop():
+                raise DemoError("stopped before it began")
+            if self._process.poll() is not None:
+                break
+            if tick == round(SOON_S / TICK_S):
+                say("preparing the tractor's model for this computer, which is done only once")
+        raise DemoError(
+            "the simulator did not start; run `python -m tilth.replay.socketcand_server` to see why"
+        )
 
     def finished(self, early: bool) -> bool:
         """True when all is played and so has been received; early: play no further."""
@@ -147,7 +176,7 @@ class Player:
             self._process.stdin.close()
         if self._process.stdout is not None:
             self._process.stdout.close()
-        self._process.wait(STARTING_S)
+        self._process.wait(ENDING_S)
 
     def __enter__(self) -> Self:
         return self
@@ -170,12 +199,12 @@ class Player:
         return json.loads(line) if line else None
 
 
-def compare(truth: Truth, estimate: Estimate | None) -> list[Comparison]:
+def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[Comparison]:
     """One row for each of PARAMETERS."""
     rows = []
     for i, name in enumerate(PARAMETERS):
         parameter = estimate.parameters[i] if estimate is not None else None
-        rows.append(Comparison(name, truth.parameters[name], parameter, _interval(estimate, i)))
+        rows.append(Comparison(name, truth[name], parameter, _interval(estimate, i)))
     return rows
 
 
@@ -202,28 +231,17 @@ def result(demo: Demo) -> dict[str, Any]:
         "poses": summary.poses,
         "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
         "truncated": False,
-        "estimates": {method: _parameters(estimate) for method, estimate in summary.estimates.items()},
-        "nuisances": {
-            method: {name: {"value": value, "sd": sd} for name, (value, sd) in estimate.nuisances.items()}
-            for method, estimate in summary.estimates.items()
-        },
-        "truth": demo.truth.parameters,
+        **estimates_and_nuisances(summary.estimates),
+        "truth": dict(demo.truth),
         "log": [str(path) for path in summary.log_files],
         "frames_sent": demo.frames_sent,
         "frames_lost": demo.frames_lost,
     }
 
 
-def _parameters(estimate: Estimate) -> dict[str, dict[str, Any]]:
-    return {
-        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": p.reason}
-        for name, p in zip(PARAMETERS, estimate.parameters, strict=True)
-    }
-
-
 def comparison_table(demo: Demo) -> Table:
     """Truth beside the recommended estimate, for a terminal."""
-    table = Table(title=f"Truth and estimate, seed {demo.truth.seed}", title_justify="left")
+    table = Table(title=f"Truth and estimate, seed {demo.seed}", title_justify="left")
     for heading, justify in _COLUMNS:
         table.add_column(heading, justify=justify)
     for row in compare(demo.truth, demo.summary.estimates.get("recommended")):

@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from tilth.replay.tractor import Array, Truth, generator
+from tilth.replay.noise import OTHERS, Array, generator
+from tilth.replay.tractor import Truth
 
 Sent = tuple[float, int, bool, bytes]
 """(s of UTC since the start at which it may go to the bus, identifier, 29-bit identifier?, data)"""
@@ -60,7 +61,7 @@ BLOCK_S: Final = 10.0  # made at a time, so that an hour needs no more memory th
 
 def other_frames(truth: Truth) -> Iterator[Sent]:
     """All of ROWS until the end of the run, in the order of sending."""
-    rng = generator(truth.seed, 8)
+    rng = generator(truth.seed, OTHERS)
     phases = rng.random(len(ROWS))
     end = float(truth.time[-1])
     for start in np.arange(0.0, end, BLOCK_S):

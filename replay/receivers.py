@@ -13,7 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from tilth.replay.tractor import STEP_S, Array, Scenario, Track, Truth, gauss_markov, generator
+from tilth.replay import noise as streams
+from tilth.replay.noise import Array, gauss_markov, generator
+from tilth.replay.scenario import STEP_S, Scenario
+from tilth.replay.tractor import Track, Truth, leaning, rate
 from tilth.schemas.flow import FixType, Mount
 from tilth.schemas.machine import Machine, Receiver
 
@@ -26,9 +29,8 @@ POSITION_COMMON = (0.015, 100.0)  # m and s of the error that all share
 VELOCITY = 0.03  # m/s, per axis
 YAW_RATE = np.radians(0.18)
 HEADING = np.radians(0.3)
-ROLL = np.radians(0.2)
+ROLL = np.radians(0.2)  # and pitch
 WHEEL = np.radians(0.07)
-SEND_JITTER_S = 0.0015
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,9 @@ class Effect:
     sd_m: float = 0.0  # of a further slow position error
 
 
+SILENT: Final = Effect(sends=False)
 FAULTS: Final[Mapping[str, Effect]] = {
-    "silent": Effect(sends=False),
+    "silent": SILENT,
     "not_available": Effect(available=False, fix=FixType.NONE),
     "repeat": Effect(holds=True),
     "late": Effect(late_s=0.3),
@@ -69,6 +72,7 @@ class Report:
     yaw_rate: float  # rad/s
     heading: float  # rad, 0 to 2 pi
     roll: float  # rad
+    pitch: float  # rad, nose up
     effect: Effect
 
 
@@ -80,14 +84,16 @@ def star_fire_like(receiver: Receiver) -> bool:
 
 def reports(machine: Machine, truth: Truth, receiver: Receiver, first_s: float) -> list[Report]:
     """All that one receiver measures, at epochs on UTC multiples of its period, from first_s on."""
-    rng = generator(truth.seed, 5, list(Mount).index(receiver.mount))
+    number = list(Mount).index(receiver.mount)
+    rng = generator(truth.seed, streams.RECEIVERS, number)
     scenario = truth.scenario
     epochs = _epochs(scenario, 0.2 if star_fire_like(receiver) else 0.1, first_s, float(truth.time[-1]))
     if not len(epochs):
         return []
-    effects = _effects(scenario, receiver.mount, epochs)
+    dropped = generator(truth.seed, streams.DROP_OUT, number).random(len(epochs)) < scenario.link.drop_out
+    effects = _effects(scenario, receiver.mount, epochs, dropped)
     at = _at(machine, truth, receiver, epochs, np.array([effect.moved_m for effect in effects]))
-    noise = scenario.noise * rng.standard_normal((5, len(epochs)))
+    noise = scenario.noise * rng.standard_normal((6, len(epochs)))
     dx, dy = _position_errors(truth, epochs, np.array([effect.sd_m for effect in effects]), rng)
     north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
     latest = _latest_new(effects)
@@ -95,7 +101,7 @@ def reports(machine: Machine, truth: Truth, receiver: Receiver, first_s: float) 
     latency = truth.nuisances[f"latency_{receiver.mount}"] + np.array([effect.late_s for effect in effects])
     columns = (
         epochs,
-        epochs + latency + rng.exponential(SEND_JITTER_S, len(epochs)),
+        epochs + latency + rng.exponential(scenario.link.jitter, len(epochs)),
         latitude,
         longitude,
         np.arctan2(east, north) % (2 * np.pi),
@@ -103,15 +109,29 @@ def reports(machine: Machine, truth: Truth, receiver: Receiver, first_s: float) 
         at.yaw_rate + YAW_RATE * noise[2],
         (at.heading + HEADING * noise[3]) % (2 * np.pi),
         at.roll + ROLL * noise[4],
+        at.pitch + ROLL * noise[5],
     )
     rows = zip(*(column.tolist() for column in columns), effects, strict=True)
     return [Report(*row) for row in rows]
 
 
 def wheel_readings(truth: Truth) -> Array:
-    """The wheel angle as the sensor says it at each of truth.time, rad: with its zero error and noise."""
-    noise = truth.scenario.noise * generator(truth.seed, 6).normal(0.0, WHEEL, len(truth.time))
-    return truth.wheel_angle + truth.nuisances["wheel_zero"] + noise
+    """The wheel angle as the sensor says it at each of truth.time, rad: play and gain of its linkage, zero
+    error and noise."""
+    noise = truth.scenario.noise * generator(truth.seed, streams.WHEEL).normal(0.0, WHEEL, len(truth.time))
+    moved = _with_play(truth.wheel_angle, np.radians(truth.scenario.wheel.dead_band_deg))
+    return truth.nuisances["wheel_gain"] * moved + truth.nuisances["wheel_zero"] + noise
+
+
+def _with_play(angle: Array, play: float) -> Array:
+    """What a linkage passes on that turns freely within so much, rad, shape (n,)."""
+    if play == 0.0:
+        return angle
+    half, value, values = play / 2, float(angle[0]), []
+    for there in angle.tolist():
+        value = min(max(value, there - half), there + half)
+        values.append(value)
+    return np.array(values)
 
 
 def _plane() -> Transformer:
@@ -126,8 +146,9 @@ def _epochs(scenario: Scenario, period_s: float, first_s: float, end_s: float) -
     return phase + np.arange(first, last + 1) * period_s
 
 
-def _effects(scenario: Scenario, mount: Mount, epochs: Array) -> list[Effect]:
-    result = [Effect()] * len(epochs)
+def _effects(scenario: Scenario, mount: Mount, epochs: Array, dropped: NDArray[np.bool_]) -> list[Effect]:
+    good = Effect()
+    result = [SILENT if lost else good for lost in dropped.tolist()]
     for fault in scenario.faults:
         if fault.mount == mount:
             for k in np.flatnonzero((epochs >= fault.start_s) & (epochs < fault.end_s)):
@@ -141,15 +162,17 @@ def _stands_at(scenario: Scenario, mount: Mount) -> Mount:
 
 
 def _place(machine: Machine, truth: Truth, mount: Mount) -> tuple[float, float]:
-    """True (forward, right) of the antenna: the surveyed pair of a body, turned by its alignment error."""
+    """True (forward, right) of the antenna from the true CG: the surveyed pair of a body, turned by its
+    alignment error, each moved by its own error."""
     body = mount.split("_")[0]
     surveyed = {r.mount: np.array(r.position[:2]) for r in machine.receiver if r.mount.startswith(body)}
     middle = np.mean(list(surveyed.values()), axis=0)
-    turn = truth.nuisances[f"pair_{body}"]
+    told = truth.nuisances
     arm = surveyed.get(mount, middle) - middle
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine, sine = np.cos(told[f"pair_{body}"]), np.sin(told[f"pair_{body}"])
     placed = middle + np.array([[cosine, -sine], [sine, cosine]]) @ arm
-    return float(placed[0]), float(placed[1])
+    moved = [told.get(f"{axis}_{mount}", 0.0) - told[f"cg_{axis}_{body}"] for axis in ("forward", "right")]
+    return float(placed[0] + moved[0]), float(placed[1] + moved[1])
 
 
 def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved_m: Array) -> Track:
@@ -160,22 +183,26 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     mount = _stands_at(truth.scenario, receiver.mount)
     tractor = mount.startswith("tractor")
     body = truth.tractor if tractor else truth.implement
-    cg_height = (machine.tractor if tractor else machine.implement).cg_height.value
     height = 0.0 if receiver.roll_corrected else receiver.position[2]
+    above = height - (truth.rig.h_t if tractor else truth.rig.h_i)
+    back, side = leaning(body.roll, body.pitch)  # of a point one metre higher
     k = np.round(epochs / STEP_S).astype(np.int64)
-    psi, roll, r = body.heading[k], body.roll[k], body.yaw_rate[k]
+    psi, roll, pitch, r = body.heading[k], body.roll[k], body.pitch[k], body.yaw_rate[k]
     forward, right = _place(machine, truth, mount)
-    aside = (right + moved_m) * np.cos(roll) + (height - cg_height) * np.sin(roll)
-    u, v = body.forward_velocity[k] - r * aside, body.lateral_velocity[k] + r * forward
+    ahead = forward * np.cos(pitch) - above * back[k]
+    aside = (right + moved_m) * np.cos(roll) + above * side[k]
+    u = body.forward_velocity[k] - r * aside - above * rate(back)[k]
+    v = body.lateral_velocity[k] + r * ahead + above * rate(side)[k]
     cosine, sine = np.cos(psi), np.sin(psi)
     return Track(
-        body.x[k] + forward * cosine - aside * sine,
-        body.y[k] + forward * sine + aside * cosine,
+        body.x[k] + ahead * cosine - aside * sine,
+        body.y[k] + ahead * sine + aside * cosine,
         psi,
         u * cosine - v * sine,
         u * sine + v * cosine,
         r,
         roll,
+        pitch,
     )
 
 
@@ -188,7 +215,9 @@ def _position_errors(
     length = int(truth.time[-1] / common_step) + 2
     result = []
     for axis in range(2):
-        common = gauss_markov(generator(truth.seed, 7, axis), *POSITION_COMMON, common_step, length)
+        common = gauss_markov(
+            generator(truth.seed, streams.COMMON, axis), *POSITION_COMMON, common_step, length
+        )
         own = gauss_markov(rng, *POSITION_OWN, step, n) + rng.normal(0.0, POSITION_WHITE, n)
         shared = np.interp(epochs, np.arange(length) * common_step, common)
         worse = worse_m * gauss_markov(rng, 1.0, 30.0, step, n)

@@ -1,9 +1,9 @@
 """A CAN bus over TCP on this computer: plays frames in real time to every client, in socketcand's words.
 
 So a whole rig can be tried with no CAN hardware, no privilege and no network beyond loopback. `main` is a
-process of its own: it reads one JSON line (machine_text, seed, seconds), answers with the port, begins when
-the first client listens, plays until the end or until the next line, says how many frames it has sent, and
-ends when its input is closed, so that it cannot outlive whoever started it.
+process of its own: it reads one JSON line (machine_text, seed, seconds), drives the tractor, answers with the
+port, begins when the first client listens, plays until the end or until the next line, says how many frames
+it has sent, and ends when its input is closed, so that it cannot outlive whoever started it.
 """
 
 import json
@@ -12,14 +12,15 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import BinaryIO, Final
 
 from tilth.logger.clock import Clock
-from tilth.replay.tractor import Scenario
-from tilth.replay.traffic import simulate
+from tilth.replay.scenario import Scenario
+from tilth.replay.tractor import Truth, drive
+from tilth.replay.traffic import traffic
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine import Machine, parse_machine
 
 TICK_S: Final = 0.001  # frames that are due are sent this often
 SETTLE_S: Final = 0.05  # python-can wants the answer to "rawmode" alone in one packet
@@ -137,18 +138,24 @@ def main() -> None:
     """The demo's second process."""
     with open(0, "rb", buffering=0) as orders:  # unbuffered: select() must see what readline() has not read
         order = json.loads(orders.readline())
+        machine = parse_machine(order["machine_text"])
+        truth = drive(machine, order["seed"], order["seconds"], Scenario(clock_offset_s=0.0))
         server = open_server()
         _tell({"port": server.port})
-        while not server.listening():
-            if server.serve(0.02, orders):
-                return
-        clock = Clock()
-        start_ns = (clock.t_ns() + START_DELAY_NS) // 10_000_000 * 10_000_000
-        scenario = Scenario(utc_start_ns=start_ns, clock_offset_s=0.0)
-        frames = simulate(parse_machine(order["machine_text"]), order["seed"], order["seconds"], scenario)
-        _tell({"sent": play(server, frames, clock, orders)})
+        _tell({"sent": _play_truth(server, machine, truth, orders)})
         while not (server.serve(1.0, orders) and orders.readline() == b""):
             continue
+
+
+def _play_truth(server: Server, machine: Machine, truth: Truth, orders: BinaryIO) -> int:
+    """Play from the moment that somebody listens; how many frames."""
+    while not server.listening():
+        if server.serve(0.02, orders):
+            return 0
+    clock = Clock()
+    start_ns = (clock.t_ns() + START_DELAY_NS) // 10_000_000 * 10_000_000
+    begun = replace(truth, scenario=replace(truth.scenario, utc_start_ns=start_ns))
+    return play(server, traffic(machine, begun), clock, orders)
 
 
 def _tell(fact: dict[str, int]) -> None:

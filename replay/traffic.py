@@ -25,7 +25,8 @@ from typing import Final
 
 from tilth.replay.other_traffic import DEVICES, Sent, other_frames
 from tilth.replay.receivers import Report, reports, star_fire_like, wheel_readings
-from tilth.replay.tractor import Scenario, Truth, drive
+from tilth.replay.scenario import Scenario
+from tilth.replay.tractor import Truth, drive
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount, Word
 from tilth.schemas.machine import Machine, Receiver
@@ -60,6 +61,13 @@ def traffic(machine: Machine, truth: Truth) -> Iterator[Frame]:
     return heapq.merge(*buses, key=lambda frame: frame.t_ns)
 
 
+def host_clock(truth: Truth) -> Callable[[float], int]:
+    """Of seconds of UTC since the start the recording computer's clock, ns: the stamps of its frames."""
+    offset_s, rate = truth.nuisances["clock_offset"], 1.0 + truth.nuisances["clock_skew"]
+    start_ns = truth.scenario.utc_start_ns
+    return lambda at_s: start_ns + int(1e9 * (offset_s + rate * at_s))
+
+
 def _queues(machine: Machine, truth: Truth) -> dict[str, list[Iterable[Sent]]]:
     """What is to be sent on each bus, in streams of ascending time."""
     scenario = truth.scenario
@@ -81,16 +89,14 @@ def _queues(machine: Machine, truth: Truth) -> dict[str, list[Iterable[Sent]]]:
 def _on_the_bus(machine: Machine, truth: Truth, bus: str, queue: Iterable[Sent]) -> Iterator[Frame]:
     """Arbitration: whenever the bus is free, the lowest identifier that waits goes next."""
     bit_s = 1.0 / next(b.bitrate for b in machine.bus if b.name == bus)
-    clock_s = truth.nuisances["clock_offset"]
-    rate = 1.0 + truth.nuisances["clock_skew"]
-    start_ns = truth.scenario.utc_start_ns
+    t_ns_at = host_clock(truth)
     waiting: list[tuple[int, int, int, bool, bytes]] = []
     free_s = 0.0
     for order, (sent_s, can_id, extended, data) in enumerate(chain(queue, [(math.inf, 0, True, b"")])):
         while waiting and free_s < sent_s:
             _, _, sent_id, is_extended, sent_data = heapq.heappop(waiting)
             free_s += bit_s * ((67 if is_extended else 47) + 8 * len(sent_data))  # with interframe space
-            t_ns = start_ns + int(1e9 * (clock_s + rate * free_s))
+            t_ns = t_ns_at(free_s)
             yield Frame(t_ns, t_ns, bus, sent_id, is_extended, False, sent_data)
         free_s = max(free_s, sent_s)
         heapq.heappush(waiting, (can_id if extended else can_id << 18, order, can_id, extended, data))
@@ -169,7 +175,7 @@ def _star_fire_clump(row: Report, utc_ns: int) -> list[Contents]:
     """One epoch; the only time it tells is a quarter of a second's."""
     fix = {"fix": row.effect.fix.value}
     position: dict[str, Word] = {}
-    direction: dict[str, Word] = {"pitch_rad": 0.0}
+    direction: dict[str, Word] = {"pitch_rad": row.pitch}
     if row.effect.available:
         position = {"latitude_deg": row.latitude_deg, "longitude_deg": row.longitude_deg}
         direction |= {"course_rad": row.course, "speed_mps": row.speed, "altitude_m": ALTITUDE_M}
@@ -201,7 +207,7 @@ def _nmea2000_clump(row: Report, utc_ns: int) -> list[Contents]:
         (129026, encode(129026, velocity, sid=sid), 0),
         (127250, encode(127250, {"heading_rad": row.heading, "heading_reference": "true"}, sid=sid), 0),
         (127251, encode(127251, {"yaw_rate_radps": row.yaw_rate}, sid=sid), 0),
-        (127257, encode(127257, {"roll_rad": row.roll, "pitch_rad": 0.0}, sid=sid), 0),
+        (127257, encode(127257, {"roll_rad": row.roll, "pitch_rad": row.pitch}, sid=sid), 0),
     ]
     if utc_ns % 1_000_000_000:
         return result
@@ -219,7 +225,7 @@ def _nmea2000_clump(row: Report, utc_ns: int) -> list[Contents]:
 def _wheel_frames(machine: Machine, truth: Truth) -> Iterator[Sent]:
     """100 a second, each the machine file's delay after it was measured."""
     sensor = compile_sensor(machine)
-    delay_s = machine.wheel_angle.delay
+    delay_s = machine.wheel_angle.delay + truth.nuisances["wheel_delay"]
     for measured_s, angle in zip(truth.time.tolist(), wheel_readings(truth).tolist(), strict=True):
         yield measured_s + delay_s, sensor.can_id, sensor.extended, sensor.data(angle)
 
@@ -228,9 +234,10 @@ def _tractor_ecu(truth: Truth) -> Iterator[Sent]:
     """Speed over the wheels and over ground, and the guidance system's curvature, each at 10 Hz."""
     speeds, rates = truth.tractor.forward_velocity, truth.tractor.yaw_rate
     for k in range(3, len(truth.time), 10):
-        speed = float(speeds[k])
-        wheels: dict[str, Word] = {"speed_mps": 1.02 * speed, "direction": "forward"}  # they slip
-        ground: dict[str, Word] = {"speed_mps": speed, "direction": "forward"}
+        speed = abs(float(speeds[k]))
+        direction = "reverse" if speeds[k] < 0.0 else "forward"
+        wheels: dict[str, Word] = {"speed_mps": 1.02 * speed, "direction": direction}  # they slip
+        ground: dict[str, Word] = {"speed_mps": speed, "direction": direction}
         path: dict[str, Word] = {"curvature_per_m": float(rates[k]) / max(speed, 0.5)}
         for pgn, words, destination in ((65096, wheels, 255), (65097, ground, 255), (44032, path, 28)):
             for can_id, data in frames_of(pgn, encode(pgn, words), 0xF0, destination):

@@ -300,18 +300,19 @@ def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
     try:
         return Machine.model_validate(raw)
     except ValidationError as error:
-        raise MachineError(_sentence(error, raw)) from None
+        raise MachineError(sentence(error, raw, Machine)) from None
 
 
-def _sentence(error: ValidationError, raw: dict[str, Any]) -> str:
-    """The first problem of a validation, in a person's words."""
+def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
+    """The first problem of validating `raw` as `model`, in a person's words: key, value, what is allowed, and
+    the nearest right key."""
     problems = error.errors()
     # A key that is not known is what the person typed; a missing one is often just its other half.
-    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    where = [part for part in first["loc"] if part not in ("function-before[widen()]", "Quantity")]
+    first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
+    where = _place(raw, first["loc"], first["type"] in (*_UNKNOWN, "missing"))
     key = ".".join(_number(part) for part in where).replace(".[", "[")
-    if first["type"] == "extra_forbidden":
-        known = _keys_at(where[:-1])
+    if first["type"] in _UNKNOWN:
+        known = _keys_at(model, where[:-1], raw)
         near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
         hint = f'; did you mean "{near[0]}"?' if near else ""
         return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
@@ -325,6 +326,21 @@ def _sentence(error: ValidationError, raw: dict[str, Any]) -> str:
     return f"{key}{shown}: {message}" if key else message
 
 
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | str]:
+    """Of pydantic's path what a person typed: no names of validators and of members of unions."""
+    kept: list[int | str] = []
+    for number, part in enumerate(where):
+        last = missing and number == len(where) - 1
+        known = part in raw if isinstance(raw, dict) else isinstance(raw, list) and isinstance(part, int)
+        if last or known:
+            kept.append(part)
+            raw = None if last else raw[part]
+    return kept
+
+
 def _number(part: int | str) -> str:
     return f"[{part + 1}]" if isinstance(part, int) else str(part)
 
@@ -335,21 +351,24 @@ def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
     return list(raw) if isinstance(raw, dict) else []
 
 
-def _keys_at(path: list[int | str]) -> list[str]:
+def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
     """Keys that the section at `path` may have."""
-    model: Any = Machine
     for part in path:
-        if isinstance(part, int) or not hasattr(model, "model_fields") or part not in model.model_fields:
-            continue
-        model = _section_of(model.model_fields[part].annotation)
-    return list(model.model_fields) if hasattr(model, "model_fields") else []
+        raw = raw[part]
+        fields = getattr(model, "__pydantic_fields__", {})
+        if not isinstance(part, int) and part in fields:
+            sections = _sections_of(fields[part].annotation)
+            model = next((s for s in sections if _is_kind(s, raw)), None)
+    return list(getattr(model, "__pydantic_fields__", {}))
 
 
-def _section_of(annotation: Any) -> Any:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in typing.get_args(annotation):
-        found = _section_of(inner)
-        if found is not None:
-            return found
-    return None
+def _sections_of(annotation: Any) -> list[Any]:
+    if hasattr(annotation, "__pydantic_fields__"):
+        return [annotation]
+    return [section for inner in typing.get_args(annotation) for section in _sections_of(inner)]
+
+
+def _is_kind(section: Any, raw: Any) -> bool:
+    """Whether this member of a union, told apart by its key `kind`, is meant."""
+    kind = section.__pydantic_fields__.get("kind")
+    return kind is None or not isinstance(raw, dict) or raw.get("kind") in typing.get_args(kind.annotation)

@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -26,7 +25,6 @@ from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Summary
 from tilth.replay.demo import (
-    MACHINE,
     Demo,
     DemoError,
     compare,
@@ -37,13 +35,15 @@ from tilth.replay.demo import (
     run_demo,
 )
 from tilth.replay.readers import frames
+from tilth.replay.scenario import Scenario
+from tilth.replay.simulate import PACKAGED
 from tilth.replay.socketcand_server import Server, open_server, play
-from tilth.replay.tractor import Scenario, Truth, drive
+from tilth.replay.tractor import draw
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
 
-TEXT = resources.files("tilth.deploy").joinpath(MACHINE).read_text()
+TEXT = resources.files("tilth.deploy").joinpath(PACKAGED).read_text()
 # Without asammdf, which reads files that are not needed here and takes two seconds to import.
 START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; sys.exit(main())"
 COMMAND = [sys.executable, "-c", START, "demo"]
@@ -86,7 +86,7 @@ def test_no_frame_is_lost(short: dict[str, Any], machine: Machine) -> None:
 
 
 def test_the_answer_has_the_fields_of_a_replay_and_the_truth(short: dict[str, Any], machine: Machine) -> None:
-    assert short["truth"] == pytest.approx(drive(machine, 1, 4.0).parameters)
+    assert short["truth"] == pytest.approx(draw(machine, 1, Scenario()))
     assert tuple(short["truth"]) == PARAMETERS
     assert short["measurements"] > 1000
     assert short["poses"] > 10
@@ -116,7 +116,7 @@ def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureF
         said.open("w") as stderr,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as process,
     ):
-        _wait_for_bytes(process, tmp_path, 20_000)
+        _wait_for_bytes(process, tmp_path, 8_000)
         keys = _keys_published(said.read_text())
         process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=60)
@@ -144,6 +144,13 @@ def test_a_simulator_that_dies_ends_the_run_with_a_whole_log(tmp_path: Path) -> 
         run_demo(600.0, 1, tmp_path, stop=kill_once_logged)
     log = Path(str(caught.value).split()[-1])
     assert len(list(frames(log))) > 100
+
+
+def test_ctrl_c_before_it_begins_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(DemoError, match="stopped before it began"):
+        run_demo(600.0, 1, tmp_path, stop=lambda: True)
+    assert list(tmp_path.iterdir()) == []
+    assert list(_children("socketcand_server")) == []
 
 
 def _children(words: str) -> Iterator[int]:
@@ -207,7 +214,7 @@ def test_ninety_seconds_give_three_stiffnesses_that_hold_the_truth(machine: Mach
     state = initial(machine)
     for frame in simulate(machine, 1, 90.0):
         step(state, frame)
-    rows = compare(drive(machine, 1, 90.0), state.estimates["recommended"])
+    rows = compare(draw(machine, 1, Scenario()), state.estimates["recommended"])
     for row in rows[:3]:
         assert row.estimate is not None
         assert row.estimate.status is Status.ESTIMATED, row.estimate.reason
@@ -228,21 +235,17 @@ def _estimate(log_sd: float) -> Estimate:
     [(220e3, 0.1, True), (170e3, 0.1, True), (250e3, 0.1, False), (163e3, 0.1, False)],
 )
 def test_the_interval_is_log_normal(machine: Machine, true: float, log_sd: float, holds: bool) -> None:
-    truth = drive(machine, 1, 0.1)
-    row, other = compare(_with(truth, true), _estimate(log_sd))[:2]
+    truth = draw(machine, 1, Scenario()) | {"C_af": true}
+    row, other = compare(truth, _estimate(log_sd))[:2]
     assert row.interval == pytest.approx((200e3 * math.exp(-1.96 * log_sd), 200e3 * math.exp(1.96 * log_sd)))
     assert row.holds is holds
     assert other.interval is None
     assert other.holds is None
 
 
-def _with(truth: Truth, c_af: float) -> Truth:
-    return replace(truth, parameters=truth.parameters | {"C_af": c_af})
-
-
 def test_lost_frames_and_a_run_without_estimates_are_told(machine: Machine) -> None:
     summary = Summary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
-    demo = Demo(drive(machine, 1, 0.1), summary, 10)
+    demo = Demo(1, draw(machine, 1, Scenario()), summary, 10)
     assert result(demo)["frames_lost"] == 1
     assert result(demo)["duration_s"] == 0.0
     assert comparison_table(demo).row_count == 6

@@ -9,7 +9,8 @@ import pytest
 
 from tilth.replay.other_traffic import DEVICES, ROWS
 from tilth.replay.receivers import reports
-from tilth.replay.tractor import STEP_S, Fault, Reclaim, Scenario, drive
+from tilth.replay.scenario import STEP_S, Fault, Reclaim, Scenario, Wheel
+from tilth.replay.tractor import drive
 from tilth.replay.traffic import simulate
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
@@ -230,6 +231,24 @@ def test_the_host_clock_runs_away_from_utc(machine: Machine) -> None:
     late = [f.rx_ns for f in simulate(machine, 1, 100.0, only_wheel)] - truth.time * 1e9
     assert (late[-1] - late[0]) * 1e-9 == pytest.approx(100.0 * truth.nuisances["clock_skew"], abs=1e-6)
     assert truth.nuisances["clock_skew"] != 0.0
+
+
+def test_the_wheel_angle_comes_later_by_its_delay(machine: Machine) -> None:
+    only_wheel = Scenario(
+        other_traffic=False, claims=False, faults=tuple(Fault(m, 0.0, 999.0, "silent") for m in Mount)
+    )
+    slow = replace(only_wheel, wheel=Wheel(delay=0.04))
+    early, late = (np.array([f.rx_ns for f in simulate(machine, 1, 2.0, s)]) for s in (only_wheel, slow))
+    np.testing.assert_allclose((late - early) * 1e-9, 0.04, atol=1e-6)
+
+
+def test_reverse_is_told_by_the_tractor(machine: Machine) -> None:
+    scenario = Scenario(speed=((4.0, 2.0), (8.0, -1.0)), steering=((1.0, 0.0),))
+    measurements, _ = _measurements(machine, list(simulate(machine, 1, 12.0, scenario)))
+    told = [m for m in measurements if isinstance(m, VehicleSpeed)]
+    assert (told[20].direction, told[-1].direction) == ("forward", "reverse")
+    assert told[-1].speed == pytest.approx(1.0, abs=0.15)
+    assert all(m.speed >= 0.0 for m in told)
 
 
 def test_several_buses(machine: Machine) -> None:

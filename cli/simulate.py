@@ -1,0 +1,118 @@
+"""`tilth simulate`: a scenario driven by the virtual tractor, its frames as a log, the truth beside it."""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from importlib import resources
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.replay.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
+from tilth.replay.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
+from tilth.schemas.machine import Machine, parse_machine
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "simulate",
+        help="drive a scenario and write its log, and the truth beside it",
+        description="Drive a scenario file (examples/scenarios/ has some) on the nonlinear model and write "
+        "the frames that a recorder would have taken. LOG.truth.json and LOG.truth.csv say what was true.",
+    )
+    parser.add_argument("scenario", type=Path, metavar="SCENARIO.toml")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="LOG", help="new file; .mcap, or .log for candump text"
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="another rig and another drive (the file's)")
+    parser.add_argument("--seconds", type=float, metavar="N", help="of driving (the file's)")
+    parser.add_argument("--machine", type=Path, metavar="M.toml", help="(the file's, or the packaged one)")
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    source = _source(args)
+    _check_out(args.out)
+    with ExitStack() as stack:
+        progress = _progress(stack, source.seconds) if sys.stderr.isatty() else lambda what, at_s: None
+        try:
+            simulated = simulate_to(source, args.out, progress)
+        except ValueError as error:
+            raise WrongUse(f"this machine cannot be driven: {error}") from None
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            print(f"tilth simulate: {error.filename or args.out}: {reason}", file=sys.stderr)
+            return 1
+    _tell(source, simulated, args.json)
+    return 0
+
+
+def _source(args: argparse.Namespace) -> Source:
+    """What is asked for. Raises WrongUse, MachineError."""
+    try:
+        text = args.scenario.read_text(encoding="utf-8")
+        scenario = parse_scenario(text)
+        machine, machine_text = _machine(args, scenario)
+        check_mounts(scenario, [receiver.mount for receiver in machine.receiver])
+    except ScenarioError as error:
+        raise WrongUse(f"{args.scenario}: {error}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "not UTF-8 text"
+        raise WrongUse(
+            f"{args.scenario}: cannot be read ({reason}); give a scenario file, as in examples/scenarios"
+        ) from None
+    seed = scenario.seed if args.seed is None else args.seed
+    seconds = scenario.seconds if args.seconds is None else args.seconds
+    if seed < 0:
+        raise WrongUse(f"--seed {seed}: give a whole number from 0 up")
+    if not (math.isfinite(seconds) and 0 < seconds <= 86_400):
+        raise WrongUse(f"--seconds {seconds:g}: give a number above zero, a day at most")
+    return Source(machine, machine_text, scenario, text, seed, seconds)
+
+
+def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str]:
+    if args.machine is not None:
+        return read_machine(args.machine)
+    if scenario.machine is not None:
+        return read_machine(args.scenario.parent / scenario.machine)
+    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    return parse_machine(text), text
+
+
+def _check_out(log: Path) -> None:
+    if log.suffix not in WRITERS:
+        raise WrongUse(f"--out {log}: the ending says what is written; give {' or '.join(WRITERS)}")
+    for path in files_of(log):
+        if path.exists():
+            raise WrongUse(f"{path}: exists; a log is never overwritten, give another name")
+    if not log.parent.is_dir():
+        raise WrongUse(f"--out {log}: there is no folder {log.parent}")
+
+
+def _progress(stack: ExitStack, seconds: float) -> Callable[[str, float], None]:
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    tasks = {what: bar.add_task(what, total=seconds) for what in ("driving", "frames")}
+    return lambda what, at_s: bar.update(tasks[what], completed=at_s)
+
+
+def _tell(source: Source, simulated: Simulated, as_json: bool) -> None:
+    log, described, table = simulated.files
+    if as_json:
+        told = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
+        files = {"log": str(log), "truth": str(described), "table": str(table)}
+        print(json.dumps({**told, **files, "parameters": simulated.truth.parameters}))
+        return
+    console = Console()
+    if source.scenario.purpose:
+        console.print(source.scenario.purpose, highlight=False)
+    console.print(f"{simulated.frames} frames of {source.seconds:g} s, seed {source.seed}", highlight=False)
+    machine = "" if log.suffix == ".mcap" else " --machine M.toml"
+    for what, path in (("Log:   ", log), ("Truth: ", described), ("       ", table)):
+        console.print(f"{what} {path}", soft_wrap=True, highlight=False)
+    console.print(f"Replay: tilth replay {log}{machine}", soft_wrap=True, highlight=False)

@@ -1,0 +1,307 @@
+"""A scenario: how the virtual tractor is driven, over which ground and soil, and what is out of order.
+
+One TOML text with the keys of `Scenario`; the ones that have several parts are tables. SI and radians, except
+where the key says degrees. A wrong one raises ScenarioError in one sentence. The files in examples/scenarios
+show every key in use.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from tilth.schemas.flow import Mount
+from tilth.schemas.machine import sentence
+
+
+class ScenarioError(Exception):
+    """The scenario is wrong; the text says where and what to do."""
+
+
+STEP_S: Final = 0.01  # between samples of a simulated run
+_CONFIG: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Share = Annotated[float, Field(ge=0, le=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Factor = Annotated[float, Field(ge=0.05, le=20)]
+Duration = Annotated[float, Field(gt=0, le=86_400)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+Angle = Annotated[float, Field(ge=-45, le=45)]  # of wheels, degrees
+Speed = Annotated[float, Field(ge=-4, le=15)]
+Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
+FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
+
+
+# How it is steered.
+
+
+def _target(raw: Any) -> Any:
+    if isinstance(raw, str) and raw != "random":
+        raise ValueError('give degrees, or "random"')
+    return None if raw == "random" else raw
+
+
+Segments = Annotated[
+    tuple[tuple[Duration, Annotated[Angle | None, BeforeValidator(_target)]], ...], Field(min_length=1)
+]
+"""((seconds, wheel angle in degrees, or None, in TOML "random", for random steering), …), repeated"""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Turns:
+    """Straight stretches and steady turns to alternating sides, then random steering; repeated."""
+
+    kind: Literal["turns"] = "turns"
+    turns: Annotated[int, Field(ge=1, le=100)] = 6
+    angle_deg: tuple[Positive, Angle] = (5.0, 8.0)  # of the wheels, each turn's drawn between
+    hold: tuple[Positive, Positive] = (10.0, 11.0)  # s
+    straight: tuple[Positive, Positive] = (2.0, 2.4)  # s
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Manoeuvre:
+    """A row of estimator.manoeuvres, the wheels no faster than they can turn."""
+
+    kind: Literal["step", "steps", "chirp", "random"]
+    amplitude_deg: Annotated[float, Field(gt=0, le=45)] = 8.0
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Row:
+    """Automatic steering along a row that runs north from the start."""
+
+    kind: Literal["row"] = "row"
+    offset: Annotated[float, Field(ge=-30, le=30)] = 0.0  # m, of the row to the right of the start
+    heading_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0  # of the rig at the start
+    position_sd: NotNegative = 0.02  # m, slow error of the position that steering believes
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Fieldwork:
+    """Rows to and fro, each next one to the east, with headland turns by hand between them."""
+
+    kind: Literal["field"] = "field"
+    length: Annotated[float, Field(ge=10, le=10_000)] = 200.0  # m, of the rows, from turn to turn
+    spacing: Annotated[float, Field(ge=1, le=100)] = 6.1  # m; closer than two radii needs a loop
+    turn_radius: Annotated[float, Field(ge=5, le=50)] = 6.0  # m, of the tractor's rear axle
+    turn_speed: Annotated[float, Field(ge=0.5, le=5)] = 2.0  # m/s
+    position_sd: NotNegative = 0.02  # as of Row
+
+
+_KINDS: Final = ("turns", "step", "steps", "chirp", "random", "row", "field")
+_SAY_KIND: Final = f"give rows of [seconds, degrees], or a table whose kind is one of {', '.join(_KINDS)}"
+_MANOEUVRES: Final = ("step", "steps", "chirp", "random")
+
+
+def _rows_or_number(raw: Any) -> str:
+    return "rows" if isinstance(raw, (list, tuple)) else "number"
+
+
+Speeds = Annotated[
+    Annotated[Speed, Tag("number")]
+    | Annotated[tuple[tuple[Duration, Speed], ...], Field(min_length=1), Tag("rows")],
+    Discriminator(_rows_or_number),
+]
+"""m/s, or ((seconds, m/s), …), repeated"""
+
+
+def _kind(raw: Any) -> str | None:
+    if isinstance(raw, (list, tuple)):
+        return "segments"
+    kind = raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
+    return "manoeuvre" if kind in _MANOEUVRES else kind
+
+
+Steering = Annotated[
+    Annotated[Segments, Tag("segments")]
+    | Annotated[Turns, Tag("turns")]
+    | Annotated[Manoeuvre, Tag("manoeuvre")]
+    | Annotated[Row, Tag("row")]
+    | Annotated[Fieldwork, Tag("field")],
+    Discriminator(_kind, custom_error_type="kind", custom_error_message=_SAY_KIND),
+]
+
+
+# Over what it drives.
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Ground:
+    """A side slope, as a plane, and what is uneven on it, as waves along the way."""
+
+    slope_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
+    downhill_deg: Degrees = 90.0  # direction in which the plane falls, clockwise from north
+    roll_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # of either body on uneven ground
+    force_sd: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # of the force across either body, over its weight
+    band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave
+
+    def __post_init__(self) -> None:
+        if not self.band[0] < self.band[1]:
+            raise ValueError(f"band = {list(self.band)}: give the shortest wave first, then a longer one")
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Change:
+    """Other soil from a time on, or beyond a line. A parameter is multiplied by its factor there."""
+
+    at_s: NotNegative | None = None
+    north: float | None = None  # m, of a point on the line
+    east: float | None = None
+    towards_deg: Degrees = 0.0  # where beyond is: across the line, clockwise from north
+    over: NotNegative = 0.0  # s or m that the change takes; 0: at once
+    C_af: Factor = 1.0
+    C_ar: Factor = 1.0
+    C_ai: Factor = 1.0
+    sigma_f: Factor = 1.0
+    sigma_r: Factor = 1.0
+    sigma_i: Factor = 1.0
+
+    def __post_init__(self) -> None:
+        if (self.at_s is None) == (self.north is None or self.east is None):
+            raise ValueError("give at_s for a time, or north and east of a point on the line")
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Soil:
+    """What holds the tyres, and where it is different."""
+
+    grip: Annotated[float, Field(ge=0.2, le=1000)] = (
+        3.0  # largest side over vertical force; in a field 0.5 to 1
+    )
+    rolling: Annotated[float, Field(ge=0, le=0.5)] = 0.02  # resistance over load; on firm soil 0.06
+    parameters: Mapping[Parameter, Positive] | None = None  # N/rad, m: instead of what is drawn
+    changes: tuple[Change, ...] = ()
+    patch_log_sd: Annotated[float, Field(ge=0, le=1)] = 0.0  # stiffness here and there, natural logarithm
+    patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
+
+
+# What is out of order.
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Survey:
+    """How far the machine file is from the truth; drawn once for a run."""
+
+    cg_sd: Annotated[float, Field(ge=0, le=0.2)] = 0.01  # m, of either CG, along each axis
+    lever_sd: Annotated[float, Field(ge=0, le=0.2)] = 0.01  # m, of each receiver, forward and right
+    pair_sd_deg: Annotated[float, Field(ge=0, le=1)] = 0.2  # of the yaw of either pair, at most 0.3 in truth
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Wheel:
+    """Errors of the wheel-angle sensor and its linkage."""
+
+    zero_deg: Annotated[float, Field(ge=-5, le=5)] | None = None  # beyond the file's; None: drawn, sd 0.3
+    gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
+    dead_band_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # play: from the right to the left flank
+    delay: Annotated[float, Field(ge=0, le=1)] = 0.0  # s, beyond the machine file's
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Link:
+    """How the receivers' reports come through."""
+
+    jitter: Annotated[float, Field(ge=0, le=0.2)] = 0.0015  # s, mean of what is added to the latency
+    drop_out: Share = 0.0  # of the epochs that are never sent
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Fault:
+    """What goes wrong with one receiver for a while; `kind` is a key of receivers.FAULTS."""
+
+    mount: Mount
+    start_s: NotNegative
+    end_s: NotNegative
+    kind: FaultKind
+
+    def __post_init__(self) -> None:
+        if self.end_s <= self.start_s:
+            raise ValueError(f"end_s = {self.end_s:g} must come after start_s = {self.start_s:g}")
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Reclaim:
+    """A receiver changes its source address; another one's address makes the two claim the same."""
+
+    mount: Mount
+    at_s: NotNegative
+    source: Annotated[int, Field(ge=0, le=253)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Scenario:
+    """How the machine is driven, and what is out of order. The default is the demo's."""
+
+    purpose: str = ""  # one sentence: what it is good for
+    seconds: Duration = 90.0
+    seed: Annotated[int, Field(ge=0)] = 1
+    machine: str | None = None  # machine file, from this file's folder; None: the packaged one
+    speed: Speeds = 4.5
+    speed_sd: Annotated[float, Field(ge=0, le=1)] = 0.05  # m/s, wandering within some ten seconds
+    steering: Steering = Turns()
+    steering_rate_degps: Positive = 25.0
+    steering_limit_deg: Annotated[float, Field(ge=5, le=45)] = 35.0  # stop of automatic steering
+    roll_deg: tuple[Angle, Angle] = (
+        0.0,
+        0.0,
+    )  # of tractor and implement, right side down
+    ground: Ground = Ground()
+    soil: Soil = Soil()
+    survey: Survey = Survey()
+    wheel: Wheel = Wheel()
+    link: Link = Link()
+    noise: NotNegative = 1.0  # factor on every noise and drawn error of the sensors and the survey
+    latency_s: Mapping[Mount, NotNegative] | None = None  # instead of what is drawn
+    faults: tuple[Fault, ...] = ()
+    reclaims: tuple[Reclaim, ...] = ()
+    swapped: tuple[Mount, Mount] | None = None  # these two receivers stand in each other's place
+    wheel_sensor: bool = True
+    claims: bool = True  # False: everybody has claimed an address before the recording began
+    other_traffic: bool = True  # the frames that nobody wants
+    utc_start_ns: int = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
+    clock_offset_s: float | None = None  # host clock minus UTC at the start; None: drawn
+
+    def __post_init__(self) -> None:
+        slowest = min(row[1] for row in self.speed) if isinstance(self.speed, tuple) else self.speed
+        if slowest < 0 and isinstance(self.steering, (Row, Fieldwork)):
+            raise ValueError(f"speed = {slowest:g}: automatic steering does not drive in reverse")
+
+
+_SCENARIO: Final = TypeAdapter(Scenario)
+
+
+def parse_scenario(text: str) -> Scenario:
+    """Scenario from the TOML text of a scenario file. Raises ScenarioError."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"not a TOML file: {error}") from None
+    _check_kind(raw.get("steering"))
+    try:
+        return _SCENARIO.validate_python(raw)
+    except ValidationError as error:
+        raise ScenarioError(sentence(error, raw, Scenario)) from None
+
+
+def check_mounts(scenario: Scenario, mounts: Collection[Mount]) -> None:
+    """Raises ScenarioError where it names a receiver that the machine does not have."""
+    named = [("faults", fault.mount) for fault in scenario.faults]
+    named += [("reclaims", claim.mount) for claim in scenario.reclaims]
+    named += [("swapped", mount) for mount in scenario.swapped or ()]
+    named += [("latency_s", mount) for mount in scenario.latency_s or ()]
+    for key, mount in named:
+        if mount not in mounts:
+            raise ScenarioError(f"{key}: the machine has no receiver {mount}; it has {', '.join(mounts)}")
+
+
+def _check_kind(steering: Any) -> None:
+    """Pydantic would not say what was given. Raises ScenarioError."""
+    kind = steering.get("kind") if isinstance(steering, dict) else _KINDS[0]
+    if kind not in _KINDS:
+        near = difflib.get_close_matches(str(kind), _KINDS, n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise ScenarioError(f"steering.kind = {kind!r}: there are {', '.join(_KINDS)}{hint}")

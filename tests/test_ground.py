@@ -1,0 +1,147 @@
+"""The ground under the virtual tractor: slopes, waves and soil in space."""
+
+import numpy as np
+import pytest
+
+from tilth.estimator.models import nonlinear
+from tilth.estimator.models.parameters import TABLE_5_1
+from tilth.replay.ground import Waves, axles_of, crossings, field, share, terrain, waves
+from tilth.replay.scenario import Change, Ground, Soil
+from tilth.schemas.flow import PARAMETERS
+
+RIG = TABLE_5_1
+THETA: dict[str, float] = {name: getattr(RIG, name) for name in PARAMETERS}
+LEVEL = (0.0, 0.0)
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def standing(north: float, east: float = 0.0, heading: float = 0.0) -> np.ndarray:
+    """State of the rig with its CG there, straight."""
+    return nonlinear.running(0.0, x_t=north, y_t=east, psi_t=heading, psi_i=heading)
+
+
+# What is uneven.
+
+
+@pytest.mark.parametrize("band", [(3.0, 30.0), (1.0, 4.0)])
+def test_waves_have_their_size_and_keep_to_their_band(band: tuple[float, float]) -> None:
+    made, s = waves(rng(), 0.02, band), np.arange(0.0, 20_000.0, 0.2)
+    along = made.at(s)
+    assert along.std() == pytest.approx(0.02, rel=0.05)
+    power = np.abs(np.fft.rfft(along * np.hanning(len(s)))) ** 2
+    length = 1.0 / np.maximum(np.fft.rfftfreq(len(s), 0.2), 1e-9)
+    inside = (length > 0.98 * band[0]) & (length < 1.02 * band[1])
+    assert power[~inside].sum() < 1e-3 * power.sum()
+
+
+def test_waves_can_be_asked_for_anywhere() -> None:
+    made = waves(rng(), 0.02, (3.0, 30.0))
+    s = np.array([[1.0, 2.0], [7.5, -3.0]])
+    assert made.at(s).shape == (2, 2)
+    assert made.at(s)[1, 0] == pytest.approx(float(made.at(7.5)))
+    assert Waves(0.0, made.wavenumber, made.phase).at(s).tolist() == [[0.0, 0.0], [0.0, 0.0]]
+
+
+def test_the_implement_comes_over_the_same_ground_later() -> None:
+    land = terrain(Ground(roll_sd_deg=1.0, force_sd=0.02), LEVEL, RIG, rng())
+    lag = RIG.c - RIG.b + RIG.d + RIG.e
+    s = np.linspace(0.0, 60.0, 200)
+    tractor, _ = land.rolls(s, 0.0, 0.0)
+    _, implement = land.rolls(s + lag, 0.0, 0.0)
+    np.testing.assert_allclose(implement, tractor, atol=1e-12)
+    _, _, _, force_t, _ = land.inputs(5.0, standing(0.0), RIG)
+    _, _, _, _, force_i = land.inputs(5.0 + lag, standing(0.0), RIG)
+    assert force_i / RIG.m_i == pytest.approx(force_t / RIG.m_t)
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "roll_deg", "pitch_deg"),
+    [(0.0, 5.0, 0.0), (90.0, 0.0, -5.0), (180.0, -5.0, 0.0), (270.0, 0.0, 5.0)],
+)
+def test_a_plane_that_falls_to_the_east(heading_deg: float, roll_deg: float, pitch_deg: float) -> None:
+    land = terrain(Ground(slope_deg=5.0, downhill_deg=90.0), LEVEL, RIG, rng())
+    heading = np.radians(heading_deg)
+    rolls = land.rolls(0.0, heading, heading)
+    np.testing.assert_allclose(np.degrees(rolls), roll_deg, atol=1e-9)
+    assert np.degrees(land.pitch(heading)) == pytest.approx(pitch_deg, abs=1e-9)
+    gravity_t, gravity_i, along, *forces = land.inputs(0.0, standing(0.0, heading=heading), RIG)
+    assert (gravity_t, gravity_i) == pytest.approx((RIG.g * np.sin(np.radians(roll_deg)),) * 2, abs=1e-9)
+    weight = RIG.g * (RIG.m_t + RIG.m_i)
+    assert along == pytest.approx(-weight * np.sin(np.radians(pitch_deg)), abs=1e-6)
+    assert forces == [0.0, 0.0]
+
+
+# Soil.
+
+
+def test_soil_without_changes_is_the_same_everywhere() -> None:
+    soil = field(Soil(), THETA, RIG, rng())
+    assert soil.uniform
+    np.testing.assert_array_equal(soil.at(3.0, standing(50.0)), RIG.theta)
+
+
+def test_axles_are_where_the_geometry_says() -> None:
+    front, rear, cart = axles_of(RIG, standing(10.0, 20.0, np.pi / 2))
+    assert front == pytest.approx([10.0, 20.0 + RIG.a])
+    assert rear == pytest.approx([10.0, 20.0 - RIG.b])
+    assert cart == pytest.approx([10.0, 20.0 - RIG.c - RIG.d - RIG.e])
+
+
+def test_each_axle_crosses_a_line_when_it_gets_there() -> None:
+    change = Change(north=50.0, east=0.0, towards_deg=0.0, C_af=0.5, C_ar=0.6, C_ai=0.7, sigma_i=2.0)
+    soil = field(Soil(changes=(change,)), THETA, RIG, rng())
+
+    def factors(north: float) -> list[float]:
+        return list((soil.at(0.0, standing(north)) / RIG.theta).round(9))
+
+    assert factors(50.0 - RIG.a - 0.01) == [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    assert factors(50.0) == [0.5, 1.0, 1.0, 1.0, 1.0, 1.0]
+    assert factors(50.0 + RIG.b + 0.01) == [0.5, 0.6, 1.0, 1.0, 1.0, 1.0]
+    assert factors(60.0) == [0.5, 0.6, 0.7, 1.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("towards_deg", [0.0, 37.0, 180.0, -90.0])
+def test_a_line_runs_across_its_direction(towards_deg: float) -> None:
+    towards = np.radians(towards_deg)
+    change = Change(north=5.0, east=7.0, towards_deg=towards_deg, over=10.0)
+    ahead, along = np.array([np.cos(towards), np.sin(towards)]), np.array([-np.sin(towards), np.cos(towards)])
+    for beyond, wanted in ((-1.0, 0.0), (2.5, 0.25), (11.0, 1.0)):
+        place = np.array([5.0, 7.0]) + beyond * ahead + 123.0 * along
+        assert share(change, 0.0, np.tile(place, (3, 1))) == pytest.approx([wanted] * 3)
+
+
+def test_a_change_in_time_holds_everywhere_and_takes_its_time() -> None:
+    soil = field(Soil(changes=(Change(at_s=10.0, over=4.0, C_ar=0.25),)), THETA, RIG, rng())
+    states = np.tile(standing(0.0), (4, 1))
+    factors = soil.at(np.array([9.9, 10.0, 12.0, 14.5]), states)[:, 1] / RIG.C_ar
+    assert factors == pytest.approx([1.0, 1.0, 0.5, 0.25])  # half way of the logarithm
+
+
+def test_patches_change_stiffness_with_the_place_only() -> None:
+    soil = field(Soil(patch_log_sd=0.1, patch_length=30.0), THETA, RIG, rng(3))
+    places = np.stack([standing(*at) for at in rng(4).uniform(-3000.0, 3000.0, (3000, 2))])
+    logs = np.log(soil.at(0.0, places) / RIG.theta)
+    assert logs[:, :3].std(axis=0) == pytest.approx([0.1] * 3, rel=0.08)
+    assert np.abs(logs[:, 3:]).max() < 1e-12
+    near = np.log(soil.at(0.0, standing(100.0)) / soil.at(99.0, standing(101.0)))
+    assert np.abs(near).max() < 0.05  # a metre further, at another time
+    two = np.log(soil.at(0.0, standing(0.0)) / RIG.theta)
+    again = np.log(soil.at(0.0, standing(RIG.a + RIG.b)) / RIG.theta)
+    assert again[1] == pytest.approx(two[0])  # the rear axle where the front one was
+
+
+def test_crossings_are_told_with_their_axles() -> None:
+    changes = (Change(north=20.0, east=0.0, over=5.0), Change(at_s=4.0), Change(north=900.0, east=0.0))
+    time = np.arange(0.0, 10.01, 0.01)
+    states = np.stack([standing(5.0 * t) for t in time])
+    told = {
+        (number, axle): (start, end) for number, axle, start, end in crossings(changes, RIG, time, states)
+    }
+    assert told[1, "front"] == pytest.approx(((20.0 - RIG.a) / 5.0, (25.0 - RIG.a) / 5.0), abs=0.02)
+    behind = RIG.c + RIG.d + RIG.e
+    assert told[1, "implement"] == pytest.approx(((20.0 + behind) / 5.0, (25.0 + behind) / 5.0), abs=0.02)
+    assert told[2, "rear"] == pytest.approx((4.0, 4.0), abs=0.02)
+    assert {number for number, _ in told} == {1, 2}
