@@ -334,10 +334,14 @@ def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | 
     kept: list[int | str] = []
     for number, part in enumerate(where):
         last = missing and number == len(where) - 1
-        known = part in raw if isinstance(raw, dict) else isinstance(raw, list) and isinstance(part, int)
-        if last or known:
+        if (
+            last
+            or (isinstance(raw, dict) and part in raw)
+            or (isinstance(raw, list) and isinstance(part, int))
+        ):
             kept.append(part)
-            raw = None if last else raw[part]
+            inner: Any = raw
+            raw = None if last else inner[part]
     return kept
 
 

@@ -149,6 +149,23 @@ def test_the_tightest_turn_uses_the_stop(machine: Machine) -> None:
     assert 34.0 < degrees.max() <= 36.0
 
 
+def test_far_off_the_row_the_wheels_meet_their_stop(machine: Machine) -> None:
+    far = Row(offset=30.0, heading_deg=-60.0)
+    scenario = Scenario(steering=far, soil=FIRM, speed=1.5, steering_limit_deg=20.0)
+    degrees = np.degrees(drive(machine, 1, 12.0, scenario).wheel_angle)
+    assert 19.0 < degrees.max() < 22.5  # the valve closes at the stop, what moves comes to rest behind it
+
+
+def test_every_row_is_held_to_its_end(machine: Machine) -> None:
+    long = Scenario(steering=replace(ROWS, length=110.0, spacing=24.0), soil=FIRM)
+    states = drive(machine, 1, 105.0, long).states
+    for number, north in ((0, states[:, 0] > 90.0), (1, states[:, 0] < 40.0)):
+        on = north & (np.abs(states[:, 1] - 24.0 * number) < 5.0) & (np.abs(states[:, 4]) > 4.0)
+        on &= np.arange(len(on)) > 1000
+        assert on.sum() > 100
+        assert np.abs(states[on, 1] - 24.0 * number).max() < 0.1
+
+
 def test_a_pilot_is_repeatable(machine: Machine, field: Truth) -> None:
     again = drive(machine, 2, 125.0, Scenario(steering=ROWS, soil=FIRM))
     np.testing.assert_array_equal(again.states, field.states)

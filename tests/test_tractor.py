@@ -68,6 +68,15 @@ def test_true_stiffness_is_the_slope_at_zero_slip_under_the_static_load(quiet: T
         assert -(sideways[1] - sideways[0]) / 2e-5 == pytest.approx(quiet.parameters[name], rel=1e-3)
 
 
+def test_grip_and_rolling_resistance_reach_the_model(machine: Machine) -> None:
+    def slip(soil: Soil) -> float:
+        return abs(float(drive(machine, 1, 12.0, replace(QUIET, soil=soil)).states[1100, 8]))  # alpha_f
+
+    free = slip(Soil(grip=1000.0, rolling=0.0))
+    assert 1.03 < slip(Soil(grip=0.5, rolling=0.0)) / free < 1.5
+    assert 1.03 < slip(Soil(grip=1000.0, rolling=0.06)) / free < 1.5
+
+
 def test_states_are_those_of_the_model(machine: Machine) -> None:
     """Against a general integrator of the model's derivative with the same wheel angles."""
     truth = drive(machine, 3, 4.0, replace(QUIET, steering=((0.5, 0.0), (2.0, 8.0), (3.0, -5.0))))
