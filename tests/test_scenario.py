@@ -71,7 +71,7 @@ WRONG = [
     ('mount = "tractor_front"', 'mount = "cab"', ["faults[1].mount", "cab", "tractor_front"]),
     ("end_s = 40.0", "end_s = 4.0", ["faults[1]", "end_s = 4", "start_s = 30"]),
     ("source = 200", "source = 254", ["reclaims[1].source", "254", "253"]),
-    ('"implement_front", ', "", ["swapped[2]", "missing"]),
+    ("seconds = 180.0", 'swapped = ["implement_front"]', ["swapped[2]", "missing"]),
     ("[link]", '[steering]\nkind = "rows"\n[link]', ["steering.kind", "rows", "did you mean", "row"]),
     ("[link]", "[steering]\nlength = 1\n[link]", ["steering.kind", "field"]),
     ("[link]", '[steering]\nkind = "row"\noffst = 1\n[link]', ["steering.offst", "did you mean", "offset"]),
