@@ -7,7 +7,8 @@ as third output the rank is 3. This filter says which of the two it is before it
 States: natural logarithms of the three stiffnesses; zero error of the wheel angle; heading error of either
 antenna pair, which is its misalignment and its multipath; logarithms of both masses, which data cannot tell
 from stiffness and which therefore carry the machine file's uncertainty into it. Straight driving is a steady
-turn too, and the one that tells zero and misalignment.
+turn too, and the one that tells zero and misalignment. Last, rolling resistance over load, which the model
+needs and nobody knows.
 """
 
 import math
@@ -27,9 +28,21 @@ Array = NDArray[np.float64]
 
 METHOD = "steady_state"
 MODEL = "steady_turn"
-STATES = ("C_af", "C_ar", "C_ai", "wheel_zero", "pair_tractor", "pair_implement", "mass_t", "mass_i")
+STATES = (
+    "C_af",
+    "C_ar",
+    "C_ai",
+    "wheel_zero",
+    "pair_tractor",
+    "pair_implement",
+    "mass_t",
+    "mass_i",
+    "rolling",
+)
 OUTPUTS = ("yaw_rate", "articulation", "lateral_velocity")
 
+NUISANCES = (3, 4, 5, 8)  # indices of STATES that are published as such
+ROLLING = (0.04, 0.03)  # resistance over load and its sd: 0.01 on a road, 0.1 on tilled soil
 TEACHING_ANGLE = math.radians(1.0)
 """Of the wheels: below, the outputs' slope over stiffness is mostly the noise of wheel angle and roll, and
 squares of noise would add up to information that nobody received."""
@@ -55,9 +68,9 @@ _RELAXATION = ParameterEstimate(
 class SteadyState:
     """State of the filter. Angles rad, times ns."""
 
-    x: Array  # [8] in the order of STATES
-    p: Array  # [8, 8]
-    prior: Array  # [8] sd
+    x: Array  # [9] in the order of STATES
+    p: Array  # [9, 9]
+    prior: Array  # [9] sd
     steadiness: Steadiness = field(default_factory=Steadiness)
     seen_ns: int = 0
     informed_ns: int = 0
@@ -78,9 +91,15 @@ def initial(machine: Machine) -> SteadyState:
     pairs = [_pair_sd(machine, body) for body in ("tractor", "implement")]
     masses = (machine.tractor.mass, machine.implement.mass)
     prior = np.array(
-        [*sd, math.radians(machine.wheel_angle.zero.sd), *pairs, *(max(m.sd / m.value, 1e-4) for m in masses)]
+        [
+            *sd,
+            math.radians(machine.wheel_angle.zero.sd),
+            *pairs,
+            *(max(m.sd / m.value, 1e-4) for m in masses),
+            ROLLING[1],
+        ]
     )
-    x = np.array([*mean, 0.0, 0.0, 0.0, *(math.log(m.value) for m in masses)])
+    x = np.array([*mean, 0.0, 0.0, 0.0, *(math.log(m.value) for m in masses), ROLLING[0]])
     return SteadyState(x, np.diag(prior**2), prior)
 
 
@@ -173,18 +192,21 @@ def _forget(state: SteadyState) -> None:
 
 
 def _linearise(x: Array, machine: Machine, sample: Sample, teaches: bool) -> tuple[Array, Array, Array]:
-    """(outputs [3], their slope over STATES [3, 8], their covariance from noisy inputs [3, 3])."""
+    """(outputs [3], their slope over STATES [3, 9], their covariance from noisy inputs [3, 3])."""
     inputs = (sample.u, sample.wheel_angle - x[3], sample.roll_t, sample.roll_i)
-    point = np.array([*np.exp(x[:3]), *np.exp(x[6:8]), *inputs])
-    nudges = np.diag([*point[:5] * STEP, STEP, STEP, STEP, STEP])  # of logarithms; m/s, rad
+    point = np.array([*np.exp(x[:3]), *np.exp(x[6:8]), *inputs, x[8]])
+    nudges = np.diag([*point[:5] * STEP, STEP, STEP, STEP, STEP, STEP])  # of logarithms; m/s, rad, 1
     t, i = machine.tractor, machine.implement
     geometry = (t.a.value, t.b.value, t.c.value, i.d.value, i.e.value)
-    z = steady_turn(np.vstack([point, point + nudges, point - nudges]), *geometry)[:, [1, 2, 0]]
-    gradient = (z[1:10] - z[10:19]).T / (2 * STEP)  # [3, 9] in the order of steady_turn.INPUTS
-    slope = np.zeros((3, 8))
+    rows = np.vstack([point, point + nudges, point - nudges])
+    heights = (t.cg_height.value, i.cg_height.value)
+    z = steady_turn(rows[:, :9], *geometry, rolling=rows[:, 9], heights=heights)[:, [1, 2, 0]]
+    gradient = (z[1:11] - z[11:21]).T / (2 * STEP)  # [3, 10]: steady_turn.INPUTS, rolling
+    slope = np.zeros((3, len(STATES)))
     if teaches:
         slope[:, :3] = gradient[:, :3]
         slope[:, 6:8] = gradient[:, 3:5]
+        slope[:, 8] = gradient[:, 9]
     slope[:, 3] = -gradient[:, 6]
     slope[:, 4] = 0.0, 1.0, -sample.u  # a pair that shows too large a heading: more λ, less sideslip
     slope[:, 5] = 0.0, -1.0, 0.0
@@ -234,7 +256,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=tuple(p.value / m if p.value else None for p, m in zip(parameters, masses, strict=True)),
         nuisances={
-            name: (float(state.x[k]), math.sqrt(state.p[k, k])) for k, name in enumerate(STATES) if 3 <= k < 6
+            name: (float(state.x[k]), math.sqrt(state.p[k, k]))
+            for k, name in enumerate(STATES)
+            if k in NUISANCES
         },
         rank=rank,
         condition=condition,

@@ -28,13 +28,14 @@ def drive(
     roll: float = 0.0,
     speed: float = 4.5,
     noise: float = 1.0,
+    rolling: float = 0.04,
 ) -> Iterator[Pose]:
     """Poses at 5 Hz of a rig that is always in the steady state of its wheel angle."""
     rng = np.random.default_rng(seed)
     for k in range(len(turns) * 60):
         delta = turns[k // 60]
         inputs = np.array([[*truth, *MASSES, speed, delta, roll, roll]])
-        v, r, articulation = steady_turn(inputs, 1.7, 1.2, 2.1, 3.62, 0.1)[0]
+        v, r, articulation = steady_turn(inputs, 1.7, 1.2, 2.1, 3.62, 0.1, rolling, (1.1, 1.2))[0]
         n = noise * rng.normal(0, 1, 7)
         tractor_heading = pairs[0] + n[0] * SD["heading"]
         sideslip = v - speed * tractor_heading + n[1] * SD["velocity"]
@@ -81,7 +82,8 @@ def test_intervals_hold_what_they_promise() -> None:
     for seed in range(60):
         truth = tuple(np.array([220e3, 486e3, 167e3]) * np.exp(rng.normal(0, 0.25, 3)))
         pairs = tuple(rng.normal(0, 0.004, 2))
-        state, _ = learn(drive(seed, truth, zero=rng.normal(0, 0.006), pairs=pairs))
+        zero, rolling = rng.normal(0, 0.006), rng.uniform(0.01, 0.08)
+        state, _ = learn(drive(seed, truth, zero=zero, pairs=pairs, rolling=rolling))
         error, sd = log_errors(state, truth), np.sqrt(np.diag(state.p)[:3])
         inside += int(np.sum(np.abs(error) < 1.96 * sd))
         bias += error / sd / 60
@@ -123,7 +125,7 @@ def test_a_side_slope_is_an_input_and_would_cost_much_if_it_were_not(roll: float
             state, said = learn(given)
             errors.append(float(np.abs(log_errors(state, TRUTH)).max()))
             zeros.append(abs(said.nuisances["wheel_zero"][0]))
-    assert errors[0] < 0.05 and zeros[0] < 1e-3
+    assert errors[0] < 0.15 and zeros[0] < 2e-3
     assert zeros[1] > 4e-3
     assert errors[3] > errors[2] + 0.05
 

@@ -18,10 +18,22 @@ INPUTS = ("C_af", "C_ar", "C_ai", "m_t", "m_i", "u", "delta", "roll_t", "roll_i"
 """Columns of the input of `steady_turn`: N/rad, kg, m/s, rad."""
 
 
-def steady_turn(inputs: Array, a: float, b: float, c: float, d: float, e: float) -> Array:
+def steady_turn(
+    inputs: Array,
+    a: float,
+    b: float,
+    c: float,
+    d: float,
+    e: float,
+    rolling: Array | float = 0.0,
+    heights: tuple[float, float] = (0.0, 0.0),
+) -> Array:
     """[v, r, λ] for each row of inputs.
 
-    inputs: [n, 9] in the order of INPUTS. Returns [n, 3]. Geometry in m as in docs/notation.md.
+    inputs: [n, 9] in the order of INPUTS. Returns [n, 3]. Geometry in m as in docs/notation.md. rolling:
+    resistance over load, [n] or one for all; heights: of tractor's and implement's CG, m. Rolling resistance
+    is small beside the cornering forces, but it points along the steered wheels and along the implement, and
+    is larger on the outer wheels: together 2 % of the yaw rate, which passes for 15 % of C_af.
     Raises numpy.linalg.LinAlgError where there is no steady turn (an oversteering rig's critical speed).
     """
     c_f, c_r, c_i, m_t, m_i, u, delta, roll_t, roll_i = inputs.T
@@ -34,12 +46,20 @@ def steady_turn(inputs: Array, a: float, b: float, c: float, d: float, e: float)
     cart = np.stack([-c_i / pace, c_i * (c + d + e) / pace, -way * c_i, zero])
     inertia_t = np.stack([zero, -m_t * u, zero, weight_t])
     inertia_i = np.stack([zero, -m_i * u, zero, weight_i])
-    hitch = cart + inertia_i  # force of the implement on the tractor
+    tongue = m_i * GRAVITY * e / (d + e)
+    drag_f = way * rolling * (m_t * GRAVITY * b - tongue * (c - b)) / (a + b)
+    pull = way * rolling * (m_i * GRAVITY - tongue)
+    front = front + np.stack([zero, zero, zero, -drag_f * delta])
+    hitch = cart + inertia_i  # across the implement; its drag pulls along it, so across the tractor with λ
+    towed = hitch + np.stack([zero, zero, pull, zero])
+    skew_t, skew_i = (
+        way * rolling * h * side for h, side in zip(heights, (inertia_t, inertia_i), strict=True)
+    )
     balance = np.stack(
         [
-            front + rear + inertia_t + hitch,  # 3.122: lateral forces
-            a * front - b * rear - c * hitch,  # 3.123: moments about the tractor's CG
-            -e * cart - d * hitch,  # 3.124: moments about the implement's CG
+            front + rear + inertia_t + towed,  # 3.122: lateral forces
+            a * front - b * rear - c * towed + skew_t,  # 3.123: moments about the tractor's CG
+            -e * cart - d * hitch + skew_i,  # 3.124: moments about the implement's CG
         ]
     )  # [3 equations, 4 coefficients, n]
     matrix = np.moveaxis(balance[:, :3, :], -1, 0)
