@@ -6,19 +6,53 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
+from tilth.logger.mcap_log import machine_sha256
 from tilth.replay.readers import open_log
 from tilth.replay.readers_log import Log, LogError, Record
 from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
+from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
+
+
+@dataclass(slots=True)
+class _Decoding:
+    """The decoder and what has come of it so far."""
+
+    machine: Machine | None
+    sha256: str  # of the machine file; "" where there is none
+    decoder: Decoder
+    count: Counter[str] = field(default_factory=Counter)
+    before: Counter[str] = field(default_factory=Counter)  # of decoder.rejected, when the decoder was taken
+
+    def take_up(self, log: Log, stored: Snapshot) -> None:
+        """Know what the daemon knew when it stored its state: who has which address."""
+        if stored.machine_sha256 != self.sha256:
+            return
+        decoder = Decoder(self.machine)
+        try:
+            decoder.load(json.loads(stored.state_json)["decoder"])
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            _say(f"{log.path}: its stored state is of another version ({error}); going on without it")
+            return
+        self.close_counts()
+        self.decoder = decoder
+        self.before = Counter(decoder.rejected)
+
+    def close_counts(self) -> None:
+        rejected = Counter(self.decoder.rejected)
+        for reason, number in (rejected - self.before).items():
+            self.count[f"rejected {reason}"] += number
+        self.before = rejected
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,21 +75,21 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 
 def run(args: argparse.Namespace) -> int:
-    machine = _machine(args)
+    machine, text = _machine(args)
     try:
         buses = bus_names(args.bus, machine)
     except ValueError as error:
         raise WrongUse(str(error)) from None
-    decoder = Decoder(machine)
+    sha256 = machine_sha256(machine, text) if machine is not None else ""
+    decoding = _Decoding(machine, sha256, Decoder(machine))
     write_line = _json_line if args.json else _text_line
-    count = Counter[str]()
     status = 0
     for path in args.logs:
         try:
             log = open_log(path)
             with closing(log.file):
-                _decode(_records(log, machine, buses), decoder, write_line, count)
-                _tell_end(log, count)
+                _decode(log, _records(log, machine, buses), decoding, write_line)
+                _tell_end(log, decoding.count)
         except LogError as error:
             _say(str(error))
             status = max(status, error.status)
@@ -64,34 +98,36 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             _say(f"{path}: {(error.strerror or str(error)).lower()}")
             status = max(status, 1)
-    _tell_counts(count, decoder.rejected)
+    decoding.close_counts()
+    _tell_counts(decoding.count)
     return status
 
 
-def _machine(args: argparse.Namespace) -> Machine | None:
-    """The machine file given, else the one in the logs, if any. Raises MachineError."""
+def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
+    """The machine file given, else the one in the logs, if any, and its text. Raises MachineError."""
     if args.machine is not None:
-        return read_machine(args.machine)[0]
+        return read_machine(args.machine)
     try:
-        return machine_in(args.logs)[0]
+        return machine_in(args.logs)
     except LogError:
-        return None  # without one all that needs none is decoded
+        return None, ""  # without one all that needs none is decoded
 
 
 def _records(log: Log, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:
     return log.records if machine is None else on_buses_of(machine, log, buses, _say)
 
 
-def _decode(
-    records: Iterable[Record], decoder: Decoder, line: Callable[[Message], str], count: Counter[str]
-) -> None:
+def _decode(log: Log, records: Iterable[Record], decoding: _Decoding, line: Callable[[Message], str]) -> None:
     write = sys.stdout.write
+    count = decoding.count
     for record in records:
         if isinstance(record, Frame):
             count["frames"] += 1
-            for message in decoder.messages(record):
+            for message in decoding.decoder.messages(record):
                 count["messages"] += 1
                 write(line(message))
+        elif isinstance(record, Snapshot):
+            decoding.take_up(log, record)
 
 
 def _json_line(message: Message) -> str:
@@ -140,11 +176,10 @@ def _tell_end(log: Log, count: Counter[str]) -> None:
         _say(f"{log.path}: cut off; decoded as far as it is whole")
 
 
-def _tell_counts(count: Counter[str], rejected: Mapping[str, int]) -> None:
+def _tell_counts(count: Counter[str]) -> None:
     _say(f"{count['frames']} frames, {count['messages']} messages")
-    rejections = count + Counter({f"rejected {reason}": number for reason, number in rejected.items()})
-    for key in sorted(key for key in rejections if key.startswith("rejected ")):
-        _say(f"{key}: {rejections[key]}")
+    for key in sorted(key for key in count if key.startswith("rejected ")):
+        _say(f"{key}: {count[key]}")
 
 
 def _say(text: str) -> None:

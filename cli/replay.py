@@ -30,7 +30,7 @@ REPLAY = "replay"  # part of every key that a replay publishes on: no controller
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("replay", help="feed logs through the estimators again")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="one run, in the order given")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
     parser.add_argument(
         "--machine", type=Path, metavar="M.toml", help="needed for logs that tilth did not write"
     )
@@ -78,8 +78,6 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         _say(f"{error.filename or args.out or 'log'}: {(error.strerror or str(error)).lower()}")
         return 1
-    if comparison is not None:
-        comparison.finish(summary.truncated)
     if args.json:
         print(json.dumps(_as_json(summary, comparison)))
     else:
@@ -117,7 +115,7 @@ def _outputs(
     writer = publish = progress = None
     if args.out is not None:
         writer = _writer(args, machine, text)
-        stack.callback(writer.close)
+        stack.callback(_close, writer)
     if args.publish:
         sink = _zenoh(machine)
         stack.callback(sink.close)
@@ -137,6 +135,14 @@ def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
         raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
     writer.metadata(REPLAY, {"logs": "\n".join(str(path.resolve()) for path in args.logs)})
     return writer
+
+
+def _close(writer: LogWriter) -> None:
+    """A log without a frame is of no use and would stand in the way of the next try."""
+    writer.close()
+    if not writer.frames:
+        writer.path.unlink()
+        _say(f"{writer.path}: not written, there was no frame")
 
 
 def _first_ns(logs: Sequence[Path]) -> int:

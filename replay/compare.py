@@ -16,7 +16,8 @@ _Row = tuple[int, bytes]  # t_ns, payload
 class Comparison:
     """Takes results from both sides in their order; `difference` is the first one, in a sentence.
 
-    Topic by topic: how results of several frames interleave in the file is not compared.
+    Topic by topic: how results of several frames interleave in the file is not compared. A frame and its
+    results stand in one file, so that nothing waits beyond the end of a log.
     """
 
     def __init__(self) -> None:
@@ -33,13 +34,15 @@ class Comparison:
             self._take(topic, (t_ns, data), self._again, self._live)
 
     def finish(self, truncated: bool) -> None:
-        """At the end of the logs. One that was cut may lack results of its last frames."""
+        """At the end of each log. One that was cut may lack results of its last frames."""
         for topic in sorted(IDENTICAL):
             live, again = self._live[topic], self._again[topic]
             if live and not self.difference:
                 self.difference = f"{topic}: logged at {_seconds(live[0][0])}, not computed again"
             if again and not self.difference and not truncated:
                 self.difference = f"{topic}: computed for {_seconds(again[0][0])}, not in the log"
+            live.clear()
+            again.clear()
 
     def _take(
         self, topic: str, row: _Row, own: dict[str, deque[_Row]], other: dict[str, deque[_Row]]

@@ -12,8 +12,8 @@ from pathlib import Path
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.mcap_log import LogWriter, machine_sha256
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.readers import open_log
-from tilth.replay.readers_log import EmptyLog, Log
+from tilth.replay.readers import open_log, place
+from tilth.replay.readers_log import EmptyLog, Log, Place
 from tilth.replay.readers_rig import Say, on_buses_of
 from tilth.schemas.flow import Estimate, Event, Frame
 from tilth.schemas.machine import Machine
@@ -87,11 +87,14 @@ def replay(
     outputs: Outputs | None = None,
     say: Say = lambda text: None,
 ) -> Summary:
-    """Feed logs, in the order given and as one run, through the fold.
+    """Feed logs, in the order given, through the fold.
 
-    A state stored in a log is taken up where the log was recorded with this machine file, as the daemon did
-    when it wrote it: a file of a run replays alone, and several give what the run gave. `buses` maps names of
-    the logs to names of the machine file. `say` is told, in sentences, what a person should know.
+    Parts of a run go on from one another, and so do logs that others wrote, which tell of no run. A log of
+    another run, or out of order, begins with a new fold: its counts are added up, the estimates are those of
+    the last run. A state stored in a log is taken up where the log was recorded with this machine file, as
+    the daemon did when it wrote it: a file of a run replays alone, and several give what the run gave.
+    `buses` maps names of the logs to names of the machine file. `say` is told, in sentences, what a person
+    should know.
     Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
     """
     run = _Run(machine, machine_text, outputs or Outputs(), say)
@@ -105,7 +108,7 @@ def replay(
                 say(str(error))
     run.close_counts()
     if not run.summary.frames and not run.summary.truncated:
-        raise empty or EmptyLog(f"{paths[0]}: no frame is in it; there is nothing to replay")
+        raise empty or EmptyLog(f"{paths[0]}: no frame is in it")
     return run.summary
 
 
@@ -120,6 +123,8 @@ class _Run:
         self._say = say
         self._read_bytes = 0
         self._told_other = False
+        self._place: Place | None = None  # of the last log
+        self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
         self._fold = GuardedFold(machine)
         self._before = _counts(self._fold)
@@ -127,17 +132,30 @@ class _Run:
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         log = open_log(path, IDENTICAL if self._outputs.comparison else ())
         try:
+            self._follow(log)
             self._records(log, buses)
         finally:
             log.file.close()
             self._read_bytes += log.size
         self._ended(log)
 
+    def _follow(self, log: Log) -> None:
+        """See whether a log goes on where the one before it ended, and say so where it does not."""
+        last, self._place = self._place, place(log)
+        if last is None:
+            return
+        self._anew |= not self._place.goes_on_from(last)
+        told = self._place.told_after(last)
+        if told:
+            self._say(f"{log.path}: {told}")
+
     def _records(self, log: Log, buses: Mapping[str, str]) -> None:
         pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
         summary = self.summary
         last_ns: int | None = None
         for record in on_buses_of(self._machine, log, buses, self._say):
+            if self._anew:
+                self._start_anew(record.t_ns)
             if isinstance(record, Frame):
                 t_ns = record.t_ns
                 if last_ns is not None and t_ns > last_ns:
@@ -171,6 +189,11 @@ class _Run:
             if comparison is not None:
                 comparison.recomputed(topic, publication.t_ns, data)
 
+    def _start_anew(self, t_ns: int) -> None:
+        self._anew = False
+        fold = GuardedFold(self._machine)
+        self._go_on_with(fold, t_ns, fold.renew())
+
     def _snapshot(self, log: Log, stored: Snapshot) -> None:
         """Go on from a stored state, as the daemon did that stored it."""
         if stored.machine_sha256 != self._sha256:
@@ -183,11 +206,14 @@ class _Run:
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             self._say(f"{log.path}: its stored state is of another version ({error}); going on without it")
             return
+        self._go_on_with(fold, stored.t_ns, stored.state_json)
+
+    def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:
         self.close_counts()
         self._fold = fold
-        self._before = _counts(fold)
         if self._outputs.writer is not None:
-            self._outputs.writer.snapshot(stored.t_ns, stored.state_json)
+            self._outputs.writer.snapshot(t_ns, state_json)
+        self._before = _counts(fold)
 
     def close_counts(self) -> None:
         """Add to the summary what the fold has counted since it was started or its state taken from a log."""
@@ -207,6 +233,8 @@ class _Run:
     def _ended(self, log: Log) -> None:
         for reason, count in log.skipped.items():
             self._counts["rejected", reason] += count
+        if self._outputs.comparison is not None:
+            self._outputs.comparison.finish(log.truncated)
         if log.truncated:
             self.summary.truncated = True
             self._say(f"{log.path}: cut off; replayed as far as it is whole")

@@ -177,7 +177,7 @@ def _from_summary(channels: _Channels, file: BinaryIO) -> bool:
 
 def _no_frames(log: Log) -> EmptyLog | ForeignLog:
     if MACHINE in metadata(log):
-        return EmptyLog(f"{log.path}: no frame was recorded in it; there is nothing to replay")
+        return EmptyLog(f"{log.path}: no frame was recorded in it")
     return ForeignLog(
         f"{log.path}: an MCAP file without the topics {CAN_TOPIC}<bus> of tilth.CanFrame; "
         "only logs written by tilth can be replayed from MCAP"

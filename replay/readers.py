@@ -16,7 +16,7 @@ from typing import BinaryIO, cast
 from mcap.writer import MCAP0_MAGIC
 
 from tilth.replay import canboat_text, mcap_reader, readers_can
-from tilth.replay.readers_log import READABLE, EmptyLog, ForeignLog, Log, Record
+from tilth.replay.readers_log import READABLE, EmptyLog, ForeignLog, Log, Place, Record
 from tilth.schemas.flow import Frame
 
 _SNIFFED = 64 * 1024  # bytes looked at: comments before the first frame may be long
@@ -39,6 +39,8 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
     path = Path(path)
     if path.is_dir():
         raise ForeignLog(f"{path}: a folder; give the log files in it")
+    if path.exists() and not path.is_file():  # before it is opened: a pipe without a writer waits for one
+        raise ForeignLog(f"{path}: a pipe or a device; give a file")
     try:
         file = path.open("rb")
     except OSError as error:
@@ -61,10 +63,19 @@ def metadata(log: Log) -> dict[str, dict[str, str]]:
     return mcap_reader.metadata(log) if log.form == MCAP else {}
 
 
+def place(log: Log) -> Place:
+    """The place of a log in its run. Ask before reading the records."""
+    found = metadata(log).get("run", {})
+    part = found.get("part", "")
+    if not part.isdecimal():
+        return Place()
+    return Place((found.get("id", ""), found.get("started_utc", "")), int(part))
+
+
 def _unpacked(log: Log) -> tuple[BinaryIO, bytes]:
     """The log's bytes, unpacked where gzip packed them, and the first of them."""
     if log.size == 0:
-        raise EmptyLog(f"{log.path}: an empty file; there is nothing to replay")
+        raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
     packed = log.file.read(2) == b"\x1f\x8b"
     log.file.seek(0)
     stream = cast(BinaryIO, gzip.GzipFile(fileobj=log.file)) if packed else log.file
@@ -83,7 +94,7 @@ def _closing(log: Log, records: Iterator[Record]) -> Iterator[Record]:
             yield first
             yield from records
         elif not log.truncated:
-            raise EmptyLog(f"{log.path}: no frame is in it; there is nothing to replay")
+            raise EmptyLog(f"{log.path}: no frame is in it")
 
 
 def _mcap(log: Log, stream: BinaryIO) -> Iterator[Record]:
@@ -119,7 +130,7 @@ def _kind(log: Log, head: bytes) -> tuple[str, Reader]:
         if found is not None:
             return found
         if all(not line.strip() or line.startswith("#") for line in lines):
-            raise EmptyLog(f"{log.path}: nothing but comments; there is nothing to replay")
+            raise EmptyLog(f"{log.path}: nothing but comments; no frame is in it")
     raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {READABLE}")
 
 

@@ -39,6 +39,28 @@ class Logged:
     data: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Which run a log belongs to and the place it has there; nothing is known of logs that others wrote."""
+
+    run: tuple[str, str] = ("", "")  # id, start
+    part: int = 0  # from 1
+
+    def told_after(self, last: "Place") -> str:
+        """What a person should know of this log after that one, as the end of a sentence; "": nothing."""
+        if self.run != last.run:
+            return "another run begins here; counts are of all runs, estimates of the last one alone"
+        if self.part > last.part + 1:
+            return f"part {self.part} of its run follows part {last.part}; what is between is missing"
+        if 0 < self.part <= last.part:
+            return f"part {self.part} after part {last.part} of the same run; give each once and in order"
+        return ""
+
+    def goes_on_from(self, last: "Place") -> bool:
+        """Whether what was learned before this log is of its own past."""
+        return self.run == last.run and (self.part > last.part or not self.part)
+
+
 Record = Frame | Snapshot | Logged
 
 

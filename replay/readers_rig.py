@@ -21,6 +21,7 @@ def machine_in(paths: Sequence[Path]) -> tuple[Machine, str]:
 
     Raises LogError where none tells it, MachineError.
     """
+    cut: Path | None = None
     for path in paths:
         try:
             log = open_log(path)
@@ -28,12 +29,16 @@ def machine_in(paths: Sequence[Path]) -> tuple[Machine, str]:
             continue
         with closing(log.file):
             found = metadata(log).get(MACHINE, {})
+            if log.truncated:
+                cut = cut or path
         text = found.get("toml")
         if text is not None:
             try:
                 return parse_machine(text, found.get("dbc") or None), text
             except MachineError as error:
                 raise MachineError(f"{path}: its own machine file: {error}; give --machine M.toml") from None
+    if cut is not None:
+        raise ForeignLog(f"{cut}: cut off before its machine file; give --machine M.toml")
     raise ForeignLog(f"{paths[0]}: no machine file is in this log; give --machine M.toml")
 
 

@@ -91,14 +91,14 @@ class Live:
     results: int
 
 
-def record(folder: Path, rows: Sequence[Frame], parts: int) -> Live:
+def record(folder: Path, rows: Sequence[Frame], parts: int, run: str = "r") -> Live:
     fold = GuardedFold(MACHINE)
     paths = []
     results = 0
     each = -(-len(rows) // parts)
     for part in range(parts):
-        path = folder / f"run_{part + 1:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", part + 1, rows[0].t_ns))
+        path = folder / f"{run}_{part + 1:03d}.mcap"
+        writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run(run, part + 1, rows[0].t_ns))
         if part:
             writer.snapshot(rows[part * each].t_ns, fold.renew())
         for row in rows[part * each : (part + 1) * each]:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
+from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, record
 
 from tilth.cli import main
 from tilth.logger.mcap_log import LogWriter, Run
@@ -133,6 +133,35 @@ def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -
     assert {row["t_ns"] for row in found} <= {row.t_ns for row in rows}
 
 
+def test_a_later_part_knows_who_has_which_address(answer: Answer, tmp_path: Path) -> None:
+    live = record(tmp_path, list(simulate(MACHINE, 1, 6.0)), 3)
+    _, out, err = answer("--json", *live.parts)
+    alone = [answer("--json", part) for part in live.parts]
+    assert out == "".join(found for _, found, _ in alone)
+    last = [row for row in rows_of(alone[-1][1]) if row["pgn"] == 129029]
+    assert {row["name"] for row in last} == {"C07891000B002711", "C07891000B002712"}
+    assert "unidentified" not in alone[-1][2]
+    counts = [[int(line.rpartition(" ")[2]) for line in e.splitlines()[1:]] for _, _, e in alone]
+    assert sum(map(sum, counts)) == sum(int(line.rpartition(" ")[2]) for line in err.splitlines()[1:])
+
+
+def test_a_state_of_another_machine_file_or_version_is_not_taken(answer: Answer, tmp_path: Path) -> None:
+    rows = list(simulate(MACHINE, 1, 2.0))
+    part = record(tmp_path, rows, 2).parts[1]
+    machine_file = tmp_path / "m.toml"
+    machine_file.write_text(MACHINE_TEXT.replace("mass = 9391.0", "mass = 9400.0"))
+    status, out, err = answer("--json", "--machine", machine_file, part)
+    assert status == 0 and "another version" not in err
+    assert {row["name"] for row in rows_of(out) if row["pgn"] == 129029} == {None}
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 2, 0))
+    writer.snapshot(rows[0].t_ns, '{"format": "of the year 2040"}')
+    writer.frame(rows[0])
+    writer.close()
+    status, _, err = answer(path)
+    assert status == 0 and "another version" in err
+
+
 def test_a_line_for_a_person(answer: Answer, tmp_path: Path) -> None:
     status, out, _ = answer(a_log(tmp_path / "x.log"))
     assert status == 0
@@ -169,7 +198,7 @@ def test_several_logs_and_what_is_wrong_with_some(answer: Answer, tmp_path: Path
     image.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\r")
     cut.write_bytes(log.read_bytes()[:-5])
     for files, status, told in (
-        ([log, empty], 1, "empty file"),
+        ([log, empty], 1, "empty file; no frame is in it"),
         ([log, image, empty], 2, "not a log of CAN frames"),
         ([cut], 0, "cut off"),
         ([tmp_path], 2, "a folder"),

@@ -82,6 +82,24 @@ def test_a_found_difference_is_exit_1(live: Live, answer: Answer, tmp_path: Path
     assert "tractor.heading" in json.loads(out)["verify"]["difference"]
 
 
+def test_a_log_cut_to_five_bytes_is_exit_0(answer: Answer, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(b"\x89MCAP")
+    status, out, err = answer(path, "--machine", MACHINE_FILE, "--json")
+    found = json.loads(out)
+    assert (status, found["truncated"], found["frames"]) == (0, True, 0)
+    assert "cut off" in err
+
+
+def test_out_leaves_no_file_without_frames(answer: Answer, tmp_path: Path) -> None:
+    log, out = tmp_path / "x.log", tmp_path / "out.mcap"
+    log.write_text("(1.000000) can0 18EEFF1C#001122334455667\n")  # half a byte is missing
+    for _ in range(2):
+        status, _, err = answer(log, "--machine", MACHINE_FILE, "--out", out)
+        assert (status, out.exists()) == (1, False)
+        assert "not written, there was no frame" in err and "no frame is in it" in err
+
+
 def test_a_cut_log_is_exit_0(live: Live, answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(live.parts[0].read_bytes()[:-1])
@@ -105,6 +123,7 @@ WRONG: tuple[tuple[list[str], int, str], ...] = (
     (["{log}", "--machine", "{machine}", "--rate", "fast"], 2, "--rate"),
     ([], 2, "LOG"),
     (["{empty}"], 1, "empty"),
+    (["{cut}"], 2, "cut off before its machine file"),
     (["{empty}", "--machine", "{machine}"], 1, "empty"),
 )
 
@@ -117,6 +136,7 @@ def test_wrong_use_is_told_in_one_line(
         "png": tmp_path / "x.png",
         "log": tmp_path / "x.log",
         "empty": tmp_path / "empty.log",
+        "cut": tmp_path / "cut.mcap",
         "missing": tmp_path / "missing.log",
         "folder": tmp_path,
         "machine": MACHINE_FILE,
@@ -124,6 +144,7 @@ def test_wrong_use_is_told_in_one_line(
     places["png"].write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(50))
     places["log"].write_text("(1.000000) slcan0 18EEFF1C#0011223344556677\n")
     places["empty"].touch()
+    places["cut"].write_bytes(b"\x89MCAP")
     found, out, err = answer(*(word.format(**places) for word in words))
     assert (found, out) == (status, "")
     assert told in err and err.count("\n") == 1
@@ -165,5 +186,5 @@ def test_a_run_whose_first_file_is_empty(live: Live, answer: Answer, tmp_path: P
     empty = tmp_path / "empty.mcap"
     empty.touch()
     status, out, err = answer(empty, live.parts[0], "--out", tmp_path / "out.mcap", "--json")
-    assert (status, err) == (0, f"tilth replay: {empty}: an empty file; there is nothing to replay\n")
+    assert (status, err) == (0, f"tilth replay: {empty}: an empty file; no frame is in it\n")
     assert json.loads(out)["frames"] == sum(1 for _ in frames(tmp_path / "out.mcap"))

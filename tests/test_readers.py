@@ -1,6 +1,7 @@
 """Every kind of log gives its frames in file order with its own stamps, whole, cut, damaged or foreign."""
 
 import gzip
+import os
 import sqlite3
 from pathlib import Path
 
@@ -274,6 +275,12 @@ def test_what_cannot_be_opened(name: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(ForeignLog, match=r"folder|no such file"):
         open_log(tmp_path / name)
+
+
+def test_a_pipe_is_told_before_it_is_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ForeignLog, match="a pipe or a device; give a file"):
+        open_log(tmp_path / "pipe")
 
 
 @pytest.mark.parametrize("content", [b"", b"\n\n", b"# only a comment\n"])

@@ -11,9 +11,9 @@ from logs import MACHINE, MACHINE_TEXT, SECONDS, Live, altered, record, results_
 from tilth.estimator.fold import State, step
 from tilth.logger import guarded_fold
 from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay.compare import Comparison
+from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.driver import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
-from tilth.replay.readers import frames
+from tilth.replay.readers import frames, open_log
 from tilth.replay.readers_log import EmptyLog, Logged
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import Frame, Publication
@@ -23,6 +23,12 @@ from tilth.schemas.machine import parse_machine
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     return record(tmp_path_factory.mktemp("live"), list(simulate(MACHINE, 3, SECONDS)), 3)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Live:
+    """A later run of the same machine."""
+    return record(tmp_path_factory.mktemp("other"), list(simulate(MACHINE, 5, 8.0)), 2, run="later")
 
 
 def run(
@@ -39,7 +45,6 @@ def run(
 def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     comparison = Comparison()
     summary, said = run(live.parts, comparison=comparison)
-    comparison.finish(summary.truncated)
     assert comparison.difference == ""
     assert comparison.compared > 0.9 * live.results > 1000
     assert (summary.frames, summary.truncated, summary.faults) == (len(live.rows), False, 0)
@@ -53,8 +58,7 @@ def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
 @pytest.mark.parametrize("part", [0, 1, 2])
 def test_a_part_replays_alone(live: Live, part: int) -> None:
     comparison = Comparison()
-    summary, _ = run([live.parts[part]], comparison=comparison)
-    comparison.finish(summary.truncated)
+    run([live.parts[part]], comparison=comparison)
     assert comparison.difference == ""
     assert comparison.compared > 300
 
@@ -115,8 +119,7 @@ def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> 
 )
 def test_one_altered_result_is_found(live: Live, tmp_path: Path, change: str, told: str) -> None:
     comparison = Comparison()
-    summary, _ = run([altered(live, tmp_path, "/pose", 10, change)], comparison=comparison)
-    comparison.finish(summary.truncated)
+    run([altered(live, tmp_path, "/pose", 10, change)], comparison=comparison)
     assert comparison.difference.startswith("/pose")
     assert told in comparison.difference
 
@@ -135,7 +138,93 @@ def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
     assert "not computed again" in comparison.difference
 
 
+def cut_before_a_pose(live: Live, path: Path) -> Path:
+    """The first part as the disk kept it that filled up between a frame and the pose that came of it."""
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, live.rows[0].t_ns))
+    seen = 0
+    for row in open_log(live.parts[0], IDENTICAL).records:
+        if isinstance(row, Frame):
+            writer.frame(row)
+        elif isinstance(row, Logged):
+            seen += row.topic == "/pose"
+            if seen == 20:
+                break
+            writer.message(row.topic, row.t_ns, row.data)
+    writer.flush()
+    writer.abandon()
+    return path
+
+
+def test_a_gap_in_the_middle_of_a_run_is_no_difference(live: Live, tmp_path: Path) -> None:
+    comparison = Comparison()
+    cut = cut_before_a_pose(live, tmp_path / "cut.mcap")
+    summary, said = run([cut, *live.parts[1:]], comparison=comparison)
+    assert (comparison.difference, summary.truncated) == ("", True)
+    assert comparison.compared > 600
+    assert said == [f"{cut}: cut off; replayed as far as it is whole"]
+
+
+# Several runs, and parts out of order
+
+
+ANOTHER = "another run begins here; counts are of all runs, estimates of the last one alone"
+
+
+def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    writer = LogWriter(out, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    comparison = Comparison()
+    both, said = run([*live.parts, *other.parts], comparison=comparison, writer=writer)
+    writer.close()
+    first, second = run(live.parts)[0], run(other.parts)[0]
+    assert comparison.difference == ""
+    assert both.estimates == second.estimates != first.estimates
+    for count in ("frames", "measurements", "poses", "duration_ns"):
+        assert getattr(both, count) == getattr(first, count) + getattr(second, count)
+    assert said == [f"{other.parts[0]}: {ANOTHER}"]
+    comparison = Comparison()
+    again, said = run([out], comparison=comparison)
+    assert (comparison.difference, said, again.estimates) == ("", [], both.estimates)
+
+
+def test_another_run_cut_before_its_first_frame_leaves_the_estimates(live: Live, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    LogWriter(cut, MACHINE, MACHINE_TEXT, Run("later", 1, 0)).abandon()
+    summary, _ = run([live.parts[0], cut])
+    assert summary.truncated
+    assert summary.estimates == run(live.parts[:1])[0].estimates
+
+
+NOT_IN_ORDER: tuple[tuple[tuple[int, ...], str], ...] = (
+    ((0, 2), "part 3 of its run follows part 1; what is between is missing"),
+    ((0, 2, 1), "part 2 after part 3 of the same run; give each once and in order"),
+    ((1, 0), "part 1 after part 2 of the same run; give each once and in order"),
+    ((0, 0), "part 1 after part 1 of the same run; give each once and in order"),
+    ((0, -1), ANOTHER),  # -1: the second part of another run
+)
+
+
+@pytest.mark.parametrize(("order", "told"), NOT_IN_ORDER)
+def test_a_part_out_of_order_is_told_and_replays_as_it_ran(
+    live: Live, other: Live, order: tuple[int, ...], told: str
+) -> None:
+    paths = [(*live.parts, other.parts[1])[k] for k in order]
+    comparison = Comparison()
+    _, said = run(paths, comparison=comparison)
+    assert comparison.difference == ""
+    assert said[-1] == f"{paths[-1]}: {told}"
+
+
 # Logs of others
+
+
+def test_logs_that_tell_no_run_go_on_as_one(live: Live, tmp_path: Path) -> None:
+    rows = live.rows[: len(live.rows) // 2]
+    whole = as_candump(rows, tmp_path / "whole.log", "can0")
+    halves = [as_candump(rows[:3000], tmp_path / "a.log", "can0")]
+    halves.append(as_candump(rows[3000:], tmp_path / "b.log", "can0"))
+    wanted, found = run([whole]), run(halves)
+    assert (found[0].estimates, found[0].poses, found[1]) == (wanted[0].estimates, wanted[0].poses, [])
 
 
 def as_candump(rows: Sequence[Frame], path: Path, bus: str = "slcan0") -> Path:
@@ -203,7 +292,6 @@ def test_a_cut_log_replays_as_far_as_it_is_whole(live: Live, tmp_path: Path) -> 
     path.write_bytes(content[: len(content) // 2] + bytes(500))
     comparison = Comparison()
     summary, said = run([path], comparison=comparison)
-    comparison.finish(summary.truncated)
     assert summary.truncated
     assert 0 < summary.frames < len(live.rows) // 3
     assert comparison.difference == ""
@@ -215,7 +303,7 @@ def test_an_empty_log_among_others_is_passed_over(live: Live, tmp_path: Path) ->
     empty.touch()
     summary, said = run([live.parts[0], empty, live.parts[1]])
     assert summary.frames > len(live.rows) // 2
-    assert said == [f"{empty}: an empty file; there is nothing to replay"]
+    assert said == [f"{empty}: an empty file; no frame is in it"]
     with pytest.raises(EmptyLog):
         run([empty])
 
@@ -240,7 +328,6 @@ def test_a_fault_of_the_fold_costs_no_frame(
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
     comparison = Comparison()
     summary, said = run([part], writer=writer, comparison=comparison)
-    comparison.finish(False)
     writer.close()
     assert (summary.faults, summary.frames, comparison.difference) == (1, 6000, "")
     assert list(frames(path)) == rows
