@@ -6,6 +6,7 @@ With --json the answer goes to stdout and everything else to stderr.
 
 import argparse
 import importlib
+import math
 import os
 import sys
 from collections.abc import Sequence
@@ -35,6 +36,14 @@ class WrongUse(Exception):
 RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read no MF4
 
 
+def duration(text: str) -> float:
+    """argparse type: a duration, s, positive and finite."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text}: give a number above zero")
+    return value
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
@@ -56,8 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             subparsers.add_parser(name, help=summary)
     args = parser.parse_args(words)
+    status = 0
     try:
-        status: int = importlib.import_module(f"tilth.cli.{args.command}").run(args)
+        status = importlib.import_module(f"tilth.cli.{args.command}").run(args)
         sys.stdout.flush()
     except (MachineError, WrongUse) as error:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
@@ -67,5 +77,4 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     return status

@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from tilth.cli import duration
 from tilth.logger.check import PROBLEM, check
 from tilth.logger.machine_file import read_machine
 
@@ -20,7 +21,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument(
-        "--seconds", type=float, default=2.0, metavar="N", help="listen to the buses so long (2)"
+        "--seconds", type=duration, default=2.0, metavar="N", help="listen to the buses so long (2)"
     )
     parser.add_argument(
         "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"

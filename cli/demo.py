@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import signal
 import sys
 from pathlib import Path
@@ -10,7 +9,7 @@ from types import FrameType
 
 from rich.console import Console
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, duration
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.replay.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
 
@@ -23,7 +22,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "publishes; at the end stands truth beside estimate. Needs no hardware and no privilege.",
     )
     parser.add_argument(
-        "--seconds", type=float, default=90.0, metavar="N", help="of driving, in real time (90)"
+        "--seconds", type=duration, default=90.0, metavar="N", help="of driving, in real time (90)"
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="another rig and another drive (1)")
     parser.add_argument(
@@ -34,8 +33,6 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost."""
-    if not (math.isfinite(args.seconds) and args.seconds > 0):
-        raise WrongUse(f"--seconds {args.seconds:g}: give a number above zero")
     if args.seed < 0:
         raise WrongUse(f"--seed {args.seed}: give a whole number from 0 up")
     stopping = False

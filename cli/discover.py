@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import re
 import signal
 import sys
@@ -13,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, duration
 from tilth.replay.discover import FUNCTIONS, Findings, Source, Survey, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers import frames
@@ -42,7 +41,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="INTERFACE:CHANNEL[,key=value…]",
         help="such as socketcan:can0 or slcan:/dev/ttyUSB0,bitrate=250000; may be given several times",
     )
-    parser.add_argument("--seconds", type=float, default=30.0, metavar="N", help="how long to listen (30)")
+    parser.add_argument("--seconds", type=duration, default=30.0, metavar="N", help="how long to listen (30)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft there, not to the screen")
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
 
@@ -53,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(
             "give --bus INTERFACE:CHANNEL to listen, such as --bus socketcan:can0, or logs to look into"
         )
-    if not (math.isfinite(args.seconds) and args.seconds > 0):
-        raise WrongUse(f"--seconds {args.seconds:g}: give a number above zero")
     if args.out is not None and args.out.exists():
         raise WrongUse(f"{args.out}: exists; it is not overwritten, give another name")
     buses = parse_buses(args.bus)

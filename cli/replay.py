@@ -15,7 +15,7 @@ from rich.table import Table
 from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh_sink import ZenohSink, why
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.compare import Comparison
 from tilth.replay.driver import Outputs, Pace, Summary, replay
@@ -159,7 +159,7 @@ def _zenoh(machine: Machine) -> ZenohSink:
     try:
         sink = ZenohSink(machine, REPLAY)
     except zenoh.ZError as error:
-        raise WrongUse(f"Zenoh cannot be started ({error}); check [zenoh] in the machine file") from None
+        raise WrongUse(f"Zenoh cannot be started ({why(error)}); check [zenoh] in the machine file") from None
     _say(f"publishing under {sink.base}" + (f"; {sink.note}" if sink.note else ""))
     return sink
 

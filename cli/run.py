@@ -1,11 +1,13 @@
 """`tilth run`: log the buses of a machine, estimate, publish."""
 
 import argparse
+import contextlib
 import signal
 import sys
 from pathlib import Path
 from types import FrameType
 
+from tilth.cli import duration
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
@@ -23,7 +25,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument("--no-zenoh", action="store_true", help="publish nothing")
     parser.add_argument("--plain", action="store_true", help="plain lines also in a terminal")
-    parser.add_argument("--seconds", type=float, metavar="N", help="stop by itself")
+    parser.add_argument("--seconds", type=duration, metavar="N", help="stop by itself")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
         )
     finally:
         display.close()
-    print(_last_words(summary))
+    with contextlib.suppress(OSError):  # nobody reads it any more: what happened is told by the status
+        print(_last_words(summary))
     return 0 if summary.recorded == summary.frames > 0 and not (summary.lost or summary.faults) else 1
 
 

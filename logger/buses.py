@@ -27,6 +27,7 @@ RENEW_MOST_NS = 60_000_000_000
 BACK_OFF_NS = 500_000_000
 BACK_OFF_MOST_NS = 5_000_000_000
 EMPTY_READS = 200  # readable, but nothing to read: the far side is gone
+NOT_YET = "not open yet"
 LEAVE_S = 2.0  # how long the end of a run waits for a bus that is just being opened
 
 Report = Callable[[str, str], None]  # kind and text of an event
@@ -38,7 +39,7 @@ class Source:
 
     config: Bus
     state: str = "failed"  # open | silent | failed
-    reason: str = "not open yet"
+    reason: str = NOT_YET
     bus: can.BusABC | None = None
     descriptor: int | None = None
     opening: bool = False
@@ -49,7 +50,8 @@ class Source:
     fd_frames: int = 0
     lost: int = 0  # dropped by the kernel, as far as it says
     opened: int = 0
-    heard_ns: int = 0  # last frame, or opening
+    heard_ns: int = 0  # last frame of any kind, or opening
+    usable_ns: int = 0  # last frame that is taken, or opening
     retry_ns: int = 0
     back_off_ns: int = BACK_OFF_NS
     renew_ns: int = RENEW_NS
@@ -61,6 +63,12 @@ class Source:
     @property
     def name(self) -> str:
         return self.config.name
+
+    @property
+    def unusable(self) -> str:
+        """What kinds of frame came that are not taken, and what to do; "" where none did."""
+        kinds = [name for name, n in (("CAN FD", self.fd_frames), ("remote", self.remote_frames)) if n]
+        return f"only {' and '.join(kinds)} frames, which are not read; check the channel" if kinds else ""
 
 
 class Buses:
@@ -125,12 +133,14 @@ class Buses:
 
     def _drain(self, source: Source, bus: can.BusABC, frames: list[Frame]) -> None:
         before = len(frames)
+        received = 0
         receive, stamps, name = bus.recv, self._clock.stamps, source.config.name
         try:
             for _ in range(BATCH):
                 message = receive(0)
                 if message is None:
                     break
+                received += 1
                 if message.is_remote_frame or message.is_fd:
                     _count_unusable(source, message)
                     continue
@@ -144,22 +154,39 @@ class Buses:
         except Exception as error:  # a driver may raise anything; the other buses go on
             self._fail(source, why_not(error, source.config))
         if len(frames) > before:
-            self._heard(source, len(frames) - before, frames[-1].t_ns)
+            self._heard(source, frames[-1].t_ns)
+            self._took(source, len(frames) - before)
+        elif received:
+            self._heard(source, self._clock.t_ns())
+            self._notice_unusable(source)
         elif source.descriptor is not None:
             source.empty_reads += 1
             if source.empty_reads > EMPTY_READS:
                 self._fail(source, f"{source.config.channel}: the far side has hung up")
 
-    def _heard(self, source: Source, frames: int, t_ns: int) -> None:
+    def _heard(self, source: Source, t_ns: int) -> None:
+        """A frame of any kind: the bus is not dead."""
         if source.state == "silent":
             self._report("bus", f"{source.name}: heard again after {(t_ns - source.heard_ns) * 1e-9:.1f} s")
-        if source.bus is not None:
-            source.state, source.reason, source.reported = "open", "", ""
-        source.frames += frames
+            source.state, source.reason = "open", ""
         source.heard_ns = t_ns
         source.empty_reads = 0
         source.back_off_ns = BACK_OFF_NS
         source.renew_ns = RENEW_NS
+
+    def _took(self, source: Source, frames: int) -> None:
+        source.frames += frames
+        source.usable_ns = source.heard_ns
+        if source.bus is not None:
+            source.state, source.reason, source.reported = "open", "", ""
+
+    def _notice_unusable(self, source: Source) -> None:
+        if source.bus is None or source.heard_ns - source.usable_ns < SILENT_NS:
+            return
+        source.reason = source.unusable
+        if source.reported != source.reason:
+            source.reported = source.reason
+            self._report("bus", f"{source.name}: {source.reason}")
 
     def _notice_silence(self, source: Source, t_ns: int) -> None:
         silent_ns = t_ns - source.heard_ns
@@ -224,7 +251,8 @@ class Buses:
             source.empty_reads = 0
             source.opened += 1
             if source.state != "silent":  # one that was silent stays so until a frame comes
-                source.state, source.reason, source.heard_ns = "open", "", self._clock.t_ns()
+                source.state, source.reason = "open", ""
+                source.heard_ns = source.usable_ns = self._clock.t_ns()
             self._select(source, readable(result))
 
     def _select(self, source: Source, descriptor: int | None) -> None:

@@ -15,7 +15,7 @@ from zenoh import ZError
 from tilth.logger.buses import Buses, Source
 from tilth.logger.clock import Clock
 from tilth.logger.status import LOW_HOURS, hours_left
-from tilth.logger.zenoh_sink import try_session
+from tilth.logger.zenoh_sink import is_local, try_session, why
 from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
 
@@ -80,7 +80,7 @@ def _bus(source: Source, seconds: float) -> Finding:
         return Finding(what, PROBLEM, source.reason)
     if source.frames == 0:
         text = f"silent for {seconds:.1f} s; check that its devices are on, the bit rate, the plug"
-        return Finding(what, PROBLEM, text)
+        return Finding(what, PROBLEM, source.unusable or text)
     text = f"{source.frames} frames in {seconds:.1f} s ({source.frames / seconds:.0f}/s)"
     if source.error_frames:
         text += f", {source.error_frames} of them error frames; check bitrate, termination and wiring"
@@ -149,8 +149,14 @@ def _zenoh(machine: Machine) -> Finding:
     try:
         note = try_session(machine)
     except ZError as error:
-        first = str(error).splitlines()[0]
-        return Finding("zenoh", PROBLEM, f"no session: {first}; correct [zenoh], or run with --no-zenoh")
-    if note:
-        return Finding("zenoh", NOTE, note)
+        return Finding("zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh")
+    notes = [note] if note else []
+    shared = [endpoint for endpoint in machine.zenoh.listen if not is_local(endpoint)]
+    if shared:
+        notes.append(
+            f"listens on {', '.join(shared)} without encryption or password: anyone on that network can read "
+            "and answer"
+        )
+    if notes:
+        return Finding("zenoh", NOTE, "; ".join(notes))
     return Finding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")

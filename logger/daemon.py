@@ -23,7 +23,7 @@ from tilth.logger.liveness import Sensors
 from tilth.logger.mcap_log import software
 from tilth.logger.recording import Recording
 from tilth.logger.status import bus_status, problems_of, rejected
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh_sink import ZenohSink, why
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement
 from tilth.schemas.machine import Machine
@@ -92,6 +92,7 @@ class Daemon:
         self._fold = GuardedFold(machine)
         self._buses = Buses(machine.bus, self._clock, self._report)
         self._recording = Recording(folder, machine, machine_text, self._clock, self._report)
+        self._no_zenoh = ""  # why there is no session although one is wanted
         self._sink = self._open_zenoh(suffix) if suffix is not None else None
         self._sensors = Sensors(machine)
         self._version = software()["version"]
@@ -202,10 +203,8 @@ class Daemon:
         try:
             sink = ZenohSink(self._machine, suffix)
         except ZError as error:
-            first = str(error).splitlines()[0]
-            self._report(
-                "zenoh", f"nothing is published on Zenoh: {first}; correct [zenoh] in the machine file"
-            )
+            self._no_zenoh = f"nothing is published: {why(error)}; correct [zenoh] in the machine file"
+            self._report("zenoh", self._no_zenoh)
             return None
         if sink.note:
             self._report("zenoh", sink.note)
@@ -231,7 +230,8 @@ class Daemon:
         )
         if recording.free_bytes is not None:
             status.disk_free_bytes = recording.free_bytes
-        status.problems.extend(problems_of(status, recording))
+        zenoh = self._no_zenoh if self._sink is None else self._sink.problem
+        status.problems.extend(problems_of(status, recording, zenoh))
         return status
 
     def _rejected(self) -> dict[str, int]:

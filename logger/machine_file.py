@@ -1,9 +1,13 @@
 """Opens a machine file and the DBC file that it names."""
 
+import re
 import tomllib
 from pathlib import Path
 
 from tilth.schemas.machine import Machine, MachineError, parse_machine
+
+_UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
+_LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 
 
 def read_machine(path: Path | str) -> tuple[Machine, str]:
@@ -18,7 +22,16 @@ def read_machine(path: Path | str) -> tuple[Machine, str]:
     try:
         return parse_machine(text, dbc_text), text
     except MachineError as error:
-        raise MachineError(f"{path}: {error}") from None
+        raise MachineError(f"{path}: {_unfilled(text) or error}") from None
+
+
+def _unfilled(text: str) -> str:
+    """What is left to fill in of a draft, "" if nothing."""
+    lines = [n for n, line in enumerate(text.splitlines(), 1) if _UNFILLED.match(line)]
+    if not lines:
+        return ""
+    shown = f"line {lines[0]}" if len(lines) == 1 else f"line {lines[0]} and {len(lines) - 1} more"
+    return f'{shown} still marked "FILL IN"; write the value of each after its ='
 
 
 def _dbc_name(text: str) -> str | None:
@@ -35,9 +48,16 @@ def _text(path: Path, what: str) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise MachineError(f"{path}: the {what} is not UTF-8 text; save it as UTF-8") from None
+        raise MachineError(f"{path}: {_not_text(path, what)}") from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise MachineError(
             f"{path}: the {what} cannot be read ({reason}); give the path of one that exists"
         ) from None
+
+
+def _not_text(path: Path, what: str) -> str:
+    with path.open("rb") as stream:
+        if stream.read(5).startswith(_LOG_STARTS):
+            return f"a log, not a {what}; to read it: tilth replay {path}"
+    return f"the {what} is not UTF-8 text; save it as UTF-8"

@@ -13,7 +13,7 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 
 SYNC_NS = 1_000_000_000
-RETRY_NS = 5_000_000_000
+RETRY_NS = 5_000_000_000  # longest wait between tries; the first is a second after the failure
 ROOM_BYTES = 16_000_000  # free space below which no file is begun
 SLOW_DISK = 10  # jobs waiting, about as many seconds
 
@@ -37,13 +37,13 @@ class Recording:
         self._report = report
         self._started_ns = clock.t_ns()
         self._run_id = uuid.uuid4().hex
-        self._base = ""
         self._writer: LogWriter | None = None
         self._closed_bytes = 0
         self._safe_frames = 0  # of the open file, at its last flush
         self._now_ns = self._started_ns  # of the last tick
         self._part_ns = self._started_ns
         self._next_ns = self._started_ns + SYNC_NS
+        self._retry_ns = SYNC_NS
         self._disk = Disk(folder)
         self._open(None)
 
@@ -98,8 +98,10 @@ class Recording:
             return
         self._now_ns = t_ns
         if self._writer is None:
+            self._next_ns = t_ns + SYNC_NS
             self._open(renew)
-            self._next_ns = t_ns + (SYNC_NS if self._writer else RETRY_NS)
+            if self._writer is None:
+                self._try_later()
             return
         self._next_ns = t_ns + SYNC_NS
         try:
@@ -129,6 +131,8 @@ class Recording:
         if os.fstat(writer.fileno()).st_nlink == 0:
             raise FileNotFoundError(None, "the file was removed", str(writer.path))
         self._safe_frames = writer.frames
+        if self._now_ns - self._part_ns >= RETRY_NS:  # a disk that fails each file soon is not tried so often
+            self._retry_ns = SYNC_NS
         slow = self._disk.waiting > SLOW_DISK
         self.problem = f"{self.folder}: the disk does not keep up; use a faster one" if slow else ""
         self._disk.sync(writer)
@@ -182,9 +186,9 @@ class Recording:
         free = shutil.disk_usage(self.folder).free
         if free < ROOM_BYTES:
             raise OSError(None, f"only {free / 1e6:.0f} MB free; make room", str(self.folder))
-        if not self._base:
-            self._base = self._unused_base()
-        return self.folder / f"{self._base}_{len(self.files) + 1:03d}.mcap"
+        # The first file that was really made settles the name: another run may be quicker with it.
+        base = self.files[0].stem.removesuffix("_001") if self.files else self._unused_base()
+        return self.folder / f"{base}_{len(self.files) + 1:03d}.mcap"
 
     def _unused_base(self) -> str:
         """<machine>_<UTC>, a second later while a run has that name: a computer without a battery-backed
@@ -203,8 +207,12 @@ class Recording:
             self.missed += writer.frames - self._safe_frames
             self._closed_bytes += writer.flushed_bytes
             self._disk.abandon(writer)
-        self._next_ns = self._now_ns + RETRY_NS
+        self._try_later()
         self._say(f"not recording: {_sentence(error, self.folder)}")
+
+    def _try_later(self) -> None:
+        self._next_ns = self._now_ns + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, RETRY_NS)
 
     def _say(self, problem: str) -> None:
         if problem != self.problem:

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 
-from tilth.logger.buses import Source
+from tilth.logger.buses import NOT_YET, Source
 from tilth.logger.recording import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
 
+YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
 LOW_HOURS = 1.0  # of recording left
 SAMPLE_S = 20.0  # of recording before its rate is believed
 NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
@@ -50,10 +51,24 @@ def rejected(of_fold: Mapping[str, int], sources: Iterable[Source], bad_stamps: 
     return counts
 
 
-def problems_of(status: pb.Status, recording: Recording) -> list[str]:
-    """What a person should do something about, worst first."""
+def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str]:
+    """What a person should do something about, worst first. zenoh: what is wrong with it, "" if nothing."""
+    young = status.uptime_s < YOUNG_S
     found = [recording.problem] if recording.problem else []
-    found += [f"bus {bus.name} {bus.state}: {bus.reason}" for bus in status.buses if bus.state != "open"]
+    for bus in status.buses:
+        if bus.reason and not (young and bus.reason == NOT_YET):
+            found.append(f"bus {bus.name} {bus.state}: {bus.reason}")
+    found += [] if young else _sensor_problems(status)
+    if zenoh:
+        found.append(f"zenoh: {zenoh}")
+    left = hours_left(recording.free_bytes, recording.size_bytes, status.uptime_s)
+    if left is not None and left < LOW_HOURS:
+        found.append(f"disk: {left * 60:.0f} minutes of recording left; make room in {recording.folder}")
+    return found
+
+
+def _sensor_problems(status: pb.Status) -> list[str]:
+    found = []
     for receiver in status.receivers:
         name = receiver.mount.replace("_", " ")
         if receiver.state in _RECEIVER_PROBLEMS:
@@ -62,9 +77,6 @@ def problems_of(status: pb.Status, recording: Recording) -> list[str]:
             found.append(f"{name}: fix is {receiver.fix}, no RTK; check corrections")
     if status.wheel_angle.state in _WHEEL_PROBLEMS:
         found.append(f"wheel angle: {_WHEEL_PROBLEMS[status.wheel_angle.state]}")
-    left = hours_left(recording.free_bytes, recording.size_bytes, status.uptime_s)
-    if left is not None and left < LOW_HOURS:
-        found.append(f"disk: {left * 60:.0f} minutes of recording left; make room in {recording.folder}")
     return found
 
 

@@ -1,26 +1,35 @@
 """Publishes on Zenoh: <prefix>/<machine>/<key> for each row of CHANNELS that has a key.
 
-A plain get answers with the last value, a liveliness token says that this process lives. Values are dropped
-rather than waited for: nothing here may cost a frame.
+A plain get answers with the last value while it is fresh, a liveliness token says that this process lives.
+Values are dropped rather than waited for: nothing here may cost a frame.
 """
 
+import ipaddress
 import json
 import socket
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 import zenoh
 
 from tilth.schemas.channels import CHANNELS
 from tilth.schemas.machine import Machine
 
+STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
+# What is computed from frames ends with them. Status and events are the process's own: the last one holds.
+_COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
+_NETWORKED = ("tcp", "udp", "tls", "quic", "ws")  # protocols whose endpoints are HOST:PORT
+
 
 class ZenohSink:
     """One session. `note` says what is unusual about it, empty if nothing is."""
 
-    def __init__(self, machine: Machine, prefix_suffix: str = "") -> None:
+    def __init__(
+        self, machine: Machine, prefix_suffix: str = "", now_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
 
-        Raises zenoh.ZError where no session can be had.
+        now_ns: the clock that tells a value's age. Raises zenoh.ZError where no session can be had.
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
         self.failures = 0
@@ -36,9 +45,17 @@ class ZenohSink:
             for channel in CHANNELS
             if channel.key is not None
         }
-        self._last: dict[str, bytes] = {}  # topic -> what a get answers
+        self._now_ns = now_ns
+        self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
         self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
         self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
+
+    @property
+    def problem(self) -> str:
+        """What a person should do something about while this goes on, "" if nothing."""
+        if self.failures:
+            return f"{self.failures} values could not be published; restart it where they are missed"
+        return self.note
 
     def put(self, topic: str, data: bytes) -> None:
         """Publish; a topic that has no key is passed over. Never raises, never waits."""
@@ -49,7 +66,7 @@ class ZenohSink:
             publisher.put(data)
         except zenoh.ZError:
             self.failures += 1
-        self._last[topic] = data
+        self._last[topic] = (self._now_ns(), data)
 
     def close(self) -> None:
         """Withdraw the token and end the session."""
@@ -61,10 +78,36 @@ class ZenohSink:
 
     def _answer(self, query: zenoh.Query) -> None:
         # Runs in a thread of Zenoh's: takes a copy, changes nothing.
-        for topic, data in list(self._last.items()):
+        now_ns = self._now_ns()
+        for topic, (put_ns, data) in list(self._last.items()):
             publisher = self._publishers[topic]
-            if query.key_expr.intersects(publisher.key_expr):
+            if not query.key_expr.intersects(publisher.key_expr):
+                continue
+            age_ns = now_ns - put_ns
+            if topic in _COMPUTED and age_ns > STALE_NS:
+                query.reply_err(
+                    f"{publisher.key_expr}: no value for {age_ns * 1e-9:.0f} s: the buses are silent or "
+                    "the daemon cannot compute; see status"
+                )
+            else:
                 query.reply(publisher.key_expr, data, encoding=publisher.encoding)
+
+
+def why(error: zenoh.ZError) -> str:
+    """Zenoh's own words in one line, without the place in its source."""
+    return str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
+
+
+def is_local(endpoint: str) -> bool:
+    """Whether only this computer can reach it."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in _NETWORKED:
+        return True
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def free_endpoint(endpoint: str) -> str:
@@ -91,7 +134,10 @@ def _endpoints(machine: Machine) -> tuple[list[str], str]:
     free = [free_endpoint(endpoint) for endpoint in wanted]
     if free == wanted:
         return free, ""
-    return free, f"{', '.join(wanted)} is taken by another program; listening on {', '.join(free)}"
+    return free, (
+        f"{', '.join(wanted)} is taken by another program; listening on {', '.join(free)}; "
+        "if that is another run of this machine, end one: both publish the same keys"
+    )
 
 
 def _config(machine: Machine, listen: Sequence[str]) -> zenoh.Config:

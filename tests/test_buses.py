@@ -145,6 +145,27 @@ def test_error_remote_and_fd_frames(talker: can.BusABC) -> None:
     listening.buses.close()
 
 
+def test_a_bus_with_can_fd_frames_only_is_alive_and_said_to_be_so() -> None:
+    port = free_port()
+    listening = Listening(udp("fd", port))
+    (source,) = listening.sources
+    assert source.descriptor is not None
+    with can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0) as other:
+        for number in range(EMPTY_READS + 50):
+            other.send(can.Message(arbitration_id=0x124, is_fd=True, data=bytes(12)))
+            listening.until(lambda: source.fd_frames > number)  # noqa: B023  # called at once
+        assert source.state == "open" and source.reason == "" and listening.events == []
+        source.usable_ns -= SILENT_NS
+        other.send(can.Message(arbitration_id=0x124, is_fd=True, data=bytes(12)))
+        listening.until(lambda: source.reason != "")
+        assert source.state == "open" and source.reason.startswith("only CAN FD frames")
+        assert listening.events == [f"bus: fd: {source.reason}"]
+        other.send(data_frame())
+        listening.until_frames(1)
+    assert source.reason == "" and source.frames == 1 and source.opened == 1
+    listening.buses.close()
+
+
 def test_an_unknown_interface_is_a_fault_of_the_machine_file() -> None:
     with pytest.raises(MachineError, match=r'bus can0: interface = "socketcn" .* did you mean "socketcan"\?'):
         check_interface(Bus(name="can0", interface="socketcn", channel="can0"))

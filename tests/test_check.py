@@ -1,8 +1,12 @@
 """`tilth check` and what it finds: each thing wrong in turn, on real buses, disks and sessions."""
 
 import json
+import os
 import socket
+import subprocess
+import sys
 import threading
+from argparse import ArgumentTypeError
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +15,13 @@ import can
 import pytest
 from loopback import free_port, machine_text, rig, udp_bus
 
-from tilth.cli import main
+from tilth.cli import duration, main
 from tilth.logger import check as check_module
 from tilth.logger.check import NOTE, OK, PROBLEM, Finding, check
 from tilth.logger.clock import Clock, Relation
 from tilth.logger.machine_file import read_machine
+from tilth.replay.discover import Survey
+from tilth.replay.machine_draft import draft
 from tilth.schemas.machine import MachineError
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-check"\n\n'
@@ -89,6 +95,11 @@ def test_a_zenoh_port_that_is_taken_is_worth_a_note_and_a_wrong_one_is_a_problem
     wrong = machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update={"listen": ["nonsense"]})})
     assert of(check(wrong, tmp_path, SECONDS), "zenoh").state == PROBLEM
     assert of(check(machine, tmp_path, SECONDS), "zenoh").state == OK
+    wide = machine.model_copy(
+        update={"zenoh": machine.zenoh.model_copy(update={"listen": [f"udp/0.0.0.0:{free_port()}"]})}
+    )
+    found = of(check(wide, tmp_path, SECONDS), "zenoh")
+    assert found.state == NOTE and "anyone on that network can read and answer" in found.text
 
 
 class OddClock(Clock):
@@ -142,3 +153,39 @@ def test_a_dbc_file_is_found_beside_the_machine_file(tmp_path: Path) -> None:
     file.write_bytes(b"\xff\xfe")
     with pytest.raises(MachineError, match="not UTF-8"):
         read_machine(file)
+
+
+def test_a_log_or_an_unfinished_draft_is_no_machine_file(tmp_path: Path) -> None:
+    file = tmp_path / "some.mcap"
+    file.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(
+        MachineError, match=r"a log, not a machine file; to read it: tilth replay .*some\.mcap"
+    ):
+        read_machine(file)
+    file = tmp_path / "draft.toml"
+    file.write_text(draft(Survey().findings(), []))
+    with pytest.raises(MachineError, match=r'line 4 and \d+ more still marked "FILL IN"'):
+        read_machine(file)
+    file.write_text("[machine]\nname = # FILL IN: a name\n")
+    with pytest.raises(MachineError, match='line 2 still marked "FILL IN"'):
+        read_machine(file)
+
+
+@pytest.mark.parametrize("words", ["nan", "inf", "0", "-1", "x"])
+def test_a_duration_is_a_number_above_zero(words: str) -> None:
+    with pytest.raises((ArgumentTypeError, ValueError)):
+        duration(words)
+    assert duration("0.5") == 0.5
+
+
+def test_a_reader_that_leaves_does_not_change_the_exit_status(tmp_path: Path) -> None:
+    """As `tilth run … | true`: a run without a frame is 1 whether or not anybody reads its words."""
+    file = tmp_path / "m.toml"
+    file.write_text(machine_text(tmp_path / "logs", VIRTUAL))
+    reading, writing = os.pipe()
+    os.close(reading)
+    code = 'import sys; sys.modules["asammdf"] = None; from tilth.cli import main; raise SystemExit(main())'
+    words = [sys.executable, "-c", code, "run", str(file), "--no-zenoh", "--seconds", "0.2"]
+    with os.fdopen(writing, "wb") as gone:
+        ended = subprocess.run(words, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=30, check=False)
+    assert (ended.returncode, ended.stderr) == (1, "")

@@ -22,10 +22,11 @@ def test_a_long_run_ends_where_the_closed_form_says(rolling: float, speed: float
     run = nonlinear.inputs_of(1500, delta=delta, speed=speed)
     end = nonlinear.simulate(rig, run, nonlinear.running(speed), 0.02)[-1]
     row = np.array([[*rig.theta[:3], rig.m_t, rig.m_i, end[AT["u"]], delta, 0.0, 0.0]])
-    v, r, articulation = steady_turn(row, *rig.geometry[:5].tolist(), rolling, (rig.h_t, rig.h_i))[0]
+    lengths = (rig.a, rig.b, rig.c, rig.d, rig.e)
+    v, r, articulation = steady_turn(row, *lengths, rolling=rolling, heights=(rig.h_t, rig.h_i))[0]
     assert end[AT["r_t"]] == pytest.approx(r, rel=1e-3)
     assert end[AT["v"]] == pytest.approx(v, rel=2e-3, abs=1e-4)
     assert end[AT["psi_t"]] - end[AT["psi_i"]] == pytest.approx(articulation, rel=1e-3)
     if rolling:
-        without = steady_turn(row, *rig.geometry[:5].tolist())[0]
+        without = steady_turn(row, *lengths)[0]
         assert abs(without[1] / end[AT["r_t"]] - 1) > 3e-3  # what it costs to leave the drag out

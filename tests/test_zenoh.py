@@ -10,7 +10,8 @@ import pytest
 import zenoh
 from loopback import START_NS, answers, free_port, rig, session, udp_bus
 
-from tilth.logger.zenoh_sink import ZenohSink, free_endpoint, try_session
+from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.zenoh_sink import STALE_NS, ZenohSink, free_endpoint, is_local, try_session
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
 from tilth.schemas.machine import Machine, Zenoh
@@ -75,6 +76,26 @@ def test_every_channel_with_a_key_is_published_and_answers(sink: ZenohSink) -> N
         subscriber.undeclare()
 
 
+def test_an_old_value_is_not_given_as_the_present_one(machine: Machine) -> None:
+    now = [0]
+    sink = ZenohSink(machine, now_ns=lambda: now[0])
+    computed = {f"{BASE}/{c.key}" for c in KEYED if c.key not in ("status", "event")}
+    with session(sink.endpoints) as other:
+        for channel in KEYED:
+            sink.put(channel.topic, b"x")
+        now[0] = STALE_NS
+        assert set(answers(other, f"{BASE}/**")) == {f"{BASE}/{channel.key}" for channel in KEYED}
+        now[0] = STALE_NS + 2_000_000_000
+        assert set(answers(other, f"{BASE}/**")) == {f"{BASE}/status", f"{BASE}/event"}
+        for key in computed:
+            (reply,) = other.get(key, timeout=5.0)
+            assert reply.ok is None and reply.err is not None
+            assert f"{key}: no value for 7 s".encode() in reply.err.payload.to_bytes()
+        sink.put("/soil_tire", b"y")
+        assert answers(other, f"{BASE}/soil_tire")[f"{BASE}/soil_tire"][0] == b"y"
+    sink.close()
+
+
 def test_a_token_says_that_the_daemon_lives(machine: Machine) -> None:
     sink = ZenohSink(machine)
     with session(sink.endpoints) as other:
@@ -111,6 +132,45 @@ def test_a_taken_port_is_said_and_another_used(machine: Machine) -> None:
     second.close()
     first.close()
     assert try_session(machine) == ""
+
+
+def problems(machine: Machine, folder: Path) -> list[str]:
+    """Those of Zenoh in the last status of a run."""
+    daemon = Daemon(machine, "", folder, "", NoDisplay())
+    daemon.turn(0.0)
+    return [text for text in daemon.close().problems if text.startswith("zenoh: ")]
+
+
+def test_what_is_wrong_with_zenoh_stays_in_the_status(machine: Machine, tmp_path: Path) -> None:
+    assert problems(machine, tmp_path) == []
+    first = ZenohSink(machine)
+    (said,) = problems(machine, tmp_path)
+    assert "is taken by another program" in said and "both publish the same keys" in said
+    first.failures = 3
+    assert "3 values could not be published" in first.problem
+    first.close()
+    endpoint = f"tcp/192.0.2.1:{free_port(socket.SOCK_STREAM)}"  # of no interface: RFC 5737
+    nowhere = machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update={"listen": [endpoint]})})
+    (said,) = problems(nowhere, tmp_path)
+    assert "nothing is published" in said and endpoint in said
+    assert "correct [zenoh]" in said and " at /" not in said and ".rs" not in said
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "local"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tcp/[::1]:7447", True),
+        ("tcp/localhost:7447", True),
+        ("unixsock-stream//run/tilth", True),
+        ("udp/0.0.0.0:17448", False),
+        ("tcp/[::]:7447", False),
+        ("tcp/192.168.1.4:7447", False),
+        ("tcp/tractor.local:7447", False),
+    ],
+)
+def test_who_can_reach_an_endpoint(endpoint: str, local: bool) -> None:
+    assert is_local(endpoint) is local
 
 
 def test_the_machine_file_listens_on_this_computer_only_unless_it_says_more() -> None:
