@@ -80,7 +80,7 @@ class SteadyState:
     surprise: float = 1.0  # recent mean of the squared, normalised innovation per output; 1 is as expected
     forgotten: int = 0  # times that learning began anew
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
-    reason: str = "no steady driving yet"  # of the latest pose
+    reason: str = ""  # why the latest pose taught nothing
 
 
 def initial(machine: Machine) -> SteadyState:
@@ -275,7 +275,8 @@ def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> Para
     """One stiffness: a number only where the data support it."""
     sd_log = math.sqrt(state.p[k, k])
     if age is None:
-        return ParameterEstimate(None, None, Status.UNESTIMATED, state.reason or "no steady driving yet")
+        now = f" (now: {state.reason})" if state.reason else ""
+        return ParameterEstimate(None, None, Status.UNESTIMATED, f"no steady turn yet{now}")
     if rank < 3 or sd_log > SUPPORTED * state.prior[k]:
         return ParameterEstimate(None, None, Status.UNESTIMATED, _what_lacks(state, rank), age)
     value = math.exp(state.x[k])

@@ -160,7 +160,7 @@ def test_what_must_not_teach_teaches_nothing_and_is_counted(reason: str, spoil) 
     assert state.steady_s == 0.0
     assert state.refused[reason] > 400
     assert {p.status for p in said.parameters} == {Status.UNESTIMATED}
-    assert said.parameters[0].reason == reason
+    assert said.parameters[0].reason == f"no steady turn yet (now: {reason})"
     assert np.allclose(state.p[:3, :3], np.diag(state.prior[:3] ** 2))
 
 
