@@ -49,6 +49,17 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
 
 
+def add_bus_names(parser: argparse.ArgumentParser) -> None:
+    """The option of the commands that read logs of others."""
+    parser.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="LOG=MACHINE",
+        help="what a bus of the log is called in the machine file",
+    )
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in argv (without the program's name; sys.argv where None). Returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)

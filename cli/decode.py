@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, add_bus_names
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import machine_sha256
 from tilth.replay.readers import open_log
@@ -64,13 +64,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="M.toml",
         help="whose sensors these are; a log of tilth's knows its own",
     )
-    parser.add_argument(
-        "--bus",
-        action="append",
-        default=[],
-        metavar="LOG=MACHINE",
-        help="what a bus of the log is called there",
-    )
+    add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, add_bus_names
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
 from tilth.logger.zenoh_sink import ZenohSink, why
@@ -40,13 +40,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--verify", action="store_true", help="compare with the results that were logged live"
     )
-    parser.add_argument(
-        "--bus",
-        action="append",
-        default=[],
-        metavar="LOG=MACHINE",
-        help="what a bus of the log is called there",
-    )
+    add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="the summary as one JSON object")
 
 

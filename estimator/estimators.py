@@ -1,4 +1,4 @@
-"""The estimators, one row each: an extension point. Tests run over every row.
+"""The estimators, one row each: an extension point. Tests run over every row. The first is recommended.
 
 A row's three functions share a state of their own type, which must be plain data (see estimator/plain.py): it
 is stored with the log and taken up again.

@@ -76,12 +76,7 @@ def _estimates_now(state: State) -> dict[str, Estimate]:
         row.method: row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
         for row in ESTIMATORS
     }
-    return {**now, RECOMMENDED: _recommended(*now.values())}
-
-
-def _recommended(only: Estimate) -> Estimate:
-    """Of one estimator, the recommended one is that one. The rule comes with the second."""
-    return replace(only, method=RECOMMENDED)
+    return {**now, RECOMMENDED: replace(now[ESTIMATORS[0].method], method=RECOMMENDED)}
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -140,8 +135,9 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
 def _estimate(state: State, t_ns: int, estimate: Estimate, out: list[Publication]) -> None:
     state.estimates[estimate.method] = estimate
     out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    recommended = state.estimates[RECOMMENDED] = _recommended(estimate)
-    out.append(Publication(t_ns, "/soil_tire", recommended))
+    if estimate.method == ESTIMATORS[0].method:
+        recommended = state.estimates[RECOMMENDED] = replace(estimate, method=RECOMMENDED)
+        out.append(Publication(t_ns, "/soil_tire", recommended))
 
 
 def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:

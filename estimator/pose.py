@@ -57,14 +57,15 @@ class _Body:
     sd_cg: float = 0.0
     velocity: tuple[float, float, float] | None = None
     pair: Baseline | None = None
+    going: tuple[float, float, float] | None = None  # velocity by the pair's own heading
 
 
 def _pose_at(state: Aligner, t_ns: int) -> Pose:
     flags = _receiver_flags(state, t_ns)
     bodies = [_gather(state, index, t_ns, flags) for index in range(2)]
-    flags += _withhold_doubtful(state, bodies)
     for body in bodies:
         _solve_pair(state, body)
+    flags += _withhold_doubtful(state, bodies)
     for body, other in zip(bodies, reversed(bodies), strict=True):
         if body.heading is None and body.antennas:
             _solve_single(state, body, other, t_ns, flags)
@@ -162,34 +163,31 @@ def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[str]:
     persistent = state.suspicion.judge(found)
     for flag in found:
         index = MOUNTS.index(Mount(flag.partition(":")[2]))
-        bodies[index // 2].antennas.pop(index, None)
+        body = bodies[index // 2]
+        body.antennas.pop(index, None)
+        body.pair = body.going = body.heading = None
     return list(persistent) or [f"doubtful:{flag.partition(':')[2]}" for flag in found]
 
 
 def _look_long(state: Aligner, bodies: list[_Body]) -> None:
     """Add this instant to the means of what should be nothing."""
     for body in bodies:
-        if len(body.antennas) < 2:
+        if body.pair is None:
             continue
-        front, rear = (body.antennas[i] for i in BODIES[body.index])
-        pair = baseline(front, rear, 0.0)
-        state.lasting.excess[body.index].add(pair.excess)
-        rate = body.yaw_rate[0] if body.yaw_rate else 1.0
-        going = centre_velocity([front, rear], pair.heading, rate, 0.0)
-        if going is not None and abs(rate) < STRAIGHT and math.hypot(*going[:2]) > CRUISE:
+        state.lasting.excess[body.index].add(body.pair.excess)
+        straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
+        if body.going is not None and straight and math.hypot(*body.going[:2]) > CRUISE:
             # Of a course and its opposite the nearer: reversing is no fault.
-            state.lasting.sideways[body.index].add(math.atan2(going[1], abs(going[0])))
+            state.lasting.sideways[body.index].add(math.atan2(body.going[1], abs(body.going[0])))
 
 
 def _backwards(state: Aligner, bodies: list[_Body]) -> list[int]:
     """The tractor, where its receivers have it go back while the vehicle says forward, or the other way."""
-    if len(bodies[0].antennas) < 2 or state.direction == 0 or state.posed_ns - state.direction_ns > LOST_NS:
+    going = bodies[0].going
+    if going is None or state.direction == 0 or state.posed_ns - state.direction_ns > LOST_NS:
         return []
-    front, rear = (bodies[0].antennas[i] for i in BODIES[0])
-    going = centre_velocity([front, rear], baseline(front, rear, 0.0).heading, 0.0, 0.0)
-    if going is None or abs(going[0]) < CRUISE or going[0] * state.direction > 0:
-        return []
-    return [0]
+    backwards = abs(going[0]) >= CRUISE and going[0] * state.direction < 0
+    return [0] if backwards else []
 
 
 def _solve_pair(state: Aligner, body: _Body) -> None:
@@ -198,6 +196,8 @@ def _solve_pair(state: Aligner, body: _Body) -> None:
         return
     body.pair = baseline(front, rear, _sd_tilt(state, body))
     body.heading, body.sd_heading = body.pair.heading, body.pair.sd_heading
+    rate = body.yaw_rate[0] if body.yaw_rate else 0.0
+    body.going = centre_velocity([front, rear], body.pair.heading, rate, 0.0)
 
 
 def _sd_tilt(state: Aligner, body: _Body) -> float:

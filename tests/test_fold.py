@@ -8,6 +8,7 @@ from functools import lru_cache
 import pytest
 from circle import demo_machine
 
+from tilth.estimator import fold
 from tilth.estimator.fold import State, initial, restore, snapshot, step
 from tilth.replay.tractor import Fault, Reclaim, Scenario, drive
 from tilth.replay.traffic import simulate
@@ -201,3 +202,16 @@ def test_two_receivers_that_send_from_one_address_are_not_taken_for_one() -> Non
     assert all("lost:tractor_rear" in p.flags for p in late)
     assert all(p.tractor.heading is None for p in late)
     assert all(any(f.startswith(("moved", "doubtful")) for f in p.flags) for p in late)
+
+
+def test_a_second_estimator_is_one_row_and_the_first_stays_recommended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (first, *_) = fold.ESTIMATORS
+    monkeypatch.setattr(fold, "ESTIMATORS", (first, replace(first, method="other")))
+    state, out = run(frames(5.0))
+    assert set(state.estimates) == {first.method, "other", fold.RECOMMENDED}
+    recommended = [p.value for p in out if p.topic == "/soil_tire"]
+    firsts = [p.value for p in out if p.topic == f"/soil_tire/{first.method}"]
+    assert len(recommended) == len(firsts) > 0
+    assert snapshot(restore(MACHINE, snapshot(state))) == snapshot(state)
