@@ -9,6 +9,7 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator import fold
+from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.fold import State, initial, restore, snapshot, step
 from tilth.replay.tractor import Fault, Reclaim, Scenario, drive
 from tilth.replay.traffic import simulate
@@ -207,7 +208,7 @@ def test_two_receivers_that_send_from_one_address_are_not_taken_for_one() -> Non
 def test_a_second_estimator_is_one_row_and_the_first_stays_recommended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (first, *_) = fold.ESTIMATORS
+    (first, *_) = ESTIMATORS
     monkeypatch.setattr(fold, "ESTIMATORS", (first, replace(first, method="other")))
     state, out = run(frames(5.0))
     assert set(state.estimates) == {first.method, "other", fold.RECOMMENDED}
