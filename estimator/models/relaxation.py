@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.dynamic import axle_arms, gravity_arms, inertia, turning
 from tilth.estimator.models.parameters import GEOMETRY as GEOMETRY
 from tilth.estimator.models.parameters import geometry_of as geometry_of
+from tilth.estimator.models.steady_turn import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -34,21 +35,28 @@ INPUTS: Final = ("delta", "gravity_t", "gravity_i")
 """Front wheel angle (rad); g sin(roll) of the tractor and of the implement (m/s^2)."""
 
 
-def system_matrix(u: float, geometry: Array, theta: Array) -> Array:
+def system_matrix(
+    u: float, geometry: Array, theta: Array, rolling: float = 0.0, heights: tuple[float, float] = (0.0, 0.0)
+) -> Array:
     """A(u), shape (9, 9).
 
     u: forward speed, m/s, negative in reverse. geometry: shape (9,), as GEOMETRY. theta: shape (6,), as
-    schemas.flow.PARAMETERS.
+    schemas.flow.PARAMETERS. rolling: rolling resistance over load, and the heights of both CGs (m), through
+    which it turns the bodies; see steady_turn.
     """
     c_af, c_ar, c_ai, sigma_f, sigma_r, sigma_i = theta
     stiffness = np.array([c_af, c_ar, c_ai])
     lengths = np.array([sigma_f, sigma_r, sigma_i])
     arms = axle_arms(geometry)
+    resisting, skew = _rolling(u, geometry, rolling, heights)
     forces = np.zeros((3, 9))  # the first three rows of N
-    forces[:, 1] = turning(u, geometry)
+    forces[:, 1] = turning(u, geometry) - u * skew
     forces[:, 3:6] = -arms * stiffness
+    # The implement's drag points along it: across the tractor, at the hitch, with the articulation.
+    forces[0, 7], forces[1, 7] = resisting[1], -geometry[2] * resisting[1]
+    forces[0, 8], forces[1, 8] = -resisting[1], geometry[2] * resisting[1]
     matrix = np.zeros((9, 9))
-    matrix[:3] = np.linalg.solve(inertia(geometry), forces)
+    matrix[:3] = np.linalg.solve(_inertia(geometry, skew), forces)
     for k in range(3):  # 3.109, 3.111, 3.114
         matrix[3 + k, :3] = arms[:, k] / lengths[k]
         matrix[3 + k, 3 + k] = -abs(u) / lengths[k]
@@ -58,9 +66,42 @@ def system_matrix(u: float, geometry: Array, theta: Array) -> Array:
     return matrix
 
 
-def input_matrix(u: float, geometry: Array, theta: Array) -> Array:
+def input_matrix(
+    u: float, geometry: Array, theta: Array, rolling: float = 0.0, heights: tuple[float, float] = (0.0, 0.0)
+) -> Array:
     """B(u), shape (9, 3), columns as INPUTS. Arguments as of `system_matrix`."""
+    resisting, skew = _rolling(u, geometry, rolling, heights)
+    forces = np.zeros((3, 3))
+    forces[:, 0] = -resisting[0] * axle_arms(geometry)[:, 0]
+    forces[:, 1:] = gravity_arms(geometry)
+    forces[1, 1] += skew[1]
+    forces[2, 2] += skew[2]
     matrix = np.zeros((9, 3))
-    matrix[:3, 1:] = np.linalg.solve(inertia(geometry), gravity_arms(geometry))
+    matrix[:3] = np.linalg.solve(_inertia(geometry, skew), forces)
     matrix[3, 0] = -u / theta[3]  # 3.109
+    return matrix
+
+
+def _rolling(
+    u: float, geometry: Array, rolling: float, heights: tuple[float, float]
+) -> tuple[tuple[float, float], Array]:
+    """((drag of the front axle and of the implement's, N), moment on v, r_t and r_i per lateral acceleration).
+
+    The wheels on the outside of a bend carry more and so resist more, which turns the body outwards.
+    """
+    a, b, c, d, e, m_t, m_i, _, _ = geometry
+    tongue = m_i * GRAVITY * e / (d + e)
+    way = np.sign(u) * rolling
+    front = way * (m_t * GRAVITY * b - tongue * (c - b)) / (a + b)
+    behind = way * (m_i * GRAVITY - tongue)
+    return (front, behind), np.array([0.0, way * heights[0] * m_t, way * heights[1] * m_i])
+
+
+def _inertia(geometry: Array, skew: Array) -> Array:
+    """M's upper left block with what the bodies' lateral accelerations add to the yaw moments."""
+    matrix = inertia(geometry)
+    matrix[1, 0] += skew[1]
+    matrix[2, 0] += skew[2]
+    matrix[2, 1] -= skew[2] * geometry[2]
+    matrix[2, 2] -= skew[2] * geometry[3]
     return matrix

@@ -1,0 +1,240 @@
+"""Maximum a posteriori of the unknowns over one record: Fisher scoring with a safe step.
+
+Minimised: 1/2 sum(e^2/S + log S) over the record's prediction errors (predictor.py), plus the prior's
+1/2 (p - p0)' P0^-1 (p - p0). Slopes of e and S are differences of whole filter runs, so that the gradient is
+the exact likelihood's, with what the gains contribute. Information: sum(de de'/S + 1/2 dS dS'/S^2).
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator import unknowns
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.predictor import FOLLOW, FULL, KEEP, innovations
+from tilth.estimator.record import EAST, NORTH, Record
+from tilth.estimator.unknowns import AT, NAMES
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+STEPS: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
+STEP_LIMIT: Final = 1e-4
+MOST_ITERATIONS: Final = 14
+CLOSE: Final = 0.03  # of a posterior sd: a step this small ends the search
+OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
+LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
+_FOLLOWING: Final = frozenset(
+    {"wheel_zero", "pair_t", "pair_i", "aside_i", "lever_t", "lever_i"}
+)  # do not change the gains
+
+
+@dataclass(frozen=True, slots=True)
+class Rigging:
+    """What a machine file says that a fit needs. Shapes as in predictor.filtered."""
+
+    geometry: Array
+    levers: Array
+    middles: Array
+    sds: Array
+    rig: Rig
+    planar: bool = True
+
+
+def rigging(machine: Machine, planar: bool = True) -> Rigging:
+    """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
+    rates = [r.position_sd for r in machine.receiver]
+    middles = unknowns.pair_middles(machine)
+    places = unknowns.levers(machine)
+    sds = [np.radians(machine.wheel_angle.sd) / np.sqrt(2.0)]
+    for body in range(2):
+        length = float(np.hypot(*(places[2 * body] - places[2 * body + 1])))
+        sds.append(SLOW_SHARE * np.sqrt(2.0) * float(np.mean(rates)) / length if length > 0.1 else 0.0)
+    return Rigging(unknowns.base_geometry(machine), places, middles, np.array(sds), rig_of(machine), planar)
+
+
+SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a record says with a prior."""
+
+    mean: Array  # [n] of unknowns.NAMES
+    covariance: Array  # [n, n]
+    information: Array  # [n, n] of the record alone
+    cost: float  # minimised, per row
+    gain: float  # log-likelihood of the record at the prior's mean over that at `reference`, nats
+    iterations: int
+    rows: int
+    outliers: int
+    whiteness: float  # autocorrelation of the normalised innovations at one step, mean over the kinds
+    converged: bool
+
+
+@dataclass(slots=True)
+class _Search:
+    record: Record
+    rigging: Rigging
+    start: Array
+    used: Array
+    prior_mean: Array
+    prior_information: Array  # of the active ones
+    active: NDArray[np.int64]
+    rows: int = field(default=0)
+
+
+def first_state(record: Record, rigging: Rigging) -> Array:
+    """Where the filter starts, shape (12,): headings and yaw rates of the first tick, the first position."""
+    x = np.zeros(12)
+    first = record.ticks[0]
+    x[6:8], x[1:3] = first[2:4], first[4:6]
+    for kind, column in ((NORTH, 8), (EAST, 9)):
+        found = record.rows[record.rows[:, 2] == kind]
+        if len(found):
+            x[column] = found[0, 4] - _offset(found[0], first, rigging, kind)
+    return x
+
+
+def _offset(row: Array, first: Array, rigging: Rigging, kind: float) -> float:
+    place = int(row[3])
+    ahead, aside = rigging.levers[place]
+    turn = np.cos if kind == NORTH else np.sin
+    across = -np.sin if kind == NORTH else np.cos
+    sideways = -np.sin(first[2 if place < 2 else 3]) if kind == NORTH else across(first[2 if place < 2 else 3])
+    if place < 2:
+        return float(ahead * turn(first[2]) + aside * sideways)
+    c, d = rigging.geometry[2], rigging.geometry[3]
+    return float(-c * turn(first[2]) + (ahead - d) * turn(first[3]) + aside * sideways)
+
+
+def errors(search: _Search, points: Array, modes: Array) -> tuple[Array, Array]:
+    """(e, S), each shape (q, m), at points, shape (q, n)."""
+    geometries = np.array([unknowns.geometry(search.rigging.geometry, p) for p in points])
+    thetas = np.exp(points[:, unknowns.SIX])
+    shape = (len(points), len(search.record.rows))
+    e, s = np.zeros(shape), np.ones(shape)
+    told = search.rigging
+    innovations(
+        search.record.ticks, search.record.rows, search.used, search.start, points, thetas, geometries, modes,
+        told.rig, told.levers, told.middles, told.sds, told.planar, e, s,
+    )  # fmt: skip
+    return e, s
+
+
+def _cost(search: _Search, point: Array, e: Array, s: Array) -> float:
+    off = (point - search.prior_mean)[search.active]
+    return float(0.5 * np.sum(e * e / s + np.log(s)) + 0.5 * off @ search.prior_information @ off)
+
+
+def find(
+    record: Record, rigging: Rigging, mean: Array, covariance: Array, reference: Array | None = None
+) -> Found:
+    """The fit. mean, covariance: the prior over unknowns.NAMES; zero variance holds one fixed.
+
+    reference: a point to compare the prior's mean with on this record, which neither has seen.
+    """
+    active = np.flatnonzero(np.diag(covariance) > 0.0)
+    inverse = np.linalg.inv(covariance[np.ix_(active, active)])
+    search = _Search(
+        record, rigging, first_state(record, rigging), np.ones(len(record.rows)), mean, (inverse + inverse.T) / 2,
+        active,
+    )  # fmt: skip
+    point, gained = mean.copy(), 0.0
+    if reference is not None:
+        e, s = errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
+        gained = float(0.5 * np.sum(e[1] ** 2 / s[1] + np.log(s[1]) - e[0] ** 2 / s[0] - np.log(s[0])))
+    damping, converged, done = 1e-3, False, 0
+    e, s, de, ds = _slopes(search, point)
+    cost = _cost(search, point, e, s)
+    for done in range(1, MOST_ITERATIONS + 1):
+        gradient, information = _scores(search, point, e, s, de, ds)
+        step, tried, found = _step(search, point, gradient, information, damping, cost)
+        if found is None:
+            break
+        damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
+        point = point.copy()
+        point[active] += step
+        close = np.max(np.abs(step) * np.sqrt(np.diag(information))) < CLOSE
+        if done == 2:
+            _leave_out(search, point)
+        e, s, de, ds = _slopes(search, point)
+        cost = _cost(search, point, e, s)
+        if close and done > 2:
+            converged = True
+            break
+    _, information = _scores(search, point, e, s, de, ds)
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(active, active)] = np.linalg.inv(information)
+    own = np.zeros_like(whole)
+    own[np.ix_(active, active)] = information - search.prior_information
+    return Found(
+        point, (whole + whole.T) / 2, own, cost / max(len(record.rows), 1), gained, done, len(record.rows),
+        int(np.sum(search.used == 0.0)), whiteness(record.rows, search.used, e, s), converged,
+    )  # fmt: skip
+
+
+def _slopes(search: _Search, point: Array) -> tuple[Array, Array, Array, Array]:
+    """(e, S) at the point, shape (m,), and their slopes over the active unknowns, shape (a, m)."""
+    names = [NAMES[k] for k in search.active]
+    sds = np.sqrt(1.0 / np.diag(search.prior_information))
+    nudges = np.minimum(STEPS * sds, STEP_LIMIT)
+    points = np.tile(point, (len(names) + 1, 1))
+    points[np.arange(1, len(points)), search.active] += nudges
+    modes = np.array([KEEP, *(FOLLOW if name in _FOLLOWING else FULL for name in names)], dtype=float)
+    e, s = errors(search, points, modes)
+    return e[0], s[0], (e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None]
+
+
+def _scores(
+    search: _Search, point: Array, e: Array, s: Array, de: Array, ds: Array
+) -> tuple[Array, Array]:
+    """(gradient, information) of the cost, with the prior's."""
+    ratio = e / s
+    gradient = de @ ratio + 0.5 * ds @ ((1.0 - e * ratio) / s)
+    white, wide = de / np.sqrt(s), ds / s
+    information = white @ white.T + 0.5 * wide @ wide.T + search.prior_information
+    off = (point - search.prior_mean)[search.active]
+    return gradient + search.prior_information @ off, information
+
+
+def _step(
+    search: _Search, point: Array, gradient: Array, information: Array, damping: float, cost: float
+) -> tuple[Array, int, float | None]:
+    """(step, tries, cost after it); None where no step lowers the cost."""
+    for tried in range(1, 8):
+        damped = information + damping * 4.0 ** (tried - 1) * np.diag(np.diag(information))
+        step = -np.linalg.solve(damped, gradient)
+        logs = step[search.active < 6]
+        longest = float(np.max(np.abs(logs))) if len(logs) else 0.0
+        step = step * min(1.0, LONGEST_STEP / max(longest, 1e-12)) / (1.0 if tried < 5 else 4.0)
+        trial = point.copy()
+        trial[search.active] += step
+        e, s = errors(search, trial[None], np.array([FULL], dtype=float))
+        after = _cost(search, trial, e[0], s[0])
+        if np.isfinite(after) and after <= cost + 1e-6:
+            return step, tried, after
+    return np.zeros(len(search.active)), 8, None
+
+
+def _leave_out(search: _Search, point: Array) -> None:
+    """Rows that are beyond belief at this point, once and for all of this fit."""
+    e, s = errors(search, point[None], np.array([FULL], dtype=float))
+    search.used = np.where(np.abs(e[0]) > OUTLIER * np.sqrt(s[0]), 0.0, search.used)
+
+
+def whiteness(rows: Array, used: Array, e: Array, s: Array) -> float:
+    """Mean autocorrelation at one step of the normalised innovations of each kind and place."""
+    found, weights = [], []
+    for kind, place in {(float(k), float(p)) for k, p in rows[:, 2:4]}:
+        own = (rows[:, 2] == kind) & (rows[:, 3] == place) & (used > 0.0)
+        z = (e / np.sqrt(s))[own]
+        if len(z) > 20:
+            found.append(float(z[1:] @ z[:-1] / (z @ z)))
+            weights.append(len(z))
+    return float(np.average(found, weights=weights)) if found else 0.0
+
+
+assert AT["pair_t"] == 9
