@@ -25,6 +25,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument("--no-zenoh", action="store_true", help="publish nothing")
     parser.add_argument("--plain", action="store_true", help="plain lines also in a terminal")
+    parser.add_argument("--fresh", action="store_true", help="do not go on from what earlier runs learned")
     parser.add_argument("--seconds", type=duration, metavar="N", help="stop by itself")
 
 
@@ -50,6 +51,8 @@ def run(args: argparse.Namespace) -> int:
             seconds=args.seconds,
             status=display,
             stop=lambda: stopping,
+            keep=True,
+            fresh=args.fresh,
         )
     finally:
         display.close()

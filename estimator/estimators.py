@@ -1,16 +1,39 @@
-"""The estimators, one row each: an extension point. Tests run over every row. The first is recommended.
+"""The estimators, one row each: an extension point. Tests run over every row.
 
-A row's three functions share a state of their own type, which must be plain data (see estimator/plain.py): it
-is stored with the log and taken up again.
+A row's functions share a state of their own type, which must be plain data (see estimator/plain.py): it is
+stored with the log and taken up again. A row with `fitting` asks for fits, which are made outside the fold.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from tilth.estimator import steady_state
+from tilth.estimator import pem, steady_state, unknowns
+from tilth.estimator.record import Stretch
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class Fitting:
+    """How a row's fits are asked for, made and taken. The job that waits stands in `state.job`."""
+
+    latency_ns: int  # of the log's time, from asking to taking
+    wanted: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
+    fit: Callable[[Machine, Any], Any]  # pure
+    rehearse: Callable[[Machine], None]  # a fit of nothing, which compiles what a fit needs
+    adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None if late, t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What of a row's state goes on in the next run: attributes of the state, besides `informed_ns`."""
+
+    names: tuple[str, ...]  # of what the vector holds
+    mean: str
+    covariance: str
+    passing: tuple[str, ...]  # names that begin anew with each run
+    counts: tuple[str, ...]  # numbers that go on
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,11 +41,16 @@ class Estimator:
     method: str  # published on /soil_tire/<method>
     state: type
     initial: Callable[[Machine], Any]
-    take: Callable[[Any, Machine, Pose], Estimate | None]  # changes the state; an estimate when one is due
+    take: Callable[
+        [Any, Machine, Pose, Stretch | None], Estimate | None
+    ]  # changes the state; an estimate when one is due
     estimate: Callable[[Any, Machine, int], Estimate]  # what can be said at a time, ns
     clock_stepped: Callable[
         [Any, int], None
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
+    events: Callable[[Any], list[tuple[str, str]]] = lambda state: []  # (kind, text) since the last call
+    fitting: Fitting | None = None
+    memory: Memory | None = None
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -33,5 +61,20 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
+        steady_state.events,
+        memory=Memory(steady_state.STATES, "x", "p", ("slow_t", "slow_i"), ("steady_s", "sideslip_s")),
+    ),
+    Estimator(
+        pem.METHOD,
+        pem.PemState,
+        pem.initial,
+        pem.take,
+        pem.estimate,
+        pem.clock_stepped,
+        pem.events,
+        Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
+        Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("fits", "window_s")),
     ),
 )
+
+ROW: dict[str, Estimator] = {row.method: row for row in ESTIMATORS}

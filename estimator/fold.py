@@ -5,20 +5,23 @@ their order.
 """
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from tilth.estimator import aligner
+from tilth.estimator import aligner, recorder
 from tilth.estimator.aligner import SILENCE_NS, Aligner
-from tilth.estimator.estimators import ESTIMATORS
+from tilth.estimator.estimators import ESTIMATORS, ROW
+from tilth.estimator.geometry import to_degrees
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
+from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
+from tilth.estimator.recommend import disagreement, recommend
+from tilth.estimator.recorder import RecordState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
 from tilth.schemas.machine import Machine
 
-RECOMMENDED = "recommended"
 REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
 
 _FLAG_TEXT = {
@@ -44,6 +47,7 @@ class State:
     machine: Machine
     decoder: Decoder
     aligner: Aligner
+    record: RecordState
     estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
     frames: int = 0
     measurements: int = 0
@@ -51,6 +55,8 @@ class State:
     clock_steps: int = 0
     latest_ns: int = 0  # greatest t_ns since the last step back of the clock
     flags: tuple[str, ...] = ()  # of the last pose
+    place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
+    disagree: bool = False  # whether the methods do
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest
 
     @property
@@ -65,7 +71,7 @@ class State:
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
     estimators = {row.method: row.initial(machine) for row in ESTIMATORS}
-    state = State(machine, Decoder(machine), aligner.initial(machine), estimators)
+    state = State(machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine), estimators)
     state.estimates = _estimates_now(state)
     return state
 
@@ -76,7 +82,7 @@ def _estimates_now(state: State) -> dict[str, Estimate]:
         row.method: row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
         for row in ESTIMATORS
     }
-    return {**now, RECOMMENDED: replace(now[ESTIMATORS[0].method], method=RECOMMENDED)}
+    return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -126,18 +132,80 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         if flag not in pose.flags and kind in _FLAG_TEXT:
             out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who}: over")))
     state.flags = pose.flags
+    if pose.tractor.x is not None and pose.tractor.y is not None:
+        origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
+        state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
+    stretch = recorder.observe(state.record, state.aligner, pose)
+    given = []
     for row in ESTIMATORS:
-        estimate = row.take(state.estimators[row.method], state.machine, pose)
+        own = state.estimators[row.method]
+        estimate = row.take(own, state.machine, pose, stretch)
         if estimate is not None:
-            _estimate(state, t_ns, estimate, out)
+            given.append(estimate)
+        for kind, text in row.events(own):
+            _event(state, t_ns, kind, text, out)
+    if given:
+        _estimates(state, t_ns, given, out)
 
 
-def _estimate(state: State, t_ns: int, estimate: Estimate, out: list[Publication]) -> None:
-    state.estimates[estimate.method] = estimate
-    out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    if estimate.method == ESTIMATORS[0].method:
-        recommended = state.estimates[RECOMMENDED] = replace(estimate, method=RECOMMENDED)
-        out.append(Publication(t_ns, "/soil_tire", recommended))
+def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]) -> None:
+    """What an estimator noticed, with the place where the tractor was."""
+    event = Event(t_ns, kind, text)
+    if state.place is not None:
+        latitude, longitude = to_degrees(state.place[:2], *state.place[2:])
+        text = f"{text} (at {latitude:.6f}, {longitude:.6f})"
+        event = Event(t_ns, kind, text, latitude, longitude)
+    out.append(Publication(t_ns, "/event", event))
+
+
+def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:
+    """Publish what the methods give at an instant, and once for all of them which is recommended."""
+    for estimate in given:
+        state.estimates[estimate.method] = estimate
+        out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
+    found = disagreement(state.estimates, state.disagree)
+    if found and not state.disagree:
+        _event(state, t_ns, "disagreement", found, out)
+    state.disagree = bool(found)
+    best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
+    out.append(Publication(t_ns, "/soil_tire", best))
+
+
+def ask(state: State, t_ns: int) -> list[tuple[str, Any]]:
+    """(method, job) of the fits asked for after the frame of t_ns; `ROW[method].fitting` makes them."""
+    jobs = []
+    for row in ESTIMATORS:
+        job = row.fitting.wanted(state.estimators[row.method], t_ns) if row.fitting else None
+        if job is not None:
+            jobs.append((row.method, job))
+    return jobs
+
+
+def pending(state: State) -> list[tuple[str, Any, int]]:
+    """(method, job, t_ns from which it is to be decided) of the fits that were asked for."""
+    return [
+        (row.method, job, job.asked_ns + row.fitting.latency_ns)
+        for row in ESTIMATORS
+        if row.fitting and (job := state.estimators[row.method].job) is not None
+    ]
+
+
+def decide(state: State, method: str, adopted: bool) -> None:
+    """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
+    state.estimators[method].decided = 1 if adopted else -1
+
+
+def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
+    """Take the result of the pending fit of a method; None: it was not ready in time."""
+    row, out = ROW[method], list[Publication]()
+    if row.fitting is None:
+        return out
+    own = state.estimators[method]
+    given = row.fitting.adopt(own, state.machine, made, t_ns)
+    for kind, text in row.events(own):
+        _event(state, t_ns, kind, text, out)
+    _estimates(state, t_ns, [given], out)
+    return out
 
 
 def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
@@ -145,6 +213,8 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     seconds = (state.latest_ns - frame.t_ns) * 1e-9
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
+    recorder.clock_stepped(state.record)
+    state.place = None
     for row in ESTIMATORS:
         row.clock_stepped(state.estimators[row.method], frame.t_ns - state.latest_ns)
     state.latest_ns = frame.t_ns

@@ -4,6 +4,7 @@ import math
 from functools import lru_cache
 
 from pyproj import Transformer
+from pyproj.enums import TransformDirection
 
 Vector = tuple[float, float]
 
@@ -21,6 +22,12 @@ def to_plane(origin_deg: Vector, latitude_deg: float, longitude_deg: float) -> V
     """
     east, north = _transformer(*origin_deg).transform(longitude_deg, latitude_deg)
     return north, east
+
+
+def to_degrees(origin_deg: Vector, x: float, y: float) -> Vector:
+    """(latitude, longitude) of a place that `to_plane` gave."""
+    place = _transformer(*origin_deg).transform(y, x, direction=TransformDirection.INVERSE)
+    return float(place[1]), float(place[0])
 
 
 def lever(

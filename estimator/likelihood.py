@@ -5,7 +5,7 @@ Minimised: 1/2 sum(e^2/S + log S) over the record's prediction errors (predictor
 the exact likelihood's, with what the gains contribute. Information: sum(de de'/S + 1/2 dS dS'/S^2).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,22 +13,37 @@ from numpy.typing import NDArray
 
 from tilth.estimator import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.estimator.predictor import FOLLOW, FULL, KEEP, innovations
+from tilth.estimator.predictor import DT, FOLLOW, FULL, KEEP, innovations
 from tilth.estimator.record import EAST, NORTH, Record
-from tilth.estimator.unknowns import AT, NAMES
+from tilth.estimator.unknowns import AT, NAMES, NOISES
+from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
+SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
 STEPS: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
 STEP_LIMIT: Final = 1e-4
-MOST_ITERATIONS: Final = 14
+MOST_ITERATIONS: Final = 25
 CLOSE: Final = 0.03  # of a posterior sd: a step this small ends the search
+SLACK: Final = 0.2  # nats that a step may cost: slopes of what follows others' gains are not exact
+ROUGH: Final = (
+    1.5  # of a disturbance's logarithm: a search that begins with rough ground finds no false bottom
+)
+_RESTLESS: Final = slice(AT["q_v"], AT["q_r_i"] + 1)
+FLAT: Final = 0.05  # nats
+SETTLED: Final = 0.1  # of a posterior sd of the six
+NEAR: Final = 0.3  # of a posterior sd: where a search that can go no further has arrived
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
-_FOLLOWING: Final = frozenset(
-    {"wheel_zero", "pair_t", "pair_i", "aside_i", "lever_t", "lever_i"}
-)  # do not change the gains
+_GAINS: Final = frozenset({*PARAMETERS, *NOISES})
+"""What moves the filter's gains and so the variances. All else moves them little or not at all."""
+COLOUR: Final = 4.0
+"""By how much of the innovations' autocorrelation the sds of the six grow. Disturbances that are not white
+bend the estimates by what no covariance of the white model knows; the factor is from Monte Carlo over uneven
+ground, and it is nothing where the innovations are white."""
+BIN_S: Final = 0.1
+LAGS: Final = 12  # bins over which scores may be correlated: waves of the ground, slow errors of receivers
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +70,6 @@ def rigging(machine: Machine, planar: bool = True) -> Rigging:
     return Rigging(unknowns.base_geometry(machine), places, middles, np.array(sds), rig_of(machine), planar)
 
 
-SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
-
-
 @dataclass(frozen=True, slots=True)
 class Found:
     """What a record says with a prior."""
@@ -75,7 +87,9 @@ class Found:
 
 
 @dataclass(slots=True)
-class _Search:
+class Search:
+    """A record with a prior, and the rows that are used of it."""
+
     record: Record
     rigging: Rigging
     start: Array
@@ -83,7 +97,6 @@ class _Search:
     prior_mean: Array
     prior_information: Array  # of the active ones
     active: NDArray[np.int64]
-    rows: int = field(default=0)
 
 
 def first_state(record: Record, rigging: Rigging) -> Array:
@@ -91,26 +104,20 @@ def first_state(record: Record, rigging: Rigging) -> Array:
     x = np.zeros(12)
     first = record.ticks[0]
     x[6:8], x[1:3] = first[2:4], first[4:6]
-    for kind, column in ((NORTH, 8), (EAST, 9)):
+    heading_t, heading_i = (np.array([np.cos(psi), np.sin(psi)]) for psi in first[2:4])
+    for kind, column in ((NORTH, 0), (EAST, 1)):
         found = record.rows[record.rows[:, 2] == kind]
         if len(found):
-            x[column] = found[0, 4] - _offset(found[0], first, rigging, kind)
+            place = int(found[0, 3])
+            ahead = rigging.levers[place, 0]
+            arm = ahead * heading_t
+            if place >= 2:
+                arm = -rigging.geometry[2] * heading_t + (ahead - rigging.geometry[3]) * heading_i
+            x[8 + column] = found[0, 4] - arm[column]
     return x
 
 
-def _offset(row: Array, first: Array, rigging: Rigging, kind: float) -> float:
-    place = int(row[3])
-    ahead, aside = rigging.levers[place]
-    turn = np.cos if kind == NORTH else np.sin
-    across = -np.sin if kind == NORTH else np.cos
-    sideways = -np.sin(first[2 if place < 2 else 3]) if kind == NORTH else across(first[2 if place < 2 else 3])
-    if place < 2:
-        return float(ahead * turn(first[2]) + aside * sideways)
-    c, d = rigging.geometry[2], rigging.geometry[3]
-    return float(-c * turn(first[2]) + (ahead - d) * turn(first[3]) + aside * sideways)
-
-
-def errors(search: _Search, points: Array, modes: Array) -> tuple[Array, Array]:
+def errors(search: Search, points: Array, modes: Array) -> tuple[Array, Array]:
     """(e, S), each shape (q, m), at points, shape (q, n)."""
     geometries = np.array([unknowns.geometry(search.rigging.geometry, p) for p in points])
     thetas = np.exp(points[:, unknowns.SIX])
@@ -124,9 +131,19 @@ def errors(search: _Search, points: Array, modes: Array) -> tuple[Array, Array]:
     return e, s
 
 
-def _cost(search: _Search, point: Array, e: Array, s: Array) -> float:
+def _cost(search: Search, point: Array, e: Array, s: Array) -> float:
     off = (point - search.prior_mean)[search.active]
     return float(0.5 * np.sum(e * e / s + np.log(s)) + 0.5 * off @ search.prior_information @ off)
+
+
+def search_of(record: Record, rigging: Rigging, mean: Array, covariance: Array) -> Search:
+    """What a fit starts from; arguments as of `find`."""
+    active = np.flatnonzero(np.diag(covariance) > 0.0)
+    sound = np.all(np.isfinite(record.rows), axis=1)
+    prior = _inverse(covariance[np.ix_(active, active)])
+    return Search(
+        record, rigging, first_state(record, rigging), sound.astype(np.float64), mean, prior, active
+    )
 
 
 def find(
@@ -136,13 +153,10 @@ def find(
 
     reference: a point to compare the prior's mean with on this record, which neither has seen.
     """
-    active = np.flatnonzero(np.diag(covariance) > 0.0)
-    inverse = np.linalg.inv(covariance[np.ix_(active, active)])
-    search = _Search(
-        record, rigging, first_state(record, rigging), np.ones(len(record.rows)), mean, (inverse + inverse.T) / 2,
-        active,
-    )  # fmt: skip
+    search = search_of(record, rigging, mean, covariance)
+    active = search.active
     point, gained = mean.copy(), 0.0
+    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 0.0, ROUGH, 0.0)
     if reference is not None:
         e, s = errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
         gained = float(0.5 * np.sum(e[1] ** 2 / s[1] + np.log(s[1]) - e[0] ** 2 / s[0] - np.log(s[0])))
@@ -157,40 +171,48 @@ def find(
         damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
         point = point.copy()
         point[active] += step
-        close = np.max(np.abs(step) * np.sqrt(np.diag(information))) < CLOSE
+        close = bool(np.max(np.abs(step) / _sds(information)) < CLOSE)
         if done == 2:
             _leave_out(search, point)
+        before = cost
         e, s, de, ds = _slopes(search, point)
         cost = _cost(search, point, e, s)
-        if close and done > 2:
+        six = np.abs(step / _sds(information))[active < 6]
+        # A noise level may go to and fro where nothing depends on it.
+        settled = abs(cost - before) < FLAT and bool(np.max(six, initial=0.0) < SETTLED)
+        if done > 2 and (close or settled):
             converged = True
             break
-    _, information = _scores(search, point, e, s, de, ds)
+    gradient, information = _scores(search, point, e, s, de, ds)
+    left = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
+    converged = converged or bool(np.max(left[active < 6], initial=0.0) < NEAR)
     whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(active, active)] = np.linalg.inv(information)
+    whole[np.ix_(active, active)] = _honest(search, _inverse(information), e, s, de, ds)
+    colour = whiteness(record.rows, search.used, e, s)
+    wider = np.ones(len(NAMES))
+    wider[unknowns.SIX] = 1.0 + COLOUR * max(colour, 0.0)
+    whole *= np.outer(wider, wider)
     own = np.zeros_like(whole)
     own[np.ix_(active, active)] = information - search.prior_information
     return Found(
         point, (whole + whole.T) / 2, own, cost / max(len(record.rows), 1), gained, done, len(record.rows),
-        int(np.sum(search.used == 0.0)), whiteness(record.rows, search.used, e, s), converged,
+        int(np.sum(search.used == 0.0)), colour, converged,
     )  # fmt: skip
 
 
-def _slopes(search: _Search, point: Array) -> tuple[Array, Array, Array, Array]:
+def _slopes(search: Search, point: Array) -> tuple[Array, Array, Array, Array]:
     """(e, S) at the point, shape (m,), and their slopes over the active unknowns, shape (a, m)."""
     names = [NAMES[k] for k in search.active]
     sds = np.sqrt(1.0 / np.diag(search.prior_information))
     nudges = np.minimum(STEPS * sds, STEP_LIMIT)
     points = np.tile(point, (len(names) + 1, 1))
     points[np.arange(1, len(points)), search.active] += nudges
-    modes = np.array([KEEP, *(FOLLOW if name in _FOLLOWING else FULL for name in names)], dtype=float)
+    modes = np.array([KEEP, *(FULL if name in _GAINS else FOLLOW for name in names)], dtype=float)
     e, s = errors(search, points, modes)
     return e[0], s[0], (e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None]
 
 
-def _scores(
-    search: _Search, point: Array, e: Array, s: Array, de: Array, ds: Array
-) -> tuple[Array, Array]:
+def _scores(search: Search, point: Array, e: Array, s: Array, de: Array, ds: Array) -> tuple[Array, Array]:
     """(gradient, information) of the cost, with the prior's."""
     ratio = e / s
     gradient = de @ ratio + 0.5 * ds @ ((1.0 - e * ratio) / s)
@@ -200,13 +222,51 @@ def _scores(
     return gradient + search.prior_information @ off, information
 
 
+def _sds(information: Array) -> Array:
+    """Posterior sds, shape (a,)."""
+    return np.asarray(np.sqrt(np.diag(_inverse(information))), np.float64)
+
+
+def _inverse(matrix: Array) -> Array:
+    inverse: Array = np.asarray(np.linalg.inv(matrix), np.float64)
+    return (inverse + inverse.T) / 2
+
+
+def with_gain(found: Found, gain: float) -> Found:
+    """The same with another comparison."""
+    return replace(found, gain=gain)
+
+
+def _honest(search: Search, covariance: Array, e: Array, s: Array, de: Array, ds: Array) -> Array:
+    """The covariance, made larger where the scores are correlated over time, as coloured noise makes them.
+
+    Newey-West estimate of the scores' covariance between inverse informations (the sandwich of quasi maximum
+    likelihood). It only widens: a short record may by chance look better than white.
+    """
+    ratio = e / s
+    scores = de * ratio + 0.5 * ds * ((1.0 - e * ratio) / s)
+    bins = (search.record.rows[:, 0] * DT / BIN_S).astype(np.int64)
+    sums = np.zeros((len(scores), int(bins[-1]) + 1))
+    for row, into in zip(scores, sums, strict=True):
+        into += np.bincount(bins, row, minlength=len(into))
+    sums = np.asarray(sums - sums.mean(axis=1, keepdims=True), np.float64)
+    spread: Array = sums @ sums.T
+    for lag in range(1, LAGS + 1):
+        later = sums[:, lag:] @ sums[:, :-lag].T
+        spread = spread + (1.0 - lag / (LAGS + 1)) * (later + later.T)
+    robust = covariance @ (spread + search.prior_information) @ covariance
+    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    honest: Array = covariance * np.outer(wider, wider)
+    return honest
+
+
 def _step(
-    search: _Search, point: Array, gradient: Array, information: Array, damping: float, cost: float
+    search: Search, point: Array, gradient: Array, information: Array, damping: float, cost: float
 ) -> tuple[Array, int, float | None]:
     """(step, tries, cost after it); None where no step lowers the cost."""
     for tried in range(1, 8):
         damped = information + damping * 4.0 ** (tried - 1) * np.diag(np.diag(information))
-        step = -np.linalg.solve(damped, gradient)
+        step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)
         logs = step[search.active < 6]
         longest = float(np.max(np.abs(logs))) if len(logs) else 0.0
         step = step * min(1.0, LONGEST_STEP / max(longest, 1e-12)) / (1.0 if tried < 5 else 4.0)
@@ -214,12 +274,12 @@ def _step(
         trial[search.active] += step
         e, s = errors(search, trial[None], np.array([FULL], dtype=float))
         after = _cost(search, trial, e[0], s[0])
-        if np.isfinite(after) and after <= cost + 1e-6:
+        if np.isfinite(after) and after <= cost + SLACK:
             return step, tried, after
     return np.zeros(len(search.active)), 8, None
 
 
-def _leave_out(search: _Search, point: Array) -> None:
+def _leave_out(search: Search, point: Array) -> None:
     """Rows that are beyond belief at this point, once and for all of this fit."""
     e, s = errors(search, point[None], np.array([FULL], dtype=float))
     search.used = np.where(np.abs(e[0]) > OUTLIER * np.sqrt(s[0]), 0.0, search.used)
@@ -231,7 +291,7 @@ def whiteness(rows: Array, used: Array, e: Array, s: Array) -> float:
     for kind, place in {(float(k), float(p)) for k, p in rows[:, 2:4]}:
         own = (rows[:, 2] == kind) & (rows[:, 3] == place) & (used > 0.0)
         z = (e / np.sqrt(s))[own]
-        if len(z) > 20:
+        if len(z) > 20 and z @ z > 0.0:
             found.append(float(z[1:] @ z[:-1] / (z @ z)))
             weights.append(len(z))
     return float(np.average(found, weights=weights)) if found else 0.0

@@ -3,6 +3,7 @@
 Types come from the annotations, so a text cannot choose what is built (pickle would let it).
 """
 
+import base64
 import types
 import typing
 from collections import deque
@@ -12,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+SHORT = 16  # numbers; a longer array is text of base 64, faster and as exact
+
 
 def to_plain(value: Any, skip: frozenset[str] = frozenset()) -> Any:
     """The value as lists, dicts, numbers, strings and None. Fields named in `skip` are left out."""
@@ -20,7 +23,12 @@ def to_plain(value: Any, skip: frozenset[str] = frozenset()) -> Any:
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, np.ndarray):
-        return value.tolist()
+        if value.size <= SHORT and (value.size or value.ndim == 1):  # a list of no rows has no columns
+            return value.tolist()
+        raw = np.ascontiguousarray(value, dtype="<f8").tobytes()
+        return {"shape": list(value.shape), "base64": base64.b64encode(raw).decode("ascii")}
+    if isinstance(value, np.generic):  # what arithmetic leaves in a field of float, int or bool
+        return value.item()
     if isinstance(value, (list, tuple, deque)):
         return [to_plain(item, skip) for item in value]
     if isinstance(value, dict):
@@ -47,6 +55,9 @@ def _build(kind: Any, data: Any, given: dict[str, Any]) -> Any:
         (inner,) = (a for a in arguments if a is not type(None))
         return _build(inner, data, given)
     if origin is np.ndarray:
+        if isinstance(data, dict):
+            raw = np.frombuffer(base64.b64decode(data["base64"]), dtype="<f8")
+            return raw.reshape(data["shape"]).astype(np.float64)
         return np.array(data, dtype=np.float64)
     if origin in (list, deque):
         return [_build(arguments[0], item, given) for item in data]

@@ -27,7 +27,7 @@ DT: Final = 0.02  # s, of a tick
 N_STATES: Final = 12
 GRAVITY: Final = 9.80665  # m/s^2
 PAIR_MEMORY_S: Final = 20.0
-SAME_SPEED: Final = 0.01  # m/s: one transition matrix serves speeds this near
+SAME_SPEED: Final = 0.03  # m/s: one transition matrix serves speeds this near
 ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
 ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
 START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 1.0, 1.0)  # sds of the first state
@@ -46,7 +46,7 @@ def transition(
     u: float, geometry: Array, theta: Array, rolling: float, heights: Array, f: Array, g: Array, a: Array,
     b: Array,
 ) -> None:  # fmt: skip
-    """Fill f (8, 8) and g (8, 3), the exact step over DT of the first eight states, and a (8, 8), b (8, 3)."""
+    """Fill f (8, 8) and g (8, 3), the step over DT of the first eight states, and a (8, 8), b (8, 3)."""
     whole = system_matrix(u, geometry, theta, rolling, (heights[0], heights[1]))
     drive = input_matrix(u, geometry, theta, rolling, (heights[0], heights[1]))
     for i in range(8):
@@ -83,8 +83,8 @@ def reading_at(ticks: Array, k: int, behind: float) -> float:
 
 @kernel
 def advance(
-    x: Array, u: float, delta: float, gravity_t: float, gravity_i: float, f: Array, g: Array, a: Array, b: Array,
-    theta: Array, rig: Rig, planar: bool, out: Array, work: Array, forces: Array, bent: Array,
+    x: Array, u: float, delta: float, gravity_t: float, gravity_i: float, f: Array, g: Array, a: Array,
+    b: Array, theta: Array, rig: Rig, planar: bool, out: Array, work: Array, forces: Array, bent: Array,
 ) -> None:  # fmt: skip
     """Fill out (12,), the state one tick later. work: (13,), bent: (13,), forces: (6, 3), all overwritten."""
     for i in range(8):
@@ -108,7 +108,9 @@ def advance(
             straight += a[i, 6] * work[2] + a[i, 7] * work[3]
             out[i] += DT * (bent[5 + i] - straight)
         for i in range(2):  # r' acts on the heading within the tick too
-            out[6 + i] += 0.5 * DT * DT * (bent[6 + i] - _linear_rate(a, b, 1 + i, work, delta, gravity_t, gravity_i))
+            out[6 + i] += (
+                0.5 * DT * DT * (bent[6 + i] - _linear_rate(a, b, 1 + i, work, delta, gravity_t, gravity_i))
+            )
     psi, v = 0.5 * (x[6] + out[6]), 0.5 * (x[0] + out[0])
     out[8] = x[8] + DT * (u * math.cos(psi) - v * math.sin(psi))
     out[9] = x[9] + DT * (u * math.sin(psi) + v * math.cos(psi))
@@ -251,10 +253,10 @@ def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
     """The rig with this geometry, rolling resistance and tyre curve."""
     grip = 1.0 / max(curvature, 1e-3)
     return Rig(
-        geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6], geometry[7],
-        geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i, rig.h_t, rig.h_i, rig.h_h,
-        rig.w_f, rig.w_r, rig.w_i, rig.roll_share_f, grip, grip, grip, rig.load_exponent, rolling, rolling, rolling,
-        rig.front_drive, rig.drive_gain, rig.drive_limit, rig.g,
+        geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],
+        geometry[7], geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i,
+        rig.h_t, rig.h_i, rig.h_h, rig.w_f, rig.w_r, rig.w_i, rig.roll_share_f, grip, grip, grip,
+        rig.load_exponent, rolling, rolling, rolling, rig.front_drive, rig.drive_gain, rig.drive_limit, rig.g,
     )  # fmt: skip
 
 
@@ -340,13 +342,15 @@ def filtered(
             for i in range(12):
                 gain[i] = cross[i] * inverse
             for i in range(12):
-                for j in range(12):
+                for j in range(i + 1):
                     p[i, j] -= gain[i] * cross[j]
-            for i in range(12):
-                total = 0.0
-                for j in range(12):
+                    p[j, i] = p[i, j]
+            for i in range(10):
+                total = gain[i] if i >= 8 else 0.0
+                for j in range(8):
                     total += phi[i, j] * gain[j]
                 slope[i] = total
+            slope[10], slope[11] = fade * gain[10], fade * gain[11]
             for i in range(12):
                 x[i] += gain[i] * error
                 after[i] += slope[i] * error
@@ -381,6 +385,6 @@ def innovations(
         if mode == FOLLOW:
             s[i] = s[0]
         filtered(
-            ticks, rows, used, x, points[i], thetas[i], geometries[i], rig, levers, middles, sds, planar, mode,
-            gains, e[i], s[i],
+            ticks, rows, used, x, points[i], thetas[i], geometries[i], rig, levers, middles, sds, planar,
+            mode, gains, e[i], s[i],
         )  # fmt: skip

@@ -53,7 +53,7 @@ class Track:
     utc: UtcClock = field(default_factory=UtcClock)
     positions: deque[Planar] = field(default_factory=lambda: deque(maxlen=32))
     velocities: deque[Planar] = field(default_factory=lambda: deque(maxlen=48))
-    yaw_rates: deque[Sample] = field(default_factory=lambda: deque(maxlen=64))
+    yaw_rates: deque[Sample] = field(default_factory=lambda: deque(maxlen=128))  # 1.2 s at 100 Hz
     headings: deque[Sample] = field(default_factory=lambda: deque(maxlen=64))
     rolls: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
     pitches: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))

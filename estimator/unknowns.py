@@ -1,4 +1,4 @@
-"""Everything that the estimators of all six parameters do not know, in one vector, with what the machine file says.
+"""Everything that the estimators of all six parameters do not know, in one vector, with the file's priors.
 
 One Gaussian over these is the prior of a fit and its result. What the machine file gives without an sd has a
 prior sd of zero and stays fixed.

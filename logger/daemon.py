@@ -16,8 +16,10 @@ from typing import Protocol
 from zenoh import ZError
 
 from tilth.estimator.fold import RECOMMENDED
+from tilth.logger import warm_start
 from tilth.logger.buses import Buses
 from tilth.logger.clock import Clock
+from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.liveness import Sensors
 from tilth.logger.mcap_log import software
@@ -32,6 +34,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 TURN_S = 0.1  # longest wait for a frame: a stop is noticed in that time
 SECOND_NS = 1_000_000_000
 SHOW_NS = 500_000_000
+KEEP_NS = 60_000_000_000
 
 
 class Display(Protocol):
@@ -78,9 +81,18 @@ class Daemon:
     """Everything that one run holds open. `turn` it until it is time to `close`."""
 
     def __init__(
-        self, machine: Machine, machine_text: str, folder: Path, suffix: str | None, display: Display
+        self,
+        machine: Machine,
+        machine_text: str,
+        folder: Path,
+        suffix: str | None,
+        display: Display,
+        *,
+        keep: bool = False,
+        fresh: bool = False,
     ) -> None:
-        """suffix: of the Zenoh prefix, None to publish nothing.
+        """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
+        folder learned, unless `fresh`, and keep it for later ones.
 
         Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
         """
@@ -89,9 +101,12 @@ class Daemon:
         self._events: deque[tuple[str, str]] = deque()
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
-        self._fold = GuardedFold(machine)
+        self._worker = Worker(machine, self._report)
+        self._fold = GuardedFold(machine, fitter=self._worker)
         self._buses = Buses(machine.bus, self._clock, self._report)
-        self._recording = Recording(folder, machine, machine_text, self._clock, self._report)
+        self._warm_path = warm_start.path_of(folder, machine) if keep else None
+        state = self._fold.renew if not fresh and self._warmed() else None
+        self._recording = Recording(folder, machine, machine_text, self._clock, self._report, state)
         self._no_zenoh = ""  # why there is no session although one is wanted
         self._sink = self._open_zenoh(suffix) if suffix is not None else None
         self._sensors = Sensors(machine)
@@ -102,6 +117,7 @@ class Daemon:
         self._frames = 0
         self._next_second_ns = self._started_ns
         self._next_show_ns = self._started_ns
+        self._next_keep_ns = self._started_ns + KEEP_NS
 
     @property
     def uptime_s(self) -> float:
@@ -135,11 +151,13 @@ class Daemon:
                 last.callback(self._sink.close)
             last.callback(self._publish_events)
             last.callback(self._recording.close)
+            last.callback(self._worker.close)
             last.callback(self._publish_events)
             last.callback(self._buses.close)
             while self.turn(0.0) and self._clock.t_ns() < deadline_ns:
                 continue
             self._second(self._clock.t_ns())
+            self._keep(self._clock.t_ns())
         return self._summary()
 
     def take(self, frame: Frame) -> None:
@@ -163,8 +181,41 @@ class Daemon:
         self._watch_clock()
         self._buses.watch(t_ns)
         self._recording.tick(t_ns, self._fold.renew)
+        if self._fold.poses:  # a fit may be asked for soon; loading and compiling takes longer than one
+            self._worker.start()
+        if t_ns >= self._next_keep_ns:
+            self._keep(t_ns)
         self._status = self._build_status(t_ns)
         self._put("/status", t_ns, CHANNEL["/status"].encode(self._status))
+
+    def _warmed(self) -> bool:
+        """Take up what earlier runs have learned, if anything, and say what became of it."""
+        if self._warm_path is None:
+            return False
+        try:
+            found = warm_start.read(self._warm_path, self._machine, self._started_ns)
+        except warm_start.NotUsable as why_not:
+            self._report("warm_start", f"what earlier runs learned is not used: {why_not}")
+            return False
+        if found is None:
+            return False
+        told = self._fold.warm(*found, self._started_ns)
+        used = [method for method, refusal in told.items() if not refusal]
+        for method, refusal in told.items():
+            if refusal:
+                self._report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
+        if used:
+            names, hours = " and ".join(used), found[1] / 3600.0
+            self._report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
+        return bool(used)
+
+    def _keep(self, t_ns: int) -> None:
+        """Store what has been learned, for the next run."""
+        self._next_keep_ns = t_ns + KEEP_NS
+        path, kept = self._warm_path, self._fold.keep(t_ns)
+        if path is not None and kept:
+            text = warm_start.text_of(self._machine, kept, t_ns)
+            self._recording.beside(lambda: warm_start.write(path, text))
 
     def _show(self, t_ns: int) -> None:
         self._next_show_ns = t_ns + SHOW_NS
@@ -230,6 +281,8 @@ class Daemon:
         )
         if recording.free_bytes is not None:
             status.disk_free_bytes = recording.free_bytes
+        if self._worker.seconds is not None:
+            status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem
         status.problems.extend(problems_of(status, recording, zenoh))
         return status
@@ -268,15 +321,18 @@ def run_daemon(
     seconds: float | None = None,
     status: Display | None = None,
     stop: Callable[[], bool] = lambda: False,
+    keep: bool = False,
+    fresh: bool = False,
 ) -> Summary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 
     log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
-    buses carry a simulation. status: where to show, if anywhere. Raises MachineError as Daemon does.
+    buses carry a simulation. status: where to show, if anywhere. keep, fresh: as of
+    Daemon. Raises MachineError as Daemon does.
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
     suffix = prefix_suffix if zenoh else None
-    daemon = Daemon(machine, machine_text, folder, suffix, status or NoDisplay())
+    daemon = Daemon(machine, machine_text, folder, suffix, status or NoDisplay(), keep=keep, fresh=fresh)
     # What exists by now stays: the collector need not look at it again and again.
     gc.collect()
     gc.freeze()

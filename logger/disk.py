@@ -49,6 +49,17 @@ class Disk:
         # Here and not in the loop: a sync of the same file may be under way.
         self._ask(log.abandon)
 
+    def beside(self, job: Callable[[], None], failed: Callable[[OSError], None]) -> None:
+        """Something that the log does not depend on."""
+
+        def guarded() -> None:
+            try:
+                job()
+            except OSError as error:
+                failed(error)
+
+        self._ask(guarded)
+
     def stop(self) -> bool:
         """Wait until all is done; False where the disk does not answer."""
         self._jobs.put(None)

@@ -4,10 +4,33 @@ Live and replay both drive this, so that a replay fails where the live run faile
 """
 
 from collections import Counter
+from collections.abc import Mapping
 
-from tilth.estimator.fold import RECOMMENDED, State, initial, restore, snapshot, step
-from tilth.schemas.channels import CHANNELS, payload
-from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, ParameterEstimate, Publication, Status
+from tilth.estimator.fold import (
+    RECOMMENDED,
+    State,
+    adopt,
+    ask,
+    decide,
+    initial,
+    pending,
+    restore,
+    snapshot,
+    step,
+)
+from tilth.estimator.warm import Kept, keep, warm
+from tilth.logger.fitting import UNDECIDED, Fitter, InPlace
+from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
+from tilth.schemas.flow import (
+    PARAMETERS,
+    Estimate,
+    Event,
+    FitOutcome,
+    Frame,
+    ParameterEstimate,
+    Publication,
+    Status,
+)
 from tilth.schemas.machine import Machine
 
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
@@ -21,12 +44,25 @@ _METHOD_OF = {  # topic -> method, of all channels that carry estimates
 class GuardedFold:
     """`take` never raises. After a fault the estimates are published as invalid and the state starts anew."""
 
-    def __init__(self, machine: Machine, state_json: str | None = None) -> None:
-        """The fold before the first frame, or as `renew` wrote it. Raises ValueError for another's text."""
+    def __init__(self, machine: Machine, state_json: str | None = None, fitter: Fitter | None = None) -> None:
+        """The fold before the first frame, or as `renew` wrote it. Raises ValueError for another's text.
+
+        fitter: makes the fits that are asked for; None: at once, here.
+        """
         self.state: State = initial(machine) if state_json is None else restore(machine, state_json)
         self.faults = 0
         self.estimates = dict(self.state.estimates)  # method -> the last, also of a fault
         self._machine = machine
+        self._fitter = fitter or InPlace(machine)
+        self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
+        for method, job, due_ns in pending(self.state):
+            decided = self.state.estimators[method].decided
+            if decided >= 0:
+                self._fitter.ask(method, job)
+            if decided:  # between its outcome and the next frame
+                made = self._fitter.made(method, job) if decided > 0 else None
+                self._decided.append((FitOutcome(due_ns, method, job.asked_ns, decided > 0), made))
+        self._due_ns = self._first_due_ns()
         self._resume_ns = 0
         self._counted = Counter[str]()  # of states given up
         self._rejected = Counter[str]()
@@ -49,7 +85,12 @@ class GuardedFold:
         if frame.t_ns < self._resume_ns:
             return []
         try:
-            publications = step(self.state, frame)
+            publications = self._adopt(frame.t_ns) if self._decided else []
+            poses = self.state.poses
+            publications += step(self.state, frame)
+            if self.state.poses != poses:
+                self._ask(frame.t_ns)
+            publications += self.decided(frame.t_ns)
             told = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
@@ -57,6 +98,57 @@ class GuardedFold:
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
+        return told
+
+    def decided(self, t_ns: int) -> list[Publication]:
+        """What becomes of the fits that are due: logged now, used at the next frame."""
+        out: list[Publication] = []
+        if self._due_ns is None or t_ns < self._due_ns:
+            return out
+        for method, job, due_ns in pending(self.state):
+            waits = any((o.method, o.asked_ns) == (method, job.asked_ns) for o, _ in self._decided)
+            if t_ns < due_ns or waits:
+                continue
+            made = self._fitter.outcome(method, job, t_ns)
+            if made is not UNDECIDED:
+                outcome = FitOutcome(t_ns, method, job.asked_ns, made is not None)
+                self._decided.append((outcome, made))
+                decide(self.state, method, outcome.adopted)
+                out.append(Publication(t_ns, FIT_TOPIC, outcome))
+        return out
+
+    def _ask(self, t_ns: int) -> None:
+        for method, job in ask(self.state, t_ns):
+            self._fitter.ask(method, job)
+        self._due_ns = self._first_due_ns()
+
+    def _first_due_ns(self) -> int | None:
+        return min((due_ns for _, _, due_ns in pending(self.state)), default=None)
+
+    def _adopt(self, t_ns: int) -> list[Publication]:
+        decided, self._decided = self._decided, []
+        out: list[Publication] = []
+        for outcome, made in decided:
+            waiting = {method: job for method, job, _ in pending(self.state)}
+            if outcome.method in waiting and waiting[outcome.method].asked_ns == outcome.asked_ns:
+                out += adopt(self.state, t_ns, outcome.method, made)
+        self._due_ns = self._first_due_ns()
+        return out
+
+    def keep(self, t_ns: int) -> dict[str, Kept]:
+        """Method -> what it has learned, for the next run."""
+        return keep(self.state, t_ns)
+
+    def warm(self, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
+        """Before the first frame: go on from what was kept elapsed_s ago. Method -> why not, or ""."""
+        try:
+            told = warm(self.state, kept, elapsed_s, t_ns)
+        except Exception as error:  # the same edge: a run begins, whatever the file holds
+            self.state = initial(self._machine)
+            return dict.fromkeys(kept, f"{type(error).__name__}: {error}")
+        self.state.latest_ns = t_ns
+        self.renew()
+        self.estimates = dict(self.state.estimates)
         return told
 
     def renew(self) -> str:
@@ -75,6 +167,8 @@ class GuardedFold:
         self._counted.update(measurements=self.state.measurements, poses=self.state.poses)
         self._rejected.update(self.state.rejected)
         self.state = initial(self._machine)
+        self._decided.clear()
+        self._due_ns = None
 
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:
         self._give_up()

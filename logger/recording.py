@@ -24,8 +24,15 @@ class Recording:
     """Writes frames and results; while the disk fails it counts what is not recorded and tries again."""
 
     def __init__(
-        self, folder: Path, machine: Machine, machine_text: str, clock: Clock, report: Report
+        self,
+        folder: Path,
+        machine: Machine,
+        machine_text: str,
+        clock: Clock,
+        report: Report,
+        state: Callable[[], str] | None = None,
     ) -> None:
+        """state: gives what the fold begins with, where that is not its state before any frame."""
         self.folder = folder
         self.files: list[Path] = []
         self.frames = 0  # recorded
@@ -45,7 +52,7 @@ class Recording:
         self._next_ns = self._started_ns + SYNC_NS
         self._retry_ns = SYNC_NS
         self._disk = Disk(folder)
-        self._open(None)
+        self._open(state)
 
     @property
     def run_id(self) -> str:
@@ -87,6 +94,10 @@ class Recording:
                 self._writer.clocks(self._clock.relation(), why)
             except OSError as error:
                 self._fail(error)
+
+    def beside(self, job: Callable[[], None]) -> None:
+        """Let the thread that waits for the disk do something besides the log; what it raises, it tells."""
+        self._disk.beside(job, lambda error: self._report("log", _sentence(error, self.folder)))
 
     def tick(self, t_ns: int, renew: Callable[[], str]) -> None:
         """Each second: flush and sync, begin a new file where it is time to. Call between two frames.
@@ -166,7 +177,7 @@ class Recording:
         run = Run(self._run_id, len(self.files) + 1, self._started_ns)
         writer = LogWriter(path, self._machine, self._machine_text, run)
         try:
-            writer.clocks(self._clock.relation(), "start" if renew is None else "new file")
+            writer.clocks(self._clock.relation(), "new file" if self.files else "start")
             if renew is not None:
                 writer.snapshot(self._now_ns, renew())
             writer.flush()

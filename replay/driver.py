@@ -9,15 +9,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tilth.logger.fitting import Retold
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.mcap_log import LogWriter, machine_sha256
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers import open_log, place
-from tilth.replay.readers_log import EmptyLog, Log, Place
+from tilth.replay.readers_log import EmptyLog, Log, Logged, Place
 from tilth.replay.readers_rig import Say, on_buses_of
-from tilth.schemas.flow import Estimate, Event, Frame
+from tilth.schemas.channels import FIT_TOPIC, payload
+from tilth.schemas.flow import Estimate, Event, Frame, Publication
 from tilth.schemas.machine import Machine
-from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.schemas.proto.tilth_pb2 import FitOutcome, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 SHOWN = 4096  # frames between two looks of the progress bar
@@ -99,13 +101,16 @@ def replay(
     """
     run = _Run(machine, machine_text, outputs or Outputs(), say)
     empty: EmptyLog | None = None
-    for path in paths:
-        try:
-            run.log(path, buses or {})
-        except EmptyLog as error:
-            empty = error
-            if len(paths) > 1:
-                say(str(error))
+    try:
+        for path in paths:
+            try:
+                run.log(path, buses or {})
+            except EmptyLog as error:
+                empty = error
+                if len(paths) > 1:
+                    say(str(error))
+    finally:
+        run.fitter.close()
     run.close_counts()
     if not run.summary.frames and not run.summary.truncated:
         raise empty or EmptyLog(f"{paths[0]}: no frame is in it")
@@ -126,11 +131,12 @@ class _Run:
         self._place: Place | None = None  # of the last log
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
-        self._fold = GuardedFold(machine)
+        self.fitter = Retold(machine, lambda kind, text: say(text))
+        self._fold = GuardedFold(machine, fitter=self.fitter)
         self._before = _counts(self._fold)
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
-        log = open_log(path, IDENTICAL if self._outputs.comparison else ())
+        log = open_log(path, IDENTICAL if self._outputs.comparison else (FIT_TOPIC,))
         try:
             self._follow(log)
             self._records(log, buses)
@@ -142,6 +148,7 @@ class _Run:
     def _follow(self, log: Log) -> None:
         """See whether a log goes on where the one before it ended, and say so where it does not."""
         last, self._place = self._place, place(log)
+        self.fitter.own = self._place.run != ("", "")
         if last is None:
             return
         self._anew |= not self._place.goes_on_from(last)
@@ -169,15 +176,27 @@ class _Run:
                     progress(self._read_bytes + log.position())
             elif isinstance(record, Snapshot):
                 self._snapshot(log, record)
-            elif comparison is not None:
-                comparison.logged(record)
+            else:
+                if comparison is not None:
+                    comparison.logged(record)
+                if record.topic == FIT_TOPIC:
+                    self._fit(record)
 
     def _frame(self, frame: Frame) -> None:
+        if self._outputs.writer is not None:
+            self._outputs.writer.frame(frame)
+        self._put(self._fold.take(frame))
+
+    def _fit(self, record: Logged) -> None:
+        """What the log says became of a fit: it is used at the next frame, as it was live."""
+        told = FitOutcome.FromString(record.data)
+        self.fitter.tell(told.method, told.asked_ns, told.adopted)
+        self._put([(p, payload(p)) for p in self._fold.decided(told.t_ns)])
+
+    def _put(self, told: list[tuple[Publication, bytes]]) -> None:
         writer, publish = self._outputs.writer, self._outputs.publish
         comparison = self._outputs.comparison
-        if writer is not None:
-            writer.frame(frame)
-        for publication, data in self._fold.take(frame):
+        for publication, data in told:
             topic = publication.topic
             value = publication.value
             if isinstance(value, Event) and value.kind in SAID:
@@ -191,7 +210,8 @@ class _Run:
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
-        fold = GuardedFold(self._machine)
+        self.fitter.forget()
+        fold = GuardedFold(self._machine, fitter=self.fitter)
         self._go_on_with(fold, t_ns, fold.renew())
 
     def _snapshot(self, log: Log, stored: Snapshot) -> None:
@@ -202,7 +222,7 @@ class _Run:
             self._told_other = True
             return
         try:
-            fold = GuardedFold(self._machine, stored.state_json)
+            fold = GuardedFold(self._machine, stored.state_json, self.fitter)
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             self._say(f"{log.path}: its stored state is of another version ({error}); going on without it")
             return

@@ -93,6 +93,10 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         log_covariance=estimate.log_covariance,
         rank=estimate.rank,
         window_s=estimate.window_s,
+        rule=estimate.rule,
+        determined=estimate.determined,
+        bound=estimate.bound,
+        advice=estimate.advice,
     )
     if estimate.condition is not None:
         message.condition = estimate.condition
@@ -110,7 +114,15 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
 
 
 def _encode_event(event: flow.Event) -> bytes:
-    return pb.Event(t_ns=event.t_ns, kind=event.kind, text=event.text).SerializeToString()
+    message = pb.Event(t_ns=event.t_ns, kind=event.kind, text=event.text)
+    _set_present(message, event, ("latitude_deg", "longitude_deg"))
+    return message.SerializeToString()
+
+
+def _encode_outcome(outcome: flow.FitOutcome) -> bytes:
+    return pb.FitOutcome(
+        t_ns=outcome.t_ns, method=outcome.method, asked_ns=outcome.asked_ns, adopted=outcome.adopted
+    ).SerializeToString()
 
 
 def _encode_fix(position: flow.Position) -> bytes:
@@ -144,12 +156,16 @@ KINDS: tuple[tuple[str, type[flow.Measurement]], ...] = (
 
 TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for name, kind in KINDS}
 
+FIT_TOPIC = "/fit"
+
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
     *(Channel(f"/gnss/{mount.value}", LocationFix, _encode_fix) for mount in flow.Mount),
     Channel("/pose", pb.Pose, _encode_pose, key="pose"),
     Channel("/soil_tire", pb.SoilTireEstimate, _encode_estimate, key="soil_tire"),
     Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
+    Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
+    Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
 )
@@ -172,7 +188,7 @@ TOLERANCES: dict[str, dict[str, float]] = {
         "forward_velocity": 1e-6, "lateral_velocity": 1e-6, "sd_velocity": 1e-6, "sd_lateral_velocity": 1e-6,
         "yaw_rate": 1e-9, "sd_yaw_rate": 1e-9, "roll": 1e-9, "sd_roll": 1e-9,
     },
-    "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6},
+    "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6, "bound": 1e-4},
     "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
     "Nuisance": {"value": 1e-7, "sd": 1e-7},
     "Excitation": {"value": 1e-6},

@@ -253,6 +253,10 @@ class Estimate:
     condition: float | None = None
     excitation: Mapping[str, float] = field(default_factory=dict)
     window_s: float = 0.0  # data used, s
+    rule: str = ""  # of the recommended one: why this method
+    determined: tuple[str, ...] = ()  # parameters, or combinations, that the data determine
+    bound: tuple[float, ...] = ()  # sd of each logarithm by the data alone, infinite where open; or empty
+    advice: str = ""  # which manoeuvre would help, and by how much
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,9 +266,21 @@ class Event:
     t_ns: int
     kind: str
     text: str
+    latitude_deg: float | None = None  # of the tractor's CG, where that matters
+    longitude_deg: float | None = None
 
 
-Payload = Measurement | Pose | Estimate | Event
+@dataclass(frozen=True, slots=True)
+class FitOutcome:
+    """What became of a fit that was asked for at the frame of `asked_ns`."""
+
+    t_ns: int
+    method: str
+    asked_ns: int
+    adopted: bool  # False: it was not ready in time and was dropped
+
+
+Payload = Measurement | Pose | Estimate | Event | FitOutcome
 
 
 @dataclass(frozen=True, slots=True)

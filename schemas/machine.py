@@ -58,6 +58,12 @@ class Tractor(_Section):
     mass: Exact = Field(description="kg")
     yaw_inertia: Exact = Field(description="kg m^2")
     cg_height: Length = Field(description="above ground, m")
+    cg_sd: float = Field(
+        default=0.02, ge=0, description="of the CG's place along the body: moves a, b, c and receivers, m"
+    )
+    pair_yaw_sd: float = Field(
+        default=0.2, ge=0, description="of the yaw of its pair of receivers as mounted, deg"
+    )
     kingpin_distance: float | None = Field(
         default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
     )
@@ -71,6 +77,12 @@ class Implement(_Section):
     mass: Exact = Field(description="kg")
     yaw_inertia: Exact = Field(description="kg m^2")
     cg_height: Length = Field(description="above ground, m")
+    cg_sd: float = Field(
+        default=0.02, ge=0, description="of the CG's place along the body: moves d, e and receivers, m"
+    )
+    pair_yaw_sd: float = Field(
+        default=0.2, ge=0, description="of the yaw of its pair of receivers as mounted, deg"
+    )
 
 
 class Tyre(_Section):
@@ -120,6 +132,7 @@ class Receiver(_Section):
     position: tuple[float, float, float] = Field(
         description="forward and right of that body's CG, above the ground, m"
     )
+    survey_sd: float = Field(default=0.02, ge=0, description="of forward and right of its position, m")
     position_sd: float = Field(default=0.025, gt=0, description="of an RTK-fixed position, per axis, m")
     velocity_sd: float = Field(default=0.05, gt=0, description="of the velocity over ground, per axis, m/s")
     yaw_rate_sd: float = Field(default=0.3, gt=0, description="deg/s")
@@ -181,6 +194,10 @@ class WheelAngle(_Section):
     zero: Annotated[Quantity, _quantity(0.5)] = Field(
         default=Quantity(value=0.0, sd=0.5), description="the reading when straight, after sign, deg"
     )
+    gain: Annotated[Quantity, _quantity(0.02)] = Field(
+        default=Quantity(value=1.0, sd=0.02),
+        description="the reading over the true angle; not applied: where its estimate begins",
+    )
     sd: float = Field(default=0.1, gt=0, description="white noise, deg")
     delay: float = Field(default=0.01, ge=0, description="from measurement to frame, s")
 
@@ -195,6 +212,8 @@ class WheelAngle(_Section):
             raise ValueError('a sensor given by dbc needs signal = "its name"')
         if self.pgn is not None and self.source is None:
             raise ValueError("pgn = 127245 needs source = 0..253")
+        if self.gain.value <= 0:
+            raise ValueError(f"gain = {self.gain.value:g}: must be above zero; sign turns it round")
         if self.lookup is not None and (
             len(self.lookup) < 2
             or any(after[0] <= before[0] for before, after in zip(self.lookup, self.lookup[1:], strict=False))

@@ -51,7 +51,7 @@ def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     assert summary.poses > 50
     assert summary.measurements > 0.3 * summary.frames
     assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
-    assert set(summary.estimates) == {"steady_state", "recommended"}
+    assert set(summary.estimates) == {"steady_state", "pem", "recommended"}
     assert said == []
 
 

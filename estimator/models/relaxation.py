@@ -85,7 +85,7 @@ def input_matrix(
 def _rolling(
     u: float, geometry: Array, rolling: float, heights: tuple[float, float]
 ) -> tuple[tuple[float, float], Array]:
-    """((drag of the front axle and of the implement's, N), moment on v, r_t and r_i per lateral acceleration).
+    """((drag of the front axle and of the implement's, N), moments per lateral acceleration on v, r_t, r_i).
 
     The wheels on the outside of a bend carry more and so resist more, which turns the body outwards.
     """

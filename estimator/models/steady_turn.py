@@ -20,20 +20,21 @@ INPUTS = ("C_af", "C_ar", "C_ai", "m_t", "m_i", "u", "delta", "roll_t", "roll_i"
 
 def steady_turn(
     inputs: Array,
-    a: float,
-    b: float,
-    c: float,
-    d: float,
-    e: float,
+    a: Array | float,
+    b: Array | float,
+    c: Array | float,
+    d: Array | float,
+    e: Array | float,
     rolling: Array | float = 0.0,
     heights: tuple[float, float] = (0.0, 0.0),
 ) -> Array:
     """[v, r, λ] for each row of inputs.
 
-    inputs: [n, 9] in the order of INPUTS. Returns [n, 3]. Geometry in m as in docs/notation.md. rolling:
-    resistance over load, [n] or one for all; heights: of tractor's and implement's CG, m. Rolling resistance
-    is small beside the cornering forces, but it points along the steered wheels and along the implement, and
-    is larger on the outer wheels: together 2 % of the yaw rate, which passes for 15 % of C_af.
+    inputs: [n, 9] in the order of INPUTS. Returns [n, 3]. Geometry in m as in docs/notation.md, and
+    rolling, resistance over load: [n] each or one for all; heights: of tractor's and implement's CG, m.
+    Rolling resistance is small beside the cornering forces, but it points along the steered wheels and along
+    the implement, and is larger on the outer wheels: together 2 % of the yaw rate, which passes for 15 % of
+    C_af.
     Raises numpy.linalg.LinAlgError where there is no steady turn (an oversteering rig's critical speed).
     """
     c_f, c_r, c_i, m_t, m_i, u, delta, roll_t, roll_i = inputs.T

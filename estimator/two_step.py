@@ -1,0 +1,176 @@
+"""The dissertation's two steps as an estimator: the windows of pem, each fitted alone, merged by number.
+
+What the method is, and why none of its numbers is published as one to use: two_step_fit.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator import unknowns
+from tilth.estimator.pem import LATENCY_NS as LATENCY_NS
+from tilth.estimator.pem import SHORTEST, WINDOW
+from tilth.estimator.record import TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.two_step_fit import TwoStep, Window, identify, merge_scalar
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+METHOD: Final = "pem_two_step"
+MODEL: Final = "relaxation"
+PUBLISH_NS: Final = 10_000_000_000
+_WHY_NOT: Final = (
+    "rank {rank} of 3: yaw rate and articulation do not tell three stiffnesses apart",
+    "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A fit to be made."""
+
+    asked_ns: int  # of the frame at which the window closed
+    closed_ns: int  # instant of its last tick
+    record: Record
+
+
+@dataclass(slots=True)
+class TwoStepState:
+    """The window being driven, and what those before gave. Plain data; times ns."""
+
+    window: list[Stretch] = field(default_factory=list)
+    closed: Record | None = None  # waits to be asked for
+    job: Job | None = None  # asked for, not taken yet
+    decided: int = 0  # of the job: 1 it is to be taken, -1 it is late, 0 not known
+    values: Array = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
+    sds: Array = field(default_factory=lambda: np.zeros(6))
+    runs: Array = field(default_factory=lambda: np.zeros(6))  # merged into each
+    rank: int = 0  # of the last window
+    window_s: float = 0.0
+    informed_ns: int = 0
+    published_ns: int = 0
+    late: int = 0  # fits that came too late
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
+    reason: str = ""  # why the last window gave nothing
+
+
+def initial(machine: Machine) -> TwoStepState:
+    """Before the first window."""
+    return TwoStepState()
+
+
+def take(state: TwoStepState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
+    """Take one stretch; an estimate each PUBLISH_NS. The pose serves as the time."""
+    if stretch is not None:
+        _keep(state, stretch)
+    if pose.t_ns - state.published_ns < PUBLISH_NS:
+        return None
+    state.published_ns = pose.t_ns
+    return estimate(state, machine, pose.t_ns)
+
+
+def _keep(state: TwoStepState, stretch: Stretch) -> None:
+    if stretch.reason or not stretch.follows:
+        _close(state)
+    if stretch.reason:
+        _refuse(state, stretch.reason)
+        return
+    state.window.append(stretch)
+    if len(state.window) >= WINDOW:
+        _close(state)
+
+
+def _close(state: TwoStepState) -> None:
+    if len(state.window) >= SHORTEST:
+        state.closed = concatenate(state.window)
+    state.window.clear()
+
+
+def _refuse(state: TwoStepState, reason: str) -> None:
+    state.refused[reason] = state.refused.get(reason, 0) + 1
+
+
+def wanted(state: TwoStepState, t_ns: int) -> Job | None:
+    """A fit to ask for at the frame of t_ns, once a window has closed."""
+    if state.closed is None or state.job is not None:
+        return None
+    record, state.closed = state.closed, None
+    state.job = Job(t_ns, record.end_ns, record)
+    return state.job
+
+
+def fit(machine: Machine, job: Job) -> TwoStep:
+    """The result of a job: a function of its arguments alone. Sought from the machine file's tyres on."""
+    mean, _ = unknowns.prior(machine)
+    start: Array = np.exp(mean[unknowns.SIX])
+    return identify(Window(job.record, unknowns.base_geometry(machine), start, unknowns.levers(machine)))
+
+
+def rehearse(machine: Machine) -> None:
+    """Nothing here is compiled."""
+
+
+def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int) -> Estimate:
+    """Merge what a window gave, each number by itself (7.20, 7.21); None: it came too late and is dropped."""
+    job, state.job, state.decided = state.job, None, 0
+    if made is None or job is None:
+        state.late += 1
+        return estimate(state, machine, t_ns)
+    state.rank, state.reason = made.rank, made.reason
+    if made.reason:
+        _refuse(state, made.reason)
+    for k in range(len(PARAMETERS)):
+        if not made.found[k // 3] or not 0.0 < made.sds[k] < math.inf:
+            continue
+        values, sds = [float(made.values[k])], [float(made.sds[k])]
+        if state.runs[k]:
+            values, sds = [float(state.values[k]), *values], [float(state.sds[k]), *sds]
+        state.values[k], state.sds[k] = merge_scalar(values, sds)
+        state.runs[k] += 1
+    if any(made.found):
+        state.informed_ns = job.closed_ns
+        state.window_s += len(job.record.ticks) * TICK_NS * 1e-9
+    return estimate(state, machine, t_ns)
+
+
+def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
+    """What the method says now, with why it is not to be used."""
+    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
+    parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
+    _, prior_sd = unknowns.prior(machine)
+    shares = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
+    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
+    told = zip(parameters[:3], masses, strict=True)
+    return Estimate(
+        t_ns=t_ns,
+        method=METHOD,
+        model=MODEL,
+        parameters=parameters,
+        log_covariance=tuple(np.diag(shares**2).ravel().tolist()),  # the method knows of no correlations
+        per_mass=tuple(p.value / m if p.value else None for p, m in told),
+        rank=state.rank,
+        excitation={"runs": float(state.runs.max()), "late": float(state.late)},
+        window_s=state.window_s,
+    )
+
+
+def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstimate:
+    if not state.runs[k]:
+        return ParameterEstimate(
+            None, None, Status.UNESTIMATED, state.reason or "no window has been fitted yet"
+        )
+    why_not = _WHY_NOT[k // 3].format(rank=state.rank)
+    return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, why_not, age)
+
+
+def clock_stepped(state: TwoStepState, by_ns: int) -> None:
+    """Time ran back: the window and the fit under way are given up; what was learned stays."""
+    state.window.clear()
+    state.closed = state.job = None
+    state.decided = 0
+    state.published_ns = 0
+    state.informed_ns += by_ns if state.informed_ns else 0

@@ -1,0 +1,61 @@
+"""The process that makes fits: `python -P -m tilth.logger.fit_worker`, started by logger/fitting.py.
+
+Reads pickles from its parent, the machine first and then jobs, and answers each job with one. It ends when
+its parent does.
+"""
+
+import contextlib
+import os
+import pickle
+import sys
+import time
+from typing import Any
+
+from tilth.estimator.estimators import ESTIMATORS, ROW
+from tilth.schemas.machine import Machine
+
+NICE = 10  # recording comes first
+
+Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong or "", computing time in s
+
+
+def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
+    """(result, "") of a job, or (None, what went wrong): a fit that cannot be made must end nobody."""
+    try:
+        fitting = ROW[method].fitting
+        assert fitting is not None
+        return fitting.fit(machine, job), ""
+    except Exception as error:  # whatever the numerics may say, it is a fit less
+        return None, f"{type(error).__name__}: {error}"
+
+
+def rehearse(machine: Machine) -> None:
+    """Compile what fits need before the first of them is asked for."""
+    for row in ESTIMATORS:
+        if row.fitting is not None:
+            row.fitting.rehearse(machine)
+
+
+def main() -> None:
+    os.nice(NICE)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever a library prints must not stand among the answers
+    asked = sys.stdin.buffer
+    try:
+        machine, in_advance = pickle.load(asked)
+        with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
+            if in_advance:
+                rehearse(machine)
+        while True:
+            ticket, method, job = pickle.load(asked)
+            started = time.perf_counter()
+            made, error = make(machine, method, job)
+            answer: Answer = (ticket, made, error, time.perf_counter() - started)
+            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()
+    except (EOFError, BrokenPipeError, pickle.UnpicklingError):  # nobody asks any more
+        return
+
+
+if __name__ == "__main__":
+    main()

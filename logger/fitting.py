@@ -1,0 +1,265 @@
+"""Who makes the fits that the fold asks for: a worker process beside the live loop, or whoever replays.
+
+A fit takes a tenth of a second or more, a frame has microseconds. What was asked for is decided a fixed time
+of the log later: it is there and is used, or it is late and is dropped. Which of the two is logged, so that a
+replay does alike.
+"""
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any, Final, Protocol
+
+from tilth.logger.fit_worker import Answer, make
+from tilth.schemas.machine import Machine
+
+UNDECIDED: Final = object()
+LEAVE_S: Final = 2.0  # how long the end of a run waits for the worker
+ONE_THREAD: Final = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)  # a sum split among threads is rounded otherwise, and the other core belongs to the loop
+
+Report = Callable[[str, str], None]  # kind and text of an event
+
+
+class Fitter(Protocol):
+    """Makes fits. At most one job of a method is pending."""
+
+    def ask(self, method: str, job: Any) -> None:
+        """Begin a fit; nothing where just that one is under way. Takes microseconds."""
+        ...
+
+    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+        """The result; None if it is late or failed; UNDECIDED if that is not known at t_ns."""
+        ...
+
+    def made(self, method: str, job: Any) -> Any:
+        """The result, waited for; None if it failed."""
+        ...
+
+
+class InPlace:
+    """Makes each fit when it is due, always in time."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+
+    def ask(self, method: str, job: Any) -> None:
+        return
+
+    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+        return self.made(method, job)
+
+    def made(self, method: str, job: Any) -> Any:
+        return make(self._machine, method, job)[0]
+
+
+class Worker:
+    """Makes fits in a process of its own, from which a crash or a slow fit takes nothing but that fit.
+
+    A thread talks to the process: a job is larger than what a pipe holds, and the loop must not wait for it.
+    """
+
+    def __init__(self, machine: Machine, report: Report, *, patient: bool = False) -> None:
+        """report: is told, from that thread, what goes wrong. patient: for a replay, which waits."""
+        self.seconds: float | None = None  # computing time of the last fit
+        self._machine = machine
+        self._report = report
+        self._patient = patient
+        self._count = 0
+        self._tickets: dict[str, tuple[int, int]] = {}  # method -> (asked_ns, ticket) of the job that counts
+        self._results: dict[int, Any] = {}  # ticket -> result
+        self._changed = threading.Condition()  # guards all that both threads touch
+        self._asks: SimpleQueue[tuple[int, str, Any] | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._busy = 0  # ticket of what the process is at
+        self._given_up = False
+        self._closing = False
+
+    def start(self) -> None:
+        """Start the process and compile, if that has not been done: the first fit would be late for it."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="tilth-fits", daemon=True)
+            self._thread.start()
+
+    def ask(self, method: str, job: Any) -> None:
+        with self._changed:
+            before = self._tickets.get(method)
+            if before is not None and before[0] == job.asked_ns:
+                return
+            if before is not None:
+                if self._busy == before[1] and not self._patient and self._process is not None:
+                    self._given_up = True  # a window later it is still at it: it would be for ever
+                    self._process.kill()
+                self._results.pop(before[1], None)
+            self._count += 1
+            self._tickets[method] = (job.asked_ns, self._count)
+        self.start()
+        self._asks.put((self._count, method, job))
+
+    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+        with self._changed:
+            return self._take(method, job)
+
+    def made(self, method: str, job: Any) -> Any:
+        self.ask(method, job)
+        with self._changed:
+            ticket = self._tickets[method][1]
+            self._changed.wait_for(lambda: ticket in self._results)
+            return self._take(method, job)
+
+    def forget(self) -> None:
+        """Whatever is asked from now on is of another run, which may have the same stamps."""
+        with self._changed:
+            self._tickets.clear()
+            self._results.clear()
+
+    def close(self) -> None:
+        """End the process; what it is at is lost."""
+        if self._thread is None:
+            return
+        with self._changed:
+            self._closing = True
+            if self._process is not None:
+                self._process.kill()
+        self._asks.put(None)
+        self._thread.join(LEAVE_S)
+        self._thread = None
+
+    def _take(self, method: str, job: Any) -> Any:
+        asked_ns, ticket = self._tickets.get(method, (None, 0))
+        if asked_ns != job.asked_ns or ticket not in self._results:
+            return None
+        del self._tickets[method]
+        return self._results.pop(ticket)
+
+    # What follows runs in the thread.
+
+    def _work(self) -> None:
+        # The process inherits this: Ctrl-C is for the daemon, which ends it.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            with contextlib.suppress(OSError):  # told at the first job
+                self._running()
+            while (asked := self._asks.get()) is not None:
+                self._answer(*asked)
+        finally:
+            self._end()
+
+    def _answer(self, ticket: int, method: str, job: Any) -> None:
+        with self._changed:
+            if self._tickets.get(method, (0, 0))[1] != ticket:
+                return
+            self._busy = ticket
+        made, error = None, ""
+        for _ in range(2 if self._patient else 1):
+            try:
+                process = self._running()
+                _send(process, (ticket, method, job))
+                assert process.stdout is not None
+                answer: Answer = pickle.load(process.stdout)
+            except (OSError, EOFError, pickle.UnpicklingError) as lost:
+                error = self._lost(lost)
+                continue
+            _, made, error, self.seconds = answer
+            break
+        if error and not self._closing:
+            self._report("fit", f"a fit of {method} failed: {error}")
+        with self._changed:
+            self._busy = 0
+            if self._tickets.get(method, (0, 0))[1] == ticket:
+                self._results[ticket] = made
+            self._changed.notify_all()
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        """The process, started where it does not run."""
+        if self._given_up:
+            self._end()
+        if self._process is not None:
+            return self._process
+        with self._changed:
+            if self._closing:
+                raise EOFError
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "tilth.logger.fit_worker"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **ONE_THREAD},
+            )
+        _send(self._process, (self._machine, not self._patient))
+        return self._process
+
+    def _lost(self, error: Exception) -> str:
+        """Clear away a process that has gone; why, in words."""
+        status = self._end()
+        if status is None:
+            return f"its process cannot be started ({error})"
+        how = f"signal {-status}" if status < 0 else f"status {status}"
+        return f"its process ended ({how}) and is started again for the next"
+
+    def _end(self) -> int | None:
+        with self._changed:
+            process, self._process = self._process, None
+            self._given_up = False
+        if process is None:
+            return None
+        with contextlib.suppress(OSError):  # what could not be sent
+            assert process.stdin is not None
+            process.stdin.close()
+        assert process.stdout is not None
+        process.stdout.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(LEAVE_S)
+        process.kill()
+        return process.wait()
+
+
+def _send(process: subprocess.Popen[bytes], value: Any) -> None:
+    assert process.stdin is not None
+    pickle.dump(value, process.stdin, pickle.HIGHEST_PROTOCOL)
+    process.stdin.flush()
+
+
+class Retold:
+    """Fits of a replay: in time or late as the log says; where it says nothing, in time."""
+
+    def __init__(self, machine: Machine, report: Report) -> None:
+        self.own = False  # whether the log is one that says so
+        self._worker = Worker(machine, report, patient=True)
+        self._told: dict[tuple[str, int], bool] = {}
+        self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
+
+    def tell(self, method: str, asked_ns: int, adopted: bool) -> None:
+        """What the log says."""
+        self._told[method, asked_ns] = adopted
+
+    def forget(self) -> None:
+        """The log goes on with another state, or another run."""
+        self._worker.forget()
+        self._told.clear()
+        self._first.clear()
+
+    def ask(self, method: str, job: Any) -> None:
+        self._worker.ask(method, job)
+
+    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+        """UNDECIDED until the log has told, which it does right after the frame at which a fit is due."""
+        key = (method, job.asked_ns)
+        if key not in self._told and self.own and t_ns <= self._first.setdefault(key, t_ns):
+            return UNDECIDED
+        self._first.pop(key, None)
+        return self._worker.made(method, job) if self._told.pop(key, True) else None
+
+    def made(self, method: str, job: Any) -> Any:
+        return self._worker.made(method, job)
+
+    def close(self) -> None:
+        self._worker.close()

@@ -1,0 +1,259 @@
+"""Advice: what is said to be determined, against what was put in; predicted sds, against drives."""
+
+import math
+
+import numpy as np
+import pytest
+from circle import demo_machine
+from numpy.typing import NDArray
+
+from tilth.estimator import advice, predictor, unknowns
+from tilth.estimator.advice import Advisor, Candidate
+from tilth.estimator.identifiability import Sensor, cramer_rao
+from tilth.estimator.manoeuvres import manoeuvre_named
+from tilth.estimator.models.family import model_named
+from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.plain import from_plain, to_plain
+from tilth.estimator.unknowns import AT, NAMES, SIX
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+MACHINE = demo_machine()
+SPEED = 4.5
+CHIRP = Candidate("chirp", 5.0)
+MEAN, SD = unknowns.prior(MACHINE)
+LINEAR = MEAN.copy()
+LINEAR[AT["curvature"]] = 0.0
+PRIOR_6 = np.full(6, 0.7)
+
+
+def told(*rows: tuple[dict[str, float], float]) -> Array:
+    """Information of six logarithms from combinations that are known with an sd."""
+    whole = np.zeros((6, 6))
+    for weights, sd in rows:
+        w = np.array([weights.get(name, 0.0) for name in PARAMETERS])
+        whole += np.outer(w, w) / sd**2
+    return whole
+
+
+def test_single_parameters_are_named_with_their_sd() -> None:
+    said = advice.determined(told(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6)
+    assert said == ("C_af ±4.0 %", "sigma_i ±19 %")
+
+
+@pytest.mark.parametrize(
+    ("weights", "words"),
+    [
+        ({"C_af": 1.0, "C_ar": -1.0}, "C_af/C_ar ±4.0 %"),
+        ({"C_ar": -1.0, "C_ai": -1.0}, "C_ar·C_ai ±4.0 %"),
+        ({"C_af": 1.0, "C_ar": 0.8, "C_ai": 0.7}, "C_af·C_ar^0.8·C_ai^0.7 ±4.0 %"),
+    ],
+)
+def test_a_combination_is_named_where_no_parameter_of_it_is_determined(
+    weights: dict[str, float], words: str
+) -> None:
+    said = advice.determined(told((weights, 0.04)), PRIOR_6)
+    assert said == (words,)
+
+
+def test_a_second_combination_is_another_one() -> None:
+    rows = (({"C_af": 1.0, "C_ar": -1.0}, 0.04), ({"sigma_f": 1.0, "sigma_r": -1.0}, 0.1))
+    assert advice.determined(told(*rows), PRIOR_6) == ("C_af/C_ar ±4.0 %", "sigma_f/sigma_r ±10 %")
+
+
+def test_nothing_received_determines_nothing() -> None:
+    nothing = np.zeros((6, 6))
+    assert advice.determined(nothing, PRIOR_6) == ()
+    assert advice.bound(nothing, PRIOR_6) == (None,) * 6
+    assert advice.eigenvalues(nothing, PRIOR_6) == (0.0,) * 6
+
+
+def test_the_bound_is_that_of_the_data_alone_and_open_where_they_are_silent() -> None:
+    information = told(({"C_af": 1.0}, 0.04), ({"C_ar": 1.0, "C_ai": 1.0}, 0.1))
+    first, *others = advice.bound(information, PRIOR_6)
+    assert first == pytest.approx(0.04) and others == [None] * 5
+    rng = np.random.default_rng(2)
+    full = rng.normal(size=(20, 6))
+    found = advice.bound(full.T @ full, PRIOR_6)
+    np.testing.assert_allclose(
+        np.array(found, dtype=np.float64), np.sqrt(np.diag(np.linalg.inv(full.T @ full)))
+    )
+
+
+def test_information_is_what_the_posterior_has_beyond_the_prior() -> None:
+    information = told(({"C_af": 1.0, "C_ar": -0.5}, 0.04), ({"sigma_r": 1.0}, 0.3))
+    posterior: Array = np.asarray(np.linalg.inv(np.diag(PRIOR_6**-2) + information), np.float64)
+    np.testing.assert_allclose(advice.information_of(posterior, PRIOR_6), information, atol=1e-8)
+    # A covariance that drifted a little beyond the prior tells nothing, not less than nothing.
+    assert np.linalg.eigvalsh(advice.information_of(1.02 * np.diag(PRIOR_6**2), PRIOR_6)).min() >= 0.0
+
+
+def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
+    """Positions and yaw rates, six unknown: identifiability.cramer_rao has another model of the sensors, a
+    known first state and Python for its filter."""
+    quiet = [r.model_copy(update={"velocity_sd": 1e3}) for r in MACHINE.receiver]
+    machine = MACHINE.model_copy(update={"receiver": quiet})
+    point = LINEAR.copy()
+    point[AT["rolling"]] = 0.0
+    found = advice.information(machine, point, SPEED, CHIRP, planar=False)[SIX, SIX]
+    time: Array = np.arange(round((advice.SECONDS + 1.0) * 50) + 1, dtype=np.float64) * 0.02
+    delta = manoeuvre_named("chirp").wheel_angle(time, math.radians(5.0), np.random.default_rng(1))
+    sensors = (
+        Sensor("y_t", 0.018, 10), Sensor("psi_t", 0.0131, 10), Sensor("y_i", 0.018, 10),
+        Sensor("psi_i", 0.0136, 10), Sensor("r_t", math.radians(0.3 / math.sqrt(2)), 10),
+        Sensor("r_i", math.radians(0.3 / math.sqrt(2)), 10),
+    )  # fmt: skip
+    noise: dict[str, float] = dict(zip(("v", "r_t", "r_i"), unknowns.DISTURBANCE, strict=True))
+    limit = cramer_rao(
+        model_named("relaxation"), rig_of(MACHINE), SPEED, delta, 0.02, sensors, disturbances=noise
+    )
+    np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(found))), limit.sd, rtol=0.15)
+
+
+def simulated(seed: int, machine: Machine, candidate: Candidate) -> tuple[Array, Array]:
+    """(ticks, rows) of a drive of the linear model at LINEAR with its own disturbances and white sensors."""
+    rng = np.random.default_rng(seed)
+    count = round((advice.SECONDS + 1.0) / predictor.DT) + 1
+    time: Array = np.arange(count, dtype=np.float64) * predictor.DT
+    theta, shape = np.exp(LINEAR[SIX]), unknowns.geometry(unknowns.base_geometry(machine), LINEAR)
+    f, g, a, b = np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((8, 8)), np.zeros((8, 3))
+    heights = np.array([rig_of(machine).h_t, rig_of(machine).h_i])
+    predictor.transition(SPEED, shape, theta, LINEAR[AT["rolling"]], heights, f, g, a, b)
+    ticks = np.zeros((count, 8))
+    ticks[:, 0] = manoeuvre_named(candidate.manoeuvre).wheel_angle(
+        time, math.radians(candidate.degrees), np.random.default_rng(1)
+    )
+    ticks[:, 1] = SPEED
+    x = np.zeros((count, predictor.N_STATES))
+    for k in range(count - 1):
+        delta = (ticks[k, 0] + ticks[k + 1, 0]) / 2
+        x[k + 1, :8] = f @ x[k, :8] + g[:, 0] * delta
+        x[k + 1, :3] += rng.normal(0, 1, 3) * unknowns.DISTURBANCE * predictor.DT
+        v, psi = (x[k, 0] + x[k + 1, 0]) / 2, (x[k, 6] + x[k + 1, 6]) / 2
+        x[k + 1, 8] = x[k, 8] + predictor.DT * (SPEED * math.cos(psi) - v * math.sin(psi))
+        x[k + 1, 9] = x[k, 9] + predictor.DT * (SPEED * math.sin(psi) + v * math.cos(psi))
+    ticks[:, 2:4] = x[:, 6:8]
+    levers, middles, unused = unknowns.levers(machine), unknowns.pair_middles(machine), np.zeros(12)
+    rows = advice._rows(machine, count, (advice.HERTZ,) * 4)
+    for row in rows:
+        k, kind, place = int(row[0]), row[2], int(row[3])
+        body = place if kind == 0.0 else place // 2
+        row[4] = rng.normal(0, row[5]) + predictor.expected(
+            x[k], kind, place, SPEED, ticks[k, 2 + body], shape, LINEAR, levers, middles, unused
+        )
+    return ticks, rows
+
+
+def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) -> tuple[Array, Array]:
+    """(errors, sds) of the six after one Gauss-Newton step from the truth, what was believed before drawn."""
+    ticks, rows = simulated(seed, machine, candidate)
+    nudges = 1e-3 * SD[known]
+    points = np.tile(LINEAR, (len(known) + 1, 1))
+    points[np.arange(1, len(known) + 1), known] += nudges
+    errors, variances = [], []
+    for point in points:  # one by one: each with its own gains
+        e, s = advice._errors(machine, ticks, rows, point[None], planar=False)
+        errors.append(e[0])
+        variances.append(s[0])
+    white = ((np.array(errors[1:]) - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
+    spread = ((np.array(variances[1:]) - variances[0]) / nudges[:, None] / variances[0]).T
+    score = -white.T @ (errors[0] / np.sqrt(variances[0]))
+    score += 0.5 * spread.T @ (errors[0] ** 2 / variances[0] - 1.0)
+    information = white.T @ white + 0.5 * spread.T @ spread
+    believed = np.random.default_rng(1000 + seed).normal(0, SD[known])
+    total = information + np.diag(SD[known] ** -2.0)
+    found = np.linalg.solve(total, score + believed / SD[known] ** 2)
+    return found[:6], np.sqrt(np.diag(np.linalg.inv(total)))[:6]
+
+
+@pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
+def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
+    """Ten seconds on a linear plant with the model's own noise, all nuisances unknown."""
+    known = [
+        k for k in range(len(NAMES)) if SD[k] > 0 and not unknowns.NOISE.start <= k < unknowns.NOISE.stop
+    ]
+    known.remove(AT["curvature"])
+    held = np.zeros(len(NAMES))
+    held[known] = SD[known] ** 2
+    chirp = Candidate("chirp", degrees)
+    predicted = advice.predicted(
+        np.diag(held), advice.information(MACHINE, LINEAR, SPEED, chirp, planar=False)
+    )
+    runs = [fitted(seed, MACHINE, chirp, known) for seed in range(40)]
+    achieved = np.mean([sd for _, sd in runs], axis=0)
+    share = predicted / achieved
+    # The disturbances' own colour tells the rest, sigma_i most. Never a promise that is not kept.
+    assert (share > 0.95).all() and (share < most).all()
+    normal = np.array([error / sd for error, sd in runs])
+    assert 0.8 < float(np.mean(normal**2)) < 1.2  # what is called achieved is what errors show
+
+
+def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> None:
+    covariance = np.diag(SD**2)
+    covariance[SIX, SIX] = np.diag(np.array([0.05, 0.05, 0.45, 0.05, 0.05, 0.1]) ** 2)
+    said = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    start, _, offer = said.partition("; ")
+    assert start == "C_ai is not determined (±45 %)"
+    assert offer.startswith("10 s of ") and "would bring it to ±" in offer
+    after = float(offer.rpartition("±")[2].removesuffix(" %"))
+    best = min(
+        advice.predicted(covariance, advice.information(MACHINE, MEAN, SPEED, c))[2]
+        for c in advice.gentle(MACHINE, SPEED)
+    )
+    assert 95 * best < after < 25
+
+
+def test_where_nothing_is_open_the_least_known_is_named_and_nothing_is_asked_for_in_vain() -> None:
+    covariance = np.diag(SD**2)
+    covariance[SIX, SIX] = np.eye(6) * 0.01**2
+    said = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    assert said == "C_af is known least (±1.0 %); no 10 s of steering at this speed would help much"
+    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5) == "nothing can be learned below 1.5 m/s"
+    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED).startswith(
+        "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "
+    )
+
+
+def test_nobody_is_asked_to_swerve_at_speed() -> None:
+    assert len(advice.gentle(MACHINE, 4.5)) == len(advice.CANDIDATES)
+    assert max(c.degrees for c in advice.gentle(MACHINE, 8.0)) == 5.0
+    assert advice.gentle(MACHINE, 12.0) == ()
+
+
+def test_more_is_known_after_a_wilder_manoeuvre_and_never_less_than_before() -> None:
+    covariance = np.diag(SD**2)
+    before = np.sqrt(np.diag(covariance)[SIX])
+    mild, wild = (
+        advice.predicted(covariance, advice.information(MACHINE, MEAN, SPEED, Candidate("chirp", a)))
+        for a in (3.0, 8.0)
+    )
+    assert (mild < before).all() and (wild < mild).all()
+
+
+def test_an_estimate_of_six_alone_is_taken_with_the_nuisances_of_the_machine_file() -> None:
+    mean, covariance = advice.embedded(
+        MACHINE, MEAN[SIX] + 0.1, 0.01 * np.eye(6), {"wheel_zero": (0.004, 0.001), "odd": (1.0, 1.0)}
+    )
+    np.testing.assert_allclose(mean[SIX], MEAN[SIX] + 0.1)
+    assert mean[AT["wheel_zero"]] == 0.004
+    assert covariance[AT["wheel_zero"], AT["wheel_zero"]] == pytest.approx(1e-6)
+    assert covariance[AT["rolling"], AT["rolling"]] == pytest.approx(SD[AT["rolling"]] ** 2)
+
+
+def test_a_running_advisor_works_out_one_candidate_at_a_time_and_goes_on_from_plain_data() -> None:
+    covariance = np.diag(SD**2)
+    state = Advisor()
+    texts = []
+    for k in range(30):
+        texts.append(advice.renew(state, MACHINE, MEAN, covariance, SPEED, 1 + k * 1_000_000_000))
+        assert len(state.table) == k // 10 + 1
+    assert len(set(texts[:10])) == 1 and "chirp" in texts[-1]
+    again = from_plain(Advisor, to_plain(state))
+    later = 1 + 40 * 1_000_000_000
+    assert advice.renew(again, MACHINE, MEAN, covariance, SPEED, later) == advice.renew(
+        state, MACHINE, MEAN, covariance, SPEED, later
+    )
+    advice.renew(state, MACHINE, MEAN, covariance, 2 * SPEED, later + advice.EVERY_NS)
+    assert len(state.table) == 1  # of another speed

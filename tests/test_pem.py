@@ -1,0 +1,239 @@
+"""The fit of all six parameters: on data of its own model, on frames of the virtual tractor, and as a job."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from logs import MACHINE
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from tilth.estimator import likelihood, pem, predictor, recorder, unknowns
+from tilth.estimator.fold import initial, step
+from tilth.estimator.likelihood import find, rigging
+from tilth.estimator.manoeuvres import manoeuvre_named
+from tilth.estimator.models import relaxation
+from tilth.estimator.models.parameters import TABLE_7_2, Rig
+from tilth.estimator.plain import from_plain, to_plain
+from tilth.estimator.record import HEADING, YAW_RATE, Record, Stretch, concatenate
+from tilth.estimator.unknowns import AT, NAMES, NOISES, SIX
+from tilth.replay.scenario import Manoeuvre, Scenario, Soil
+from tilth.replay.tractor import drive
+from tilth.replay.traffic import traffic
+from tilth.schemas.flow import PARAMETERS, Pose, Status
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+DT = predictor.DT
+DISTURBANCE = (0.25, 0.1, 0.1)  # as identifiability.DISTURBANCES
+SDS = (math.radians(0.2), math.radians(0.3))
+SPEED = 4.5
+
+
+def test_places_in_the_kernel_are_those_of_the_names() -> None:
+    places = {
+        "wheel_zero": predictor.ZERO, "wheel_gain": predictor.GAIN, "latency": predictor.LATENCY,
+        "pair_t": predictor.PAIR, "lever_t": predictor.LEVER, "aside_i": predictor.ASIDE,
+        "cg_t": predictor.CG, "rolling": predictor.ROLLING, "curvature": predictor.CURVATURE, "q_v": predictor.Q,
+        "s_yaw_rate": predictor.S_YAW, "s_velocity": predictor.S_VELOCITY, "s_position": predictor.S_POSITION,
+    }  # fmt: skip
+    assert {name: AT[name] for name in places} == places
+
+
+def discrete(rig: Rig) -> tuple[Array, Array]:
+    """(F, G) of the first eight states of the predictor for a wheel angle, by a matrix exponential."""
+    a = relaxation.system_matrix(SPEED, rig.geometry, rig.theta)
+    b = relaxation.input_matrix(SPEED, rig.geometry, rig.theta)
+    keep = [0, 1, 2, 3, 4, 5, 7, 8]
+    whole = np.zeros((9, 9))
+    whole[:8, :8], whole[:8, 8] = a[np.ix_(keep, keep)], b[keep, 0]
+    exact: Array = np.asarray(expm(whole * DT), np.float64)
+    return exact[:8, :8], exact[:8, 8]
+
+
+def own_record(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
+    """Gyros and headings at every tick of a rig that moves as the relaxation model, white disturbances."""
+    rng = np.random.default_rng(seed)
+    n = round(seconds / DT)
+    time: Array = np.arange(n, dtype=np.float64) * DT
+    wheel = manoeuvre_named(kind).wheel_angle(time, math.radians(8.0), rng)
+    f, g = discrete(rig)
+    states = np.zeros((n, 8))
+    shocks = rng.standard_normal((n, 3)) * DISTURBANCE * DT
+    for k in range(n - 1):
+        states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2
+        states[k + 1, :3] += shocks[k]
+    ticks = np.zeros((n, 8))
+    ticks[:, 0], ticks[:, 1], ticks[:, 2:4], ticks[:, 4:6] = wheel, SPEED, states[:, 6:8], states[:, 1:3]
+    rows = [
+        (k, 0.0, kind_, body, states[k, column + body] + sd * rng.standard_normal(), sd)
+        for k in range(n)
+        for kind_, column, sd in ((YAW_RATE, 1, SDS[0]), (HEADING, 6, SDS[1]))
+        for body in (0, 1)
+    ]
+    return Record(0, ticks, np.array(rows))
+
+
+def alone(machine: Machine) -> tuple[Array, Array]:
+    """(mean, covariance) where only the six, the zero and the noise levels are not known."""
+    mean, sd = unknowns.prior(machine)
+    open_ = {*PARAMETERS, "wheel_zero", *NOISES} - {"s_velocity"}
+    sd = np.where([name in open_ for name in NAMES], sd, 0.0)
+    mean[AT["rolling"]] = mean[AT["curvature"]] = 0.0
+    return mean, np.diag(sd**2)
+
+
+def without_pairs(machine: Machine) -> likelihood.Rigging:
+    told = rigging(machine, planar=False)
+    told.sds[:] = 0.0
+    return told
+
+
+def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machine) -> None:
+    """Against the dense covariance of all measurements at once, built without any filter."""
+    rig = TABLE_7_2
+    record = own_record(rig, 3, seconds=0.6)
+    mean, covariance = alone(machine)
+    mean[SIX] = np.log(rig.theta)
+    mean[AT["q_v"] : AT["q_r_i"] + 1] = np.log(DISTURBANCE)
+    told = without_pairs(machine)
+    search = likelihood.search_of(record, told, mean, covariance)
+    e, s = likelihood.errors(search, mean[None], np.zeros(1))
+    f, g = discrete(rig)
+    n, first = len(record.ticks), likelihood.first_state(record, told)[:8]
+    start = np.diag(np.square(predictor.START[:8]))
+    shock = np.diag([*np.square(np.array(DISTURBANCE) * DT), *[0.0] * 5])
+    centre, spreads = [first], [start]
+    for k in range(n - 1):
+        turned = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
+        centre.append(f @ centre[-1] + g * turned)
+        spreads.append(f @ spreads[-1] @ f.T + shock)
+    columns = [1 + int(r[3]) if r[2] == YAW_RATE else 6 + int(r[3]) for r in record.rows]
+    ticks = record.rows[:, 0].astype(int)
+    dense = np.diag(record.rows[:, 5] ** 2)
+    powers = [np.linalg.matrix_power(f, k) for k in range(n)]
+    for i, (ki, ci) in enumerate(zip(ticks, columns, strict=True)):
+        for j, (kj, cj) in enumerate(zip(ticks, columns, strict=True)):
+            early, late, c_early, c_late = (ki, kj, ci, cj) if ki <= kj else (kj, ki, cj, ci)
+            dense[i, j] += (powers[late - early] @ spreads[early])[c_late, c_early]
+    off = record.rows[:, 4] - [centre[k][c] for k, c in zip(ticks, columns, strict=True)]
+    whole = off @ np.linalg.solve(dense, off) + np.linalg.slogdet(dense)[1]
+    # What the wheel angle's noise adds is not in the dense one, nor in this: told.sds are nothing.
+    assert np.sum(e**2 / s + np.log(s)) == pytest.approx(whole, rel=1e-7)
+
+
+def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
+    """Truths within ±50 % of the prior; bias and coverage over all six."""
+    mean, covariance = alone(machine)
+    rng = np.random.default_rng(11)
+    scores = []
+    for seed, kind in enumerate(["random", "chirp", "step"] * 8):
+        theta = np.exp(mean[SIX]) * rng.uniform(0.5, 1.5, 6)
+        rig = TABLE_7_2._replace(**dict(zip(PARAMETERS, theta.tolist(), strict=True)))
+        found = find(own_record(rig, seed, kind=kind), without_pairs(machine), mean, covariance)
+        scores.append((found.mean[SIX] - np.log(theta)) / np.sqrt(np.diag(found.covariance)[SIX]))
+        assert found.converged
+    z = np.array(scores)
+    assert np.mean(np.abs(z) < 1.96) > 0.88  # 95 % expected of 144, sd 2 %
+    assert np.sqrt(np.mean(z**2)) < 1.25
+    assert np.all(np.abs(z.mean(axis=0)) < 0.75)  # sd of each mean 0.2
+
+
+@pytest.fixture
+def machine() -> Machine:
+    return MACHINE
+
+
+@cache
+def _driven(seed: int) -> tuple[Record, Array]:
+    machine = MACHINE
+    scenario = Scenario(seconds=33.0, steering=Manoeuvre("random"), soil=Soil(grip=0.8), other_traffic=False)
+    truth = drive(machine, seed, scenario.seconds, scenario)
+    state, recording = initial(machine), recorder.initial(machine)
+    stretches: list[Stretch] = []
+    for frame in traffic(machine, truth):
+        for publication in step(state, frame):
+            if isinstance(publication.value, Pose):
+                stretch = recorder.observe(recording, state.aligner, publication.value)
+                if stretch is not None and not stretch.reason:
+                    stretches.append(stretch)
+    return concatenate(stretches), np.log([truth.parameters[name] for name in PARAMETERS])
+
+
+def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> None:
+    """Nonlinear plant, coloured RTK noise, latencies and survey errors that nobody told."""
+    mean, sd = unknowns.prior(machine)
+    scores = []
+    for seed in range(6):
+        record, truth = _driven(seed)
+        found = find(record, rigging(machine), mean, np.diag(sd**2))
+        scores.append((found.mean[SIX] - truth) / np.sqrt(np.diag(found.covariance)[SIX]))
+        assert np.all(np.sqrt(np.diag(found.covariance)[SIX]) < 0.25)
+    z = np.array(scores)
+    assert np.mean(np.abs(z) < 1.96) > 0.8
+    assert np.all(np.abs(z) < 4.0)
+
+
+def test_a_job_is_asked_for_made_and_taken(machine: Machine) -> None:
+    record, truth = _driven(1)
+    state = pem.initial(machine)
+    state.closed = record
+    job = pem.wanted(state, 5)
+    assert job is not None
+    assert pem.wanted(state, 6) is None  # one at a time
+    again = from_plain(pem.PemState, to_plain(state))
+    assert np.array_equal(again.job.record.rows, record.rows)
+    estimate = pem.adopt(state, machine, pem.fit(machine, job), job.closed_ns)
+    assert state.job is None
+    given = [p for p in estimate.parameters if p.status is Status.ESTIMATED]
+    assert len(given) == 6
+    assert estimate.rank == 6
+    assert all(abs(math.log(p.value or 1.0) - t) < 0.5 for p, t in zip(given, truth, strict=True))
+    later = pem.estimate(state, machine, job.closed_ns + 400_000_000_000)
+    assert {p.status for p in later.parameters} == {Status.STALE}
+
+
+def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
+    record, _ = _driven(1)
+    state = pem.initial(machine)
+    state.closed = record
+    pem.wanted(state, 5)
+    before = state.mean.copy()
+    estimate = pem.adopt(state, machine, None, 6)
+    assert state.late == 1
+    assert np.array_equal(state.mean, before)
+    assert {p.status for p in estimate.parameters} == {Status.UNESTIMATED}
+    assert pem.events(state) == [("fit", "a fit was not ready in time and was dropped")]
+
+
+def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -> None:
+    record, truth = _driven(2)
+    state = pem.initial(machine)
+    state.mean[SIX] = truth + 0.7  # learned elsewhere, and sure of it
+    state.covariance[SIX, SIX] = 0.03**2 * np.eye(6)
+    state.fits = 1
+    state.closed = record
+    job = pem.wanted(state, 5)
+    assert job is not None
+    made = pem.fit(machine, job)
+    assert made.changed
+    pem.adopt(state, machine, made, 6)
+    assert [kind for kind, _ in pem.events(state)] == ["soil_change"]
+    sd = np.sqrt(np.diag(state.covariance)[SIX])
+    assert np.all(np.abs(state.mean[SIX] - truth) < 4.0 * sd)
+
+
+def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> None:
+    record, _ = _driven(1)
+    rows = record.rows.copy()
+    rows[500, 4] = math.nan
+    state = pem.initial(machine)
+    state.closed = Record(record.t_ns, record.ticks, rows)
+    job = pem.wanted(state, 5)
+    assert job is not None
+    made = pem.fit(machine, job)
+    pem.adopt(state, machine, made, 6)
+    assert np.all(np.isfinite(state.mean))
+    assert np.all(np.isfinite(state.covariance))

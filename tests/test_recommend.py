@@ -1,0 +1,134 @@
+"""Which estimate is recommended: a table of cases, and what must never be."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tilth.estimator.recommend import BEGINS, ENDS, RECOMMENDED, SINCE_CHANGE, disagreement, recommend
+from tilth.schemas.flow import Estimate, ParameterEstimate, Status
+
+SIX = (220e3, 430e3, 100e3, 1.3, 1.6, 1.0)
+E, S, U, I = Status.ESTIMATED, Status.STALE, Status.UNESTIMATED, Status.INVALID  # noqa: E741
+
+
+def estimate(
+    method: str,
+    statuses: Status | tuple[Status, ...] = E,
+    *,
+    age: float = 10.0,
+    sd: float = 0.05,
+    off: float = 0.0,
+    change: float | None = None,
+) -> Estimate:
+    """off: of each logarithm. change: s since the soil changed."""
+    six = (statuses,) * 6 if isinstance(statuses, Status) else statuses
+    parameters = tuple(
+        ParameterEstimate(None, None, s, "why", None)
+        if s is U
+        else ParameterEstimate(v * math.exp(off), v * sd, s, "", age)
+        for v, s in zip(SIX, six, strict=True)
+    )
+    covariance = tuple((np.eye(6) * sd**2).ravel().tolist())
+    told = {} if change is None else {SINCE_CHANGE: change}
+    return Estimate(5, method, "m", parameters, covariance, (), excitation=told)
+
+
+THREE = (E, E, E, U, U, U)
+CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
+    ("pem first", (estimate("steady_state", THREE), estimate("tracker"), estimate("pem")), "pem", "first of"),
+    ("nobody", (estimate("steady_state", U), estimate("pem", U)), "pem", "no method gives"),
+    (
+        "pem has nothing yet",
+        (estimate("steady_state", THREE), estimate("pem", U)),
+        "steady_state",
+        "first of",
+    ),
+    ("pem is old", (estimate("tracker"), estimate("pem", age=121.0)), "tracker", "is 121 s old"),
+    ("pem is old, alone", (estimate("steady_state", U), estimate("pem", age=121.0)), "pem", "first of"),
+    ("stale before none", (estimate("steady_state", U), estimate("pem", S, age=400.0)), "pem", "though old"),
+    ("new before stale", (estimate("steady_state", THREE), estimate("pem", S)), "steady_state", "first of"),
+    ("changed since", (estimate("tracker", change=5.0), estimate("pem", age=10.0)), "tracker", "5 s ago"),
+    ("changed before", (estimate("tracker", change=50.0), estimate("pem", age=10.0)), "pem", "first of"),
+    ("invalid", (estimate("steady_state", I), estimate("pem", I)), "pem", "no method gives"),
+    ("not one of the offered", (estimate("pem_two_step"), estimate("pem", U)), "pem", "no method gives"),
+)
+
+
+def by_method(*estimates: Estimate) -> Mapping[str, Estimate]:
+    return {e.method: e for e in estimates}
+
+
+@pytest.mark.parametrize(("case", "given", "chosen", "rule"), CASES, ids=[c[0] for c in CASES])
+def test_the_rule(case: str, given: tuple[Estimate, ...], chosen: str, rule: str) -> None:
+    for order in (given, given[::-1]):
+        best = recommend(by_method(*order), 7)
+        wanted = next(e for e in given if e.method == chosen)
+        assert best.log_covariance == wanted.log_covariance
+        assert [p.status for p in best.parameters] == [p.status for p in wanted.parameters]
+        assert rule in best.rule
+        assert chosen in best.rule or "no method" in best.rule
+        assert (best.method, best.t_ns) == (RECOMMENDED, 7)
+
+
+def test_the_last_recommendation_is_not_one_of_the_methods() -> None:
+    given = by_method(estimate("steady_state", U), estimate(RECOMMENDED))
+    assert recommend(given, 7).rule == "no method gives an estimate"
+
+
+def test_an_invalid_number_is_not_passed_on() -> None:
+    best = recommend(by_method(estimate("pem", (E, E, E, E, E, I))), 7)
+    assert [p.value is None for p in best.parameters] == [False] * 5 + [True]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, -1.0])
+def test_what_is_no_number_is_not_recommended(bad: float) -> None:
+    pem = estimate("pem")
+    first = replace(pem.parameters[0], value=bad)
+    spoilt = replace(pem, parameters=(first, *pem.parameters[1:]))
+    best = recommend(by_method(spoilt, estimate("steady_state", THREE)), 7)
+    assert best.rule.startswith("steady_state")
+    unsure = replace(pem, log_covariance=(math.nan,) * 36)
+    assert recommend(by_method(unsure, estimate("steady_state", THREE)), 7).rule.startswith("steady_state")
+
+
+def apart(squared: float, count: int, sd: float = 0.05) -> float:
+    """Difference of each of `count` logarithms that gives a squared distance between two of that sd."""
+    return math.sqrt(squared * 2.0 * sd**2 / count)
+
+
+def test_a_disagreement_begins_late_and_ends_later() -> None:
+    pem = estimate("pem")
+    for share, before, found in (
+        (0.99 * BEGINS[3], False, False),
+        (1.01 * BEGINS[3], False, True),
+        (0.99 * BEGINS[3], True, True),
+        (1.01 * ENDS[3], True, True),
+        (0.99 * ENDS[3], True, False),
+    ):
+        steady = estimate("steady_state", THREE, off=apart(share, 3))
+        told = disagreement(by_method(pem, steady), before)
+        assert bool(told) == found
+        assert not found or ("pem and steady_state" in told and "over 3 parameters" in told)
+
+
+def test_where_methods_disagree_the_one_that_claims_less_is_recommended() -> None:
+    pem, steady = estimate("pem"), estimate("steady_state", THREE, sd=0.2, off=2.0)
+    assert disagreement(by_method(pem, steady), False)
+    best = recommend(by_method(pem, steady), 7, disagree=True)
+    assert best.rule.startswith("steady_state: the methods disagree")
+    wide = recommend(by_method(replace(pem, log_covariance=(0.5,) * 36), steady), 7, disagree=True)
+    assert wide.rule.startswith("pem: the methods disagree")
+
+
+def test_only_what_is_estimated_now_can_disagree() -> None:
+    far = estimate("steady_state", (S, S, S, U, U, U), off=3.0)
+    assert disagreement(by_method(estimate("pem"), far), False) == ""
+    assert disagreement(by_method(estimate("pem"), estimate("pem_two_step", off=3.0)), False) == ""
+
+
+def test_covariances_that_cannot_be_compared_are_no_agreement() -> None:
+    none = replace(estimate("steady_state", THREE), log_covariance=(0.0,) * 36)
+    assert disagreement(by_method(replace(estimate("pem"), log_covariance=(0.0,) * 36), none), False)

@@ -1,0 +1,64 @@
+"""Records put together, the wheel angle at their ticks, and how much of a roll rate is believed."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from tilth.estimator.lean import share_of_sway
+from tilth.estimator.record import INPUTS, ROWS, TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.recorder import wheel_angles
+
+
+def stretch(number: int) -> Stretch:
+    """The one of that number of a run, with two rows; its ticks hold its number."""
+    rows = np.zeros((2, len(ROWS)))
+    rows[:, 0], rows[:, 4] = (3, 9), number
+    return Stretch(
+        Record(7 + number * 10 * TICK_NS, np.full((10, len(INPUTS)), float(number)), rows), True, ""
+    )
+
+
+def test_stretches_put_together_are_one_record() -> None:
+    parts = [stretch(k) for k in range(4)]
+    whole = concatenate(parts)
+    assert whole.t_ns == 7 and whole.end_ns == 7 + 40 * TICK_NS
+    assert whole.ticks[:, 0].tolist() == [float(k) for k in range(4) for _ in range(10)]
+    assert whole.rows[:, 0].tolist() == [3, 9, 13, 19, 23, 29, 33, 39]
+    assert whole.rows[:, 4].tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert parts[1].record.rows[:, 0].tolist() == [3, 9]  # left as it was
+    with pytest.raises(ValueError, match=r"0\.2 s after"):
+        concatenate([parts[0], parts[2]])
+    with pytest.raises(ValueError, match="no stretch"):
+        concatenate([])
+    assert Record(5).end_ns == 5
+
+
+@pytest.mark.parametrize("period_ms", [5, 10, 20, 100])
+@pytest.mark.parametrize("phase_ms", [0, 3, 9])
+def test_a_turning_wheel_is_met_at_the_tick_whatever_the_sensors_phase(period_ms: int, phase_ms: int) -> None:
+    stamps = [(k * period_ms + phase_ms) * 1_000_000 for k in range(-400 // period_ms, 700 // period_ms)]
+    samples = deque([(t, 0.4 * t * 1e-9, 0.002) for t in stamps], maxlen=256)
+    found = wheel_angles(samples, 0)
+    assert found == pytest.approx([0.4 * 0.02 * k for k in range(10)], abs=1e-9)
+
+
+def test_a_wheel_sensor_that_was_silent_for_too_long_gives_no_angle() -> None:
+    samples = [(k * 10_000_000, 0.1, 0.002) for k in range(-40, 40)]
+    for silence_ms, given in ((130, True), (160, False)):
+        heard = deque(s for s in samples if not 20 <= s[0] // 1_000_000 < 20 + silence_ms)
+        assert (wheel_angles(heard, 0) is not None) == given
+    assert wheel_angles(deque(s for s in samples if s[0] < 150_000_000), 0) is None
+    assert wheel_angles(deque(), 0) is None
+
+
+def test_the_share_of_sway_is_small_for_noise_and_whole_for_swaying() -> None:
+    rng = np.random.default_rng(1)
+    lately, noise, swaying = [0.0, 0.0], 1.0, 0.0
+    for _ in range(300):
+        noise = share_of_sway(lately, rng.normal(0, 0.02), rng.normal(0, 0.02))
+    assert noise < 0.3
+    for _ in range(300):
+        swaying = share_of_sway(lately, rng.normal(0, 0.1), rng.normal(0, 0.02))
+    assert swaying > 0.93
+    assert share_of_sway([0.0, 0.0], 0.0, 0.0) == 0.0

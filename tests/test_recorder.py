@@ -1,0 +1,426 @@
+"""Records against the truth of a driven rig: every row at its own instant, and what must not teach."""
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from circle import ORIGIN_DEG as CIRCLE_ORIGIN_DEG
+from circle import START_NS, Circle, demo_machine
+from numpy.typing import NDArray
+
+from tilth.estimator import aligner, recorder
+from tilth.estimator.aligner import Aligner
+from tilth.estimator.geometry import rotate, to_plane
+from tilth.estimator.models import nonlinear
+from tilth.estimator.plain import from_plain, to_plain
+from tilth.estimator.pose import poses
+from tilth.estimator.record import (
+    EAST,
+    HEADING,
+    NORTH,
+    TICK_NS,
+    VELOCITY,
+    YAW_RATE,
+    Stretch,
+)
+from tilth.estimator.recorder import RecordState
+from tilth.replay.receivers import ORIGIN_DEG, reports, wheel_readings
+from tilth.replay.scenario import Ground, Scenario, Survey
+from tilth.replay.tractor import AT, Truth, drive
+from tilth.schemas.flow import (
+    Attitude,
+    Fix,
+    FixType,
+    Heading,
+    Measurement,
+    Mount,
+    Origin,
+    Pose,
+    Position,
+    Velocity,
+    WheelAngle,
+    YawRate,
+)
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+Change = Callable[[Pose], Pose]
+ALL = tuple(Mount)
+SECONDS = 19.0
+SURE = "latency = { value = 0.1, sd = 0 }\n"  # so that nothing is to be learned of it
+KNOWN = demo_machine(**{f"{end}]\n": f"{end}]\n{SURE}" for end in ("2.9", "3.1")})
+EVEN = Ground()
+
+
+def said(machine: Machine, truth: Truth) -> list[Measurement]:
+    """What the sensors of a driven rig say, each 0.1 s after it was measured, with nothing rounded."""
+    start = truth.scenario.utc_start_ns
+    out: list[Measurement] = []
+    for number, receiver in enumerate(machine.receiver):
+        origin = Origin("can0", 28 + number, receiver.name, receiver.mount)
+        for row in reports(machine, truth, receiver, 0.0):
+            rx = start + round((row.epoch_s + 0.1) * 1e9)
+            head = (rx, rx, origin)
+            out += [
+                Position(*head, 129025, None, row.latitude_deg, row.longitude_deg, receiver.position_sd),
+                Velocity(*head, 129026, None, row.course, row.speed, receiver.velocity_sd),
+                YawRate(*head, 127251, None, row.yaw_rate, 0.005),
+                Attitude(*head, 127257, None, row.roll, row.pitch, 0.009),
+                Heading(*head, 127250, None, row.heading, 0.009),
+                Fix(*head, 129029, None, FixType.RTK_FIXED),
+            ]
+    delay = round(machine.wheel_angle.delay * 1e9)
+    for t, angle in zip(truth.time.tolist(), wheel_readings(truth).tolist(), strict=True):
+        rx = start + round(t * 1e9) + delay
+        out.append(WheelAngle(rx, rx, Origin("can0", 0x15), 65291, None, angle, 0.002))
+    return sorted(out, key=lambda m: m.rx_ns)
+
+
+def posed(machine: Machine, measurements: list[Measurement]) -> Iterator[tuple[Aligner, Pose]]:
+    state = aligner.initial(machine)
+    for measurement in measurements:
+        aligner.take(state, measurement)
+        for pose in poses(state, measurement.rx_ns):
+            yield state, pose
+
+
+def record(machine: Machine, measurements: list[Measurement]) -> tuple[RecordState, list[Stretch]]:
+    state, out = recorder.initial(machine), []
+    for aligned, pose in posed(machine, measurements):
+        stretch = recorder.observe(state, aligned, pose)
+        if stretch is not None:
+            out.append(stretch)
+    return state, out
+
+
+@cache
+def driven(ground: Ground = EVEN, noise: float = 0.0) -> Truth:
+    scenario = Scenario(
+        noise=noise, ground=ground, survey=Survey(0.0, 0.0, 0.0), clock_offset_s=0.0,
+        latency_s=dict.fromkeys(ALL, 0.1), steering=((3.0, 0.0), (5.0, 7.0), (4.0, -6.0), (3.0, 3.0)),
+    )  # fmt: skip
+    return drive(KNOWN, 3, SECONDS, scenario)
+
+
+def errors(machine: Machine, truth: Truth, stretches: list[Stretch]) -> Array:
+    """[n, 4]: kind, place, error, sd of every row. The truth is that of points above the ground."""
+    cart = nonlinear.implement(truth.rig, truth.states)
+    columns = {name: truth.states[:, k] for name, k in AT.items()}
+    ways = (
+        [columns[name] for name in ("x_t", "y_t", "u", "v", "psi_t", "r_t")],
+        [*(cart[:, k] for k in range(4)), columns["psi_i"], columns["r_i"]],
+    )
+    origin = to_plane(_origin(machine, truth), *ORIGIN_DEG)
+    places = {ALL.index(r.mount): r.position for r in machine.receiver}
+    out = []
+    for stretch in stretches:
+        whole = stretch.record
+        base = (whole.t_ns - truth.scenario.utc_start_ns) * 1e-9
+        for tick, offset, kind, place, value, sd in whole.rows.tolist():
+            body = int(place) if kind in (YAW_RATE, HEADING) else int(place) // 2
+            t = base + tick * TICK_NS * 1e-9 + offset
+            x, y, u, v, psi, r = (float(np.interp(t, truth.time, column)) for column in ways[body])
+            near = whole.ticks[:, 2 + body]
+            psi_ref = near[int(tick)] + offset / (TICK_NS * 1e-9) * (near[-1] - near[-2])
+            if kind in (YAW_RATE, HEADING):
+                true = r if kind == YAW_RATE else psi
+                out.append((kind, place, math.remainder(value - true, math.tau), sd))
+                continue
+            forward, right, _ = places[int(place)]
+            arm = rotate((forward, right), psi)
+            _, across = rotate((u - r * right, v + r * forward), psi - psi_ref)
+            true = {VELOCITY: across, NORTH: x + arm[0] + origin[0], EAST: y + arm[1] + origin[1]}[kind]
+            out.append((kind, place, value - true, sd))
+    return np.array(out)
+
+
+def _origin(machine: Machine, truth: Truth) -> tuple[float, float]:
+    _, pose = next(posed(machine, said(machine, truth)[:2000]))
+    return pose.origin_latitude_deg, pose.origin_longitude_deg
+
+
+def of(table: Array, kind: float, *places: int) -> Array:
+    return np.asarray(table[(table[:, 0] == kind) & np.isin(table[:, 1], places)])
+
+
+def instants(stretches: list[Stretch], kind: float, place: int) -> Array:
+    """s since START_NS."""
+    out: list[float] = []
+    for stretch in stretches:
+        rows = stretch.record.rows
+        chosen = rows[(rows[:, 2] == kind) & (rows[:, 3] == place)]
+        base = (stretch.record.t_ns - START_NS) * 1e-9
+        out += (base + chosen[:, 0] * TICK_NS * 1e-9 + chosen[:, 1]).tolist()
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("ground", "velocity", "position"),
+    [(EVEN, 1e-4, 1e-4), (Ground(slope_deg=5.0, downhill_deg=60.0), 0.01, 0.004)],
+    ids=["flat", "slope"],
+)
+def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: float, position: float) -> None:
+    truth = driven(ground)
+    state, out = record(KNOWN, said(KNOWN, truth))
+    table = errors(KNOWN, truth, out)
+    assert np.abs(of(table, YAW_RATE, 0, 1)[:, 2]).max() < 1e-3
+    assert np.abs(of(table, VELOCITY, 0, 1, 2, 3)[:, 2]).max() < velocity
+    assert np.abs(table[np.isin(table[:, 0], (NORTH, EAST))][:, 2]).max() < position
+    assert not len(of(table, HEADING, 0, 1))
+    for stretch in out:
+        ticks, base = stretch.record.ticks, (stretch.record.t_ns - truth.scenario.utc_start_ns) * 1e-9
+        t = base + np.arange(10) * 0.02
+        states = truth.states[np.round(t / 0.01).astype(int)]
+        assert np.abs(ticks[:, 0] - states[:, AT["delta"]]).max() < 0.003
+        assert np.abs(ticks[:, 1] - states[:, AT["u"]]).max() < 0.05
+        away = ticks[:, 2:4] - states[:, [AT["psi_t"], AT["psi_i"]]]
+        assert np.abs((away + np.pi) % (2 * np.pi) - np.pi).max() < 0.01
+        roll = np.interp(t, truth.time, truth.implement.roll)
+        assert np.abs(ticks[:, 7] - roll).max() < 2e-3
+    assert state.used.late == 0 and set(state.refused) <= {"settling", "no heading"}
+    assert sum(len(s.record.rows) for s in out if not s.reason) == state.samples > 1000
+
+
+def test_what_a_swaying_body_does_to_its_antennas_is_taken_out() -> None:
+    """The cart's antennas are 3.1 m high; the tractor's receivers report points on the ground."""
+    truth = driven(Ground(roll_sd_deg=1.5))
+    _, out = record(KNOWN, said(KNOWN, truth))
+    table = errors(KNOWN, truth, out)
+    swaying = 3.1 * np.gradient(truth.implement.roll, truth.time)
+    assert swaying.std() > 0.25
+    assert of(table, VELOCITY, 2, 3)[:, 2].std() < 0.25 * swaying.std()
+    assert np.abs(of(table, VELOCITY, 0, 1)[:, 2]).max() < 0.01
+    lean = 3.1 * truth.implement.roll
+    off = table[np.isin(table[:, 0], (NORTH, EAST)) & (table[:, 1] >= 2)][:, 2]
+    assert off.std() < 0.1 * lean.std()
+
+
+def test_noise_of_roll_is_not_taken_for_swaying() -> None:
+    even = driven(noise=1.0)
+    table = errors(KNOWN, even, record(KNOWN, said(KNOWN, even))[1][40:])
+    assert of(table, VELOCITY, 2, 3)[:, 2].std() < 1.2 * of(table, VELOCITY, 0, 1)[:, 2].std()
+    rough = driven(Ground(roll_sd_deg=1.5), noise=1.0)
+    table = of(errors(KNOWN, rough, record(KNOWN, said(KNOWN, rough))[1][40:]), VELOCITY, 2, 3)
+    assert table[:, 2].std() < 0.1
+    assert table[:, 2].std() < 1.6 * table[:, 3].mean()  # what the sd says of it
+
+
+def test_a_lone_receiver_gives_its_heading() -> None:
+    text = KNOWN.model_copy(update={"receiver": [r for r in KNOWN.receiver if r.mount is not ALL[3]]})
+    truth = driven()
+    _, out = record(text, said(text, truth))
+    table = errors(text, truth, out)
+    assert len(of(table, HEADING, 1)) > 100 and not len(of(table, HEADING, 0))
+    assert np.abs(of(table, HEADING, 1)[:, 2]).max() < 2e-3
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_every_sample_is_there_once(jitter: float) -> None:
+    circle = Circle(period_s={ALL[2]: 0.1, ALL[3]: 0.1}, jitter_s=jitter)
+    state, out = record(circle.machine, list(circle.measurements(20.0)))
+    for before, after in pairwise(out):
+        assert after.record.t_ns == before.record.end_ns and len(before.record.ticks) == 10
+    for place, period in enumerate((0.2, 0.2, 0.1, 0.1)):
+        for kind in (VELOCITY, NORTH, EAST):
+            steps = np.diff(instants(out, kind, place)[5:])
+            assert len(steps) > 80 and np.abs(steps - period).max() < 0.01 + jitter
+        assert len(instants(out, NORTH, place)) == len(instants(out, EAST, place))
+    for stretch in out:
+        rows = stretch.record.rows
+        order = rows[:, 0] * TICK_NS * 1e-9 + rows[:, 1]
+        assert (np.diff(order) >= 0).all()
+        assert (rows[:, 1] >= 0).all() and (rows[:, 1] < 0.02).all() and (rows[:, 0] < 10).all()
+    assert state.used.late == 0
+
+
+def test_learned_latencies_are_taken_out() -> None:
+    late = {ALL[0]: 0.05, ALL[1]: 0.15, ALL[2]: 0.12, ALL[3]: 0.07}
+    circle = Circle(latency_s=late)
+    machine = circle.machine
+    _, out = record(machine, list(circle.measurements(30.0)))
+    mean = sum(late.values()) / 4 - 0.1
+    *_, (_, pose) = posed(machine, list(circle.measurements(3.0)))
+    origin = to_plane(CIRCLE_ORIGIN_DEG, pose.origin_latitude_deg, pose.origin_longitude_deg)
+    for receiver in machine.receiver:
+        place = ALL.index(receiver.mount)
+        for stretch in out[-20:]:
+            rows = stretch.record.rows
+            at = {kind: rows[(rows[:, 2] == kind) & (rows[:, 3] == place)] for kind in (NORTH, EAST)}
+            for north, east in zip(at[NORTH], at[EAST], strict=True):
+                t = (stretch.record.t_ns - START_NS) * 1e-9 + north[0] * 0.02 + north[1] - mean
+                true = circle.reported(receiver, t)
+                apart = math.hypot(north[4] + origin[0] - true[0], east[4] + origin[1] - true[1])
+                assert apart < 0.04  # 5 ms at 4.5 m/s and the cubic of the poses
+
+
+# What must not teach.
+
+
+def edited(changes: Mapping[int, Change]) -> tuple[RecordState, list[Stretch]]:
+    """Of a circle whose poses of these numbers are changed."""
+    circle = Circle()
+    state, out = recorder.initial(circle.machine), []
+    for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
+        change = changes.get(number)
+        stretch = recorder.observe(state, aligned, change(pose) if change else pose)
+        if stretch is not None:
+            out.append(stretch)
+    return state, out[:50]
+
+
+def tractor(**changes: float | None) -> Change:
+    return lambda pose: replace(pose, tractor=replace(pose.tractor, **changes))
+
+
+REFUSED: list[tuple[Change, str]] = [
+    (lambda p: replace(p, flags=("swapped:tractor_front",)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=("moved:implement_rear",)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=("doubtful:implement_rear",)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=("latency:implement_rear",)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=("floating:tractor_rear",)), "no RTK fix"),
+    (lambda p: replace(p, flags=("no_rtk:tractor_rear",)), "no RTK fix"),
+    (lambda p: replace(p, flags=("no_fix:tractor_rear",)), "no RTK fix"),
+    (lambda p: replace(p, flags=("fix_unknown:tractor_rear",)), "no RTK fix"),
+    (lambda p: replace(p, flags=("no_roll:implement",)), "roll not measured"),
+    (lambda p: replace(p, direction=-1), "reverse"),
+    (tractor(forward_velocity=0.9), "too slow"),
+    (tractor(heading=None, sd_heading=None), "no heading"),
+    (tractor(sd_heading=math.radians(2.1)), "no heading"),
+    (lambda p: replace(p, implement=replace(p.implement, sd_heading=None)), "no heading"),
+    (tractor(forward_velocity=None), "pose incomplete"),
+    (tractor(yaw_rate=None), "pose incomplete"),
+    (lambda p: replace(p, articulation=math.radians(-16)), "outside the small-angle model"),
+]
+
+
+@pytest.mark.parametrize(("change", "reason"), REFUSED, ids=[f"{k}-{r[1]}" for k, r in enumerate(REFUSED)])
+def test_a_refusal_lasts_for_the_poses_beside_it_and_two_seconds_of_driving(
+    change: Change, reason: str
+) -> None:
+    state, out = edited({30: change})
+    wanted = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
+    assert [s.reason for s in out[:41]] == wanted
+    assert {s.reason for s in out[41:]} == {""}
+    assert [s.follows for s in out[:12]] == [False] * 11 + [True]
+    assert [s.follows for s in out[27:43]] == [True] + [False] * 14 + [True]
+    assert state.refused == {"settling": 20, reason: 3}
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("late:tractor_rear",),
+        ("lost:implement_rear", "fix_unknown:implement_rear", "heading_by_hitch:implement"),
+    ],
+)
+def test_a_receiver_that_is_late_or_lost_refuses_nothing(flags: tuple[str, ...]) -> None:
+    _, out = edited({30: lambda p: replace(p, flags=flags)})
+    assert {s.reason for s in out[10:]} == {""}
+
+
+def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
+    moved = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
+    _, out = edited(moved)
+    assert Counter(s.reason for s in out[28:41]) == {"new origin of the plane": 2, "settling": 10, "": 1}
+    circle = Circle()
+    state, out = recorder.initial(circle.machine), []
+    for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
+        stretch = None if 20 <= number < 25 else recorder.observe(state, aligned, pose)
+        if stretch is not None:
+            out.append(stretch)
+    assert [s.reason for s in out[18:31]] == ["gap in the poses"] * 2 + ["settling"] * 10 + [""]
+    assert not any(len(s.record.ticks) for s in out[18:20])
+    assert state.used.late == 0
+
+
+def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
+    circle = Circle()
+    for first, last, angle, reason in (
+        (6.0, 6.12, None, ""),
+        (6.0, 6.4, None, "no wheel angle"),
+        (6.0, 6.4, 0.27, "outside the small-angle model"),
+    ):
+        heard: list[Measurement] = []
+        for m in circle.measurements(12.0):
+            if isinstance(m, WheelAngle) and first <= (m.rx_ns - START_NS) * 1e-9 < last:
+                if angle is None:
+                    continue
+                m = replace(m, angle=angle)
+            heard.append(m)
+        state, out = record(circle.machine, heard)
+        assert set(state.refused) == {"settling", *([reason] if reason else [])}
+        if reason:
+            shut = [(s.record.t_ns - START_NS) * 1e-9 for s in out if s.reason == reason]
+            assert 5.7 < shut[0] < 6.01 and 6.1 < shut[-1] < 6.41
+
+
+def test_a_receiver_without_a_fix_or_silent_gives_no_rows() -> None:
+    circle = Circle(noise_m=0.005)
+    heard = [
+        m
+        for m in circle.measurements(20.0)
+        if m.origin.mount is not ALL[3] or not 8.0 < (m.rx_ns - START_NS) * 1e-9 < 12.0
+    ]
+    _, out = record(circle.machine, heard)
+    times = instants(out, VELOCITY, 3)
+    assert not ((times > 8.0) & (times < 11.8)).any()
+    assert ((times > 12.2) & (times < 19.0)).sum() > 30
+    # Until the receiver counts as lost its body's heading comes by the hitch: the rest goes on teaching.
+    taught = [s for s in out if 9.2e9 < s.record.t_ns - START_NS < 11.5e9]
+    assert taught and all(not s.reason for s in taught)
+    assert all((s.record.rows[:, 3] != 3).all() and len(s.record.rows) for s in taught)
+
+
+def test_a_repeating_receiver_gives_no_rows() -> None:
+    _, out = edited({k: lambda p: replace(p, flags=("repeating:tractor_rear",)) for k in range(30, 33)})
+    for number in (29, 30, 31, 32):
+        rows = out[number].record.rows
+        assert not ((rows[:, 3] == 1) & (rows[:, 2] != YAW_RATE)).any()
+        assert ((rows[:, 3] == 0) & (rows[:, 2] == VELOCITY)).any()
+
+
+def test_a_sample_that_comes_after_its_stretch_was_cut_is_dropped_and_counted_once() -> None:
+    circle = Circle()
+    state, out = recorder.initial(circle.machine), []
+    for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
+        if number == 30:  # its yaw rates of the last second come only now
+            held = list(aligned.tracks["tractor_rear"].yaw_rates)[-8:]
+            state.used.newest_ns[1][2] = held[0][0] - 1
+        out.append(recorder.observe(state, aligned, pose))
+    assert 3 <= state.used.late <= 7
+    assert len([s for s in out if s]) == len(out) - 2
+
+
+def test_time_that_runs_back_starts_anew() -> None:
+    circle = Circle()
+    state, out = record(circle.machine, list(circle.measurements(6.0)))
+    taught = state.stretches
+    for aligned, pose in posed(circle.machine, list(circle.measurements(6.0))):
+        stretch = recorder.observe(state, aligned, pose)
+        if stretch is not None:
+            out.append(stretch)
+    assert state.stretches == 2 * taught and state.refused == {"settling": 20} and state.used.late == 0
+
+
+def test_the_state_is_plain_and_goes_on_as_it_was() -> None:
+    circle = Circle(noise_m=0.01, jitter_s=0.01)
+    state, other, same = recorder.initial(circle.machine), None, 0
+    for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(8.0)))):
+        if number == 20:
+            other = from_plain(RecordState, json.loads(json.dumps(to_plain(state))))
+            assert to_plain(other) == to_plain(state)
+        one = recorder.observe(state, aligned, pose)
+        if other is not None:
+            two = recorder.observe(other, aligned, pose)
+            assert one is not None and two is not None
+            assert one.record.rows.tobytes() == two.record.rows.tobytes()
+            assert one.record.ticks.tobytes() == two.record.ticks.tobytes()
+            assert (one.follows, one.reason) == (two.follows, two.reason)
+            same += 1
+    assert same > 10

@@ -1,0 +1,404 @@
+"""What went wrong for others who learned while driving, each as a drive that every estimator takes.
+
+Sources: the issues of comma.ai's openpilot and of AgOpenGPS and its kin, by number where there is one. Every
+drive is simulated traffic through the fold, at most a minute, made once and looked at by each row of
+ESTIMATORS.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from circle import demo_machine
+from numpy.typing import NDArray
+
+from tilth.estimator import fold
+from tilth.estimator.estimators import ESTIMATORS, ROW
+from tilth.estimator.fold import State, initial, step
+from tilth.estimator.plain import to_plain
+from tilth.replay.tractor import Fault, Scenario, draw
+from tilth.replay.traffic import simulate
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Measurement, Mount, Pose, Publication, Status
+from tilth.schemas.flow import Velocity as VelocityMeasurement
+from tilth.schemas.flow import YawRate as YawRateMeasurement
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+Changes = tuple[tuple[str, str], ...]
+
+METHODS = [row.method for row in ESTIMATORS]
+each_method = pytest.mark.parametrize("method", METHODS)
+
+SEED = 3
+SECOND = 1_000_000_000
+SPEED = 5.5
+LEARNING = ((2.0, 0.0), (10.0, 8.0), (10.0, -8.0), (10.0, 7.0), (10.0, -7.0))  # 42 s, degrees of the wheels
+QUIET = Scenario(other_traffic=False, noise=0.5, speed=SPEED, steering=LEARNING)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A drive as the fold saw it."""
+
+    state: State
+    start_ns: int
+    publications: list[Publication]
+    truth: dict[str, float]  # PARAMETERS
+
+    def estimates(self, method: str) -> list[Estimate]:
+        topic = f"/soil_tire/{method}"
+        return [p.value for p in self.publications if p.topic == topic and isinstance(p.value, Estimate)]
+
+    def poses(self) -> list[Pose]:
+        return [p.value for p in self.publications if isinstance(p.value, Pose)]
+
+    def last(self, method: str, before_s: float = math.inf) -> Estimate:
+        """The last estimate published up to a time of the drive."""
+        return [e for e in self.estimates(method) if self.at(e.t_ns) <= before_s][-1]
+
+    def at(self, t_ns: int) -> float:
+        return (t_ns - self.start_ns) * 1e-9
+
+
+def fitted(state: State, t_ns: int) -> list[Publication]:
+    """What comes of a fit that is due: it is ready at once here."""
+    out: list[Publication] = []
+    for method, job, due_ns in fold.pending(state):
+        fitting = ROW[method].fitting
+        if t_ns >= due_ns and fitting is not None:
+            out += fold.adopt(state, t_ns, method, fitting.fit(state.machine, job))
+    return out
+
+
+def folded(machine: Machine, frames: list[Frame], truth: dict[str, float], decoder: Any = None) -> Run:
+    state = initial(machine)
+    if decoder is not None:
+        state.decoder = decoder
+    out: list[Publication] = []
+    for frame in frames:
+        out += fitted(state, frame.t_ns)
+        out += step(state, frame)
+        fold.ask(state, frame.t_ns)
+    return Run(state, frames[0].t_ns, out, truth)
+
+
+@cache
+def driven(scenario: Scenario, seconds: float, changes: Changes = ()) -> Run:
+    """changes: of texts of the packaged machine file."""
+    machine = demo_machine(**dict(changes))
+    frames = list(simulate(machine, SEED, seconds, scenario))
+    return folded(machine, frames, draw(machine, SEED, scenario))
+
+
+def sds(estimate: Estimate) -> Array:
+    """Of the six natural logarithms."""
+    return np.sqrt(np.diag(np.array(estimate.log_covariance).reshape(6, 6)))
+
+
+def values(estimate: Estimate) -> Array:
+    """Natural logarithms, nan where there is no number."""
+    return np.array([math.log(p.value) if p.value else math.nan for p in estimate.parameters])
+
+
+def moved(before: Estimate, after: Estimate) -> float:
+    """Largest change of a number that both give, in sds of the one before."""
+    change = np.abs(values(after) - values(before)) / sds(before)
+    return float(np.nanmax(change)) if np.isfinite(change).any() else 0.0
+
+
+def errors(run: Run, estimate: Estimate) -> Array:
+    """Of what is said to be usable, in published sds; nan where nothing is."""
+    usable = [p.status is Status.ESTIMATED for p in estimate.parameters]
+    truth = np.log([run.truth[name] for name in PARAMETERS])
+    return np.where(usable, (values(estimate) - truth) / sds(estimate), math.nan)
+
+
+def refused(run: Run, reason: str) -> int:
+    """Poses or stretches that were counted as not fit to teach, whoever counted."""
+    counters: list[dict[str, int]] = [
+        getattr(counter, "refused", {})
+        for counter in (getattr(run.state, "record", None), *run.state.estimators.values())
+    ]
+    return max(sum(n for why, n in counts.items() if reason in why) for counts in counters)
+
+
+def numbers(plain: Any) -> Iterator[float]:
+    """All numbers of plain data."""
+    if isinstance(plain, dict):
+        plain = list(plain.values())
+    if isinstance(plain, (list, tuple)):
+        for item in plain:
+            yield from numbers(item)
+    elif isinstance(plain, float):
+        yield plain
+
+
+def assert_held(run: Run, method: str, from_s: float, to_s: float) -> None:
+    """Nothing was learned between two times: no number moved, no sd shrank."""
+    said = [e for e in run.estimates(method) if from_s <= run.at(e.t_ns) <= to_s]
+    assert len(said) >= (to_s - from_s) * 0.8
+    for estimate in said[1:]:
+        assert moved(said[0], estimate) < 0.02
+        assert (sds(estimate) > 0.999 * sds(said[0])).all()
+
+
+# Something must be learned in these drives, or nothing below could fail.
+
+
+@each_method
+def test_the_drives_teach(method: str) -> None:
+    run = driven(QUIET, 42.0)
+    said = run.last(method)
+    usable = [p.status is Status.ESTIMATED for p in said.parameters]
+    assert sum(usable) >= 3
+    assert np.nanmax(np.abs(errors(run, said))) < 3.0
+
+
+# Learning in reverse: openpilot #38573.
+
+# After 42 s of learning a stop, then backwards with the wheels turned, then on.
+REVERSING = replace(
+    QUIET,
+    speed=((42.0, SPEED), (5.0, 0.0), (9.0, -1.2), (4.0, 2.0)),
+    steering=(*LEARNING, (4.0, -7.0), (10.0, 5.0), (4.0, 0.0)),
+)
+
+
+@each_method
+def test_nothing_is_learned_in_reverse(method: str) -> None:
+    run = driven(REVERSING, 60.0)
+    backwards = [run.at(p.t_ns) for p in run.poses() if p.direction < 0]
+    assert 30 <= len(backwards) <= 50
+    assert 48.0 < backwards[0] < 51.0 and 54.0 < backwards[-1] < 58.0
+    # A fit of what came before the stop may land 3 s after its window was closed.
+    assert_held(run, method, backwards[0] + 2.0, backwards[-1])
+    assert refused(run, "reverse") >= 0.9 * len(backwards) - 2
+
+
+# A jump when a gate is re-entered: openpilot #33074.
+
+# Learned, then a turn at full lock, far outside the small-angle model, and back.
+FULL_LOCK = replace(QUIET, steering=(*LEARNING, (9.0, 22.0), (9.0, 7.0)))
+
+
+@each_method
+def test_coming_back_into_the_gate_does_not_jump(method: str) -> None:
+    run = driven(FULL_LOCK, 60.0)
+    outside = [run.at(p.t_ns) for p in run.poses() if abs(p.wheel_angle or 0.0) > math.radians(15.0)]
+    assert 8.0 < outside[-1] - outside[0] < 10.0
+    assert refused(run, "outside") >= 0.9 * len(outside) - 2
+    assert_held(run, method, outside[0] + 4.0, outside[-1] + 2.0)  # 4 s: a fit of what came before may land
+    said = [e for e in run.estimates(method) if run.at(e.t_ns) > outside[0]]
+    assert said
+    for before, after in itertools.pairwise(said):
+        assert moved(before, after) < 3.0 if method == "pem" else 1.0  # a fit is many samples at once
+    assert refused(run, "settling") >= 10
+
+
+# Bounds scaled from a light car fail above 3 t: openpilot #25389.
+
+
+def scaled(factor: float) -> Changes:
+    """All masses, inertias and stiffnesses so many times as large: the rig moves the same."""
+
+    def times(number: float) -> str:
+        return repr(factor * number)
+
+    cart = "mass = {{ value = {}, sd = {} }}"
+    return (
+        ("mass = 9391.0", f"mass = {times(9391.0)}"),
+        (cart.format("2127.0", "200.0"), cart.format(times(2127.0), times(200.0))),
+        ("yaw_inertia = 35709.0", f"yaw_inertia = {times(35709.0)}"),
+        ("yaw_inertia = 6402.0", f"yaw_inertia = {times(6402.0)}"),
+        *((text, times(float(text))) for text in ("220e3", "486e3", "167e3")),
+    )
+
+
+@each_method
+@pytest.mark.parametrize("factor", [0.25, 4.0])  # tractors of 2.3 t and 38 t
+def test_the_weight_of_a_machine_makes_no_difference(factor: float, method: str) -> None:
+    run, plain = driven(QUIET, 42.0, scaled(factor)), driven(QUIET, 42.0)
+    said, usual = run.last(method), plain.last(method)
+    assert run.truth["C_af"] == pytest.approx(factor * plain.truth["C_af"])
+    assert [p.status for p in said.parameters] == [p.status for p in usual.parameters]
+    np.testing.assert_allclose(sds(said), sds(usual), rtol=0.15)
+    shift = values(said) - values(usual) - np.log([factor] * 3 + [1.0] * 3)
+    assert np.nanmax(np.abs(shift) / sds(usual)) < 0.7  # heights of the hitch and the like do not scale
+
+
+# Gain and stiffness trade off at constant speed: openpilot #19672.
+
+SURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.0 }"),)
+UNSURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.05 }"),)
+
+
+@each_method
+def test_an_unknown_gain_of_the_wheel_angle_widens_the_stiffness(method: str) -> None:
+    sure, unsure = driven(QUIET, 42.0, SURE).last(method), driven(QUIET, 42.0, UNSURE).last(method)
+    assert sds(unsure)[0] > 1.1 * sds(sure)[0]
+    assert sure.nuisances.get("wheel_gain", (0.0, 0.0))[1] == 0.0
+    gain, sd = unsure.nuisances["wheel_gain"]
+    assert abs(gain) < 3 * sd and 0.002 < sd <= 0.05
+    # What the gain does to all stiffnesses alike shows in their correlation.
+    correlations = [
+        np.array(e.log_covariance).reshape(6, 6)[0, 1] / (sds(e)[0] * sds(e)[1]) for e in (sure, unsure)
+    ]
+    assert abs(correlations[1] - correlations[0]) > 0.02
+
+
+@each_method
+def test_a_gain_that_is_wrong_does_not_pass_for_stiffness(method: str) -> None:
+    wrong = replace(QUIET, wheel=replace(QUIET.wheel, gain=1.04))
+    run = driven(wrong, 42.0, UNSURE)
+    assert np.nanmax(np.abs(errors(run, run.last(method)))) < 3.0
+
+
+# A lag that changes with speed, learned slow and wrong fast: openpilot #38133.
+
+# A relaxation length is a distance: its lag at 3 m/s is twice that at 6 m/s.
+TWO_SPEEDS = replace(
+    QUIET,
+    speed=((30.0, 3.5), (30.0, 6.5)),
+    steering=((2.0, 0.0), (10.0, 8.0), (10.0, -8.0), (10.0, 7.0), (10.0, -7.0), (10.0, 6.0), (8.0, -6.0)),
+)
+
+
+@each_method
+def test_what_was_learned_slowly_is_right_when_driving_fast(method: str) -> None:
+    run = driven(TWO_SPEEDS, 60.0)
+    said = run.estimates(method)
+    assert any(p.status is Status.ESTIMATED for p in said[-1].parameters)
+    for estimate in said:
+        found = errors(run, estimate)
+        assert not np.isfinite(found).any() or np.nanmax(np.abs(found)) < 3.5
+    slow = run.last(method, 30.0)
+    assert moved(slow, said[-1]) < 3.0
+
+
+# Three ways of zeroing a wheel-angle sensor, one with the wrong sign: AgOpenWeb #103.
+
+
+@each_method
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("zero_deg", [0.8, -0.8])
+def test_a_zero_put_into_the_machine_file_takes_the_error_away(
+    zero_deg: float, sign: int, method: str
+) -> None:
+    """The file's zero is the reading when straight after `sign`; so is what is learned beyond it."""
+    turned = {"scale = 0.01": f"scale = 0.01\nsign = {sign}"}
+    machine = demo_machine(**turned)
+    wrong = replace(QUIET, wheel=replace(QUIET.wheel, zero_deg=zero_deg))
+    frames = traffic(machine, wrong)
+    learned, sd = learned_zero(machine, frames, method)
+    assert learned == pytest.approx(zero_deg, abs=max(3 * sd, 0.05)) and abs(zero_deg) > 4 * sd
+    zero = "zero = { value = 0.0, sd = 0.5 }"
+    mended = demo_machine(**turned, **{zero: f"zero = {{ value = {learned!r}, sd = 0.5 }}"})
+    left, sd = learned_zero(mended, frames, method)
+    assert abs(left) < 3 * sd and abs(left) < 0.2
+
+
+@cache
+def _traffic(sign: int, zero_deg: float) -> list[Frame]:
+    machine = demo_machine(**{"scale = 0.01": f"scale = 0.01\nsign = {sign}"})
+    return list(simulate(machine, SEED, 38.0, replace(QUIET, wheel=replace(QUIET.wheel, zero_deg=zero_deg))))
+
+
+def traffic(machine: Machine, scenario: Scenario) -> list[Frame]:
+    return _traffic(machine.wheel_angle.sign, scenario.wheel.zero_deg or 0.0)
+
+
+def learned_zero(machine: Machine, frames: list[Frame], method: str) -> tuple[float, float]:
+    """(learned, sd), degrees."""
+    run = folded(machine, frames, {})
+    value, sd = run.last(method).nuisances["wheel_zero"]
+    return math.degrees(value), math.degrees(sd)
+
+
+# RTK float taken for fixed: AgValoniaGPS #384.
+
+FLOATING = replace(
+    QUIET,
+    steering=(*LEARNING, (18.0, 6.0)),
+    faults=(Fault(Mount.TRACTOR_REAR, 42.0, 54.0, "rtk_float"),),
+)
+
+
+@each_method
+def test_a_floating_receiver_teaches_nothing(method: str) -> None:
+    run = driven(FLOATING, 60.0)
+    floating = [run.at(p.t_ns) for p in run.poses() if "floating:tractor_rear" in p.flags]
+    assert 41.6 < floating[0] < 43.2 and 53.6 < floating[-1] < 55.2  # the host's clock is some 0.1 s off
+    assert len(floating) == pytest.approx(5 * (floating[-1] - floating[0]), abs=2)
+    # A fit that was asked for before may still land, 3 s after.
+    assert_held(run, method, floating[0] + 4.0, floating[-1])
+    assert refused(run, "no RTK fix") >= 0.9 * len(floating) - 2
+    said = [e for e in run.estimates(method) if run.at(e.t_ns) > floating[-1]]
+    assert all(moved(before, after) < 1.0 for before, after in itertools.pairwise(said))
+
+
+# One NaN that poisons a filter for the rest of the day.
+
+
+POISON_S = (19.0, 29.0)  # in the middle of steady turns: yaw rates, then velocities
+EPOCH_NS = 200_000_000
+
+
+class Poisoned:
+    """A decoder that gives one epoch of yaw rates and, later, one of velocities that are no numbers."""
+
+    def __init__(self, decoder: Decoder, start_ns: int) -> None:
+        self.decoder, self.rejected = decoder, decoder.rejected
+        self.from_ns = [start_ns + round(at * SECOND) for at in POISON_S]
+        self.given = 0
+
+    def measurements(self, frame: Frame) -> Iterator[Measurement]:
+        rates, velocities = (at <= frame.t_ns < at + EPOCH_NS for at in self.from_ns)
+        for measurement in self.decoder.measurements(frame):
+            if rates and isinstance(measurement, YawRateMeasurement):
+                self.given += 1
+                yield replace(measurement, yaw_rate=math.nan)
+            elif velocities and isinstance(measurement, VelocityMeasurement):
+                self.given += 1
+                yield replace(measurement, speed=math.inf)
+            else:
+                yield measurement
+
+
+@cache
+def poisoned() -> tuple[Run, Poisoned]:
+    machine = demo_machine()
+    frames = list(simulate(machine, SEED, 60.0, QUIET))
+    decoder = Poisoned(Decoder(machine), frames[0].t_ns)
+    return folded(machine, frames, draw(machine, SEED, QUIET), decoder), decoder
+
+
+@each_method
+def test_not_a_number_is_soon_forgotten(method: str) -> None:
+    run, decoder = poisoned()
+    assert decoder.given >= 8
+    usual = driven(QUIET, 42.0).last(method)
+    assert (sds(run.last(method)) < 2.0 * sds(usual)).all()  # it went on learning
+    assert moved(usual, run.last(method)) < 2.0
+    for estimate in run.estimates(method):
+        assert np.isfinite(estimate.log_covariance).all()
+        assert all(np.isfinite(pair).all() for pair in map(np.array, estimate.nuisances.values()))
+    plain = to_plain(run.state.estimators[method])
+    assert all(map(math.isfinite, numbers(plain)))
+
+
+def test_not_a_number_leaves_the_poses_within_two_seconds() -> None:
+    """No frame can say it (its fields are integers, a floating-point DBC signal is refused at the start)."""
+    run, _ = poisoned()
+    bad = [run.at(p.t_ns) for p in run.poses() if not all(map(math.isfinite, numbers(to_plain(p))))]
+    assert all(any(start - 0.5 < at < start + 2.0 for start in POISON_S) for at in bad)
+    for publication in run.publications:
+        if publication.topic.startswith("/soil_tire"):
+            assert isinstance(publication.value, Estimate)
+            closed = replace(publication.value, bound=())  # a bound may be infinite, and says so
+            assert all(map(math.isfinite, numbers(to_plain(closed))))

@@ -1,0 +1,292 @@
+"""What one run has learned, in the next: older, of the same rig, and in the log before it is used."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from logs import MACHINE, MACHINE_TEXT
+from loopback import rig
+
+from tilth.estimator import fold, pem, steady_state, unknowns
+from tilth.estimator.estimators import ESTIMATORS
+from tilth.estimator.warm import DOUBLES_S, keep, warm
+from tilth.logger import warm_start
+from tilth.logger.clock import Clock
+from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.warm_start import CLOCK_IS_WRONG_S, NotUsable
+from tilth.replay.compare import Comparison
+from tilth.replay.driver import Outputs, replay
+from tilth.replay.readers import open_log
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import Event, Frame, Status
+from tilth.schemas.machine import parse_machine
+from tilth.schemas.proto.tilth_pb2 import Snapshot
+
+SECOND = 1_000_000_000
+NOW = 1_800_000_000 * SECOND
+VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-warm"\n\n'
+
+
+def teach(state: fold.State, informed_ns: int) -> None:
+    """As if both methods had learned something by then."""
+    rng = np.random.default_rng(2)
+    for method, mean, covariance, scale in (
+        (pem.METHOD, "mean", "covariance", 0.1),
+        (steady_state.METHOD, "x", "p", 0.1),
+    ):
+        own: Any = state.estimators[method]
+        sd = np.sqrt(np.diag(getattr(own, covariance)))
+        root = scale * sd[:, None] * rng.normal(size=(len(sd), len(sd))) / np.sqrt(len(sd))
+        setattr(own, covariance, root @ root.T + np.diag((0.1 * scale * sd) ** 2))
+        setattr(own, mean, getattr(own, mean) + scale * sd)
+        own.informed_ns = informed_ns
+    state.estimators[pem.METHOD].fits = 3
+    state.estimators[pem.METHOD].window_s = 90.0
+    state.estimators[steady_state.METHOD].steady_s = 12.0
+
+
+def taught() -> fold.State:
+    state = fold.initial(MACHINE)
+    teach(state, NOW - 5 * SECOND)
+    return state
+
+
+def sds(state: fold.State) -> np.ndarray[Any, np.dtype[np.float64]]:
+    found: np.ndarray[Any, np.dtype[np.float64]] = np.sqrt(np.diag(state.estimators[pem.METHOD].covariance))
+    return found
+
+
+# Growing older
+
+
+@pytest.mark.parametrize("row", [row for row in ESTIMATORS if row.memory], ids=lambda row: row.method)
+def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
+    before, after = taught(), fold.initial(MACHINE)
+    assert warm(after, keep(before, NOW), 0.0, NOW)[row.method] == ""
+    memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
+    assert new.informed_ns == old.informed_ns
+    stays = [k for k, name in enumerate(memory.names) if name not in memory.passing]
+    assert getattr(new, memory.mean)[stays] == pytest.approx(getattr(old, memory.mean)[stays], abs=1e-9)
+    for count in memory.counts:
+        assert getattr(new, count) == getattr(old, count)
+    fresh = row.initial(MACHINE)
+    for name in memory.passing:
+        k = memory.names.index(name)
+        prior = getattr(fresh, memory.covariance)[k, k]
+        assert getattr(new, memory.covariance)[k, k] == pytest.approx(prior)
+    assert from_json(after) == after.estimators.keys()
+
+
+def from_json(state: fold.State) -> Any:
+    return fold.restore(MACHINE, fold.snapshot(state)).estimators.keys()
+
+
+def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
+    kept = keep(taught(), NOW)
+    six = sds(taught())[unknowns.SIX]
+    aged = []
+    for seconds in (0.0, DOUBLES_S, 2.0 * DOUBLES_S, 100.0 * DOUBLES_S):
+        state = fold.initial(MACHINE)
+        warm(state, kept, seconds, NOW)
+        aged.append(sds(state)[unknowns.SIX])
+    assert aged[0] == pytest.approx(six, rel=1e-6)
+    assert np.all(aged[1] < 2.0 * six) and np.all(aged[1] > 1.3 * six)
+    assert np.all(aged[2] > aged[1])
+    prior = sds(fold.initial(MACHINE))[unknowns.SIX]
+    assert aged[3] == pytest.approx(prior)
+    assert state.estimators[pem.METHOD].mean == pytest.approx(unknowns.prior(MACHINE)[0])
+
+
+def test_a_scalar_fades_by_the_formula() -> None:
+    state = taught()
+    own = state.estimators[pem.METHOD]
+    own.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
+    kept, after = keep(state, NOW), fold.initial(MACHINE)
+    warm(after, kept, DOUBLES_S, NOW)
+    prior = own.prior_sd[0]
+    assert sds(after)[0] == pytest.approx(prior / np.sqrt(0.25 * 100.0 + 0.75))
+
+
+def test_a_number_of_yesterday_is_stale_and_as_old_as_it_is() -> None:
+    state = fold.initial(MACHINE)
+    warm(state, keep(taught(), NOW), 36_000.0, NOW)
+    given = pem.estimate(state.estimators[pem.METHOD], MACHINE, NOW).parameters[0]
+    assert given.status is Status.STALE
+    assert given.value is not None
+    assert given.age_s == pytest.approx(36_005.0)
+
+
+def test_nothing_learned_is_nothing_kept() -> None:
+    assert keep(fold.initial(MACHINE), NOW) == {}
+
+
+SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"names": ("C_af",)}, "another version"),
+    ({"mean": np.zeros(3)}, "another version"),
+    ({"mean": np.full(len(unknowns.NAMES), np.nan)}, "no number"),
+    ({"covariance": -np.eye(len(unknowns.NAMES))}, "its covariance is none"),
+    ({"counts": {}}, "missing"),
+    ({"age_s": np.nan}, "missing"),
+)
+
+
+@pytest.mark.parametrize(("change", "told"), SPOILT)
+def test_what_is_spoilt_is_not_used(change: dict[str, Any], told: str) -> None:
+    kept = keep(taught(), NOW)
+    state = fold.initial(MACHINE)
+    why_not = warm(state, {**kept, "pem": replace(kept["pem"], **change)}, 0.0, NOW)
+    assert told in why_not["pem"]
+    assert why_not["steady_state"] == ""
+    assert np.array_equal(state.estimators["pem"].mean, fold.initial(MACHINE).estimators["pem"].mean)
+
+
+# The file
+
+
+def stored(tmp_path: Path) -> Path:
+    path = warm_start.path_of(tmp_path, MACHINE)
+    warm_start.write(path, warm_start.text_of(MACHINE, keep(taught(), NOW), NOW))
+    return path
+
+
+def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None:
+    path = stored(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
+    found = warm_start.read(path, MACHINE, NOW + 7 * SECOND)
+    assert found is not None
+    kept, elapsed_s = found
+    assert elapsed_s == 7.0
+    for method, wanted in keep(taught(), NOW).items():
+        assert kept[method].mean.tobytes() == wanted.mean.tobytes()
+        assert kept[method].covariance.tobytes() == wanted.covariance.tobytes()
+
+
+def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) -> None:
+    assert warm_start.read(tmp_path / "x.warm.json", MACHINE, NOW) is None
+    found = warm_start.read(stored(tmp_path), MACHINE, NOW - 1)
+    assert found is not None and found[1] == CLOCK_IS_WRONG_S
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("mass = 9391.0", "mass = 9400.0", "[tractor] of the machine file changed"),
+        ("mass = { value = 2127.0", "mass = { value = 2500.0", "[implement] of the machine file changed"),
+        ("cornering_stiffness = 220e3", "cornering_stiffness = 230e3", "[tyres] of the machine file changed"),
+        ('prefix = "tilth"', 'prefix = "other"', ""),
+    ],
+)
+def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str, told: str) -> None:
+    text = MACHINE_TEXT.replace(old, new, 1)
+    assert text != MACHINE_TEXT
+    path = stored(tmp_path)
+    if not told:
+        assert warm_start.read(path, parse_machine(text), NOW) is not None
+        return
+    with pytest.raises(NotUsable) as caught:
+        warm_start.read(path, parse_machine(text), NOW)
+    assert told in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda plain: {**plain, "format": 2},
+        lambda plain: {k: v for k, v in plain.items() if k != "sections"},
+        lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
+        lambda plain: {**plain, "methods": []},
+        lambda plain: {**plain, "utc_ns": "soon"},
+        lambda plain: [],
+    ],
+)
+def test_a_file_that_is_none_is_told(tmp_path: Path, change: Any) -> None:
+    path = stored(tmp_path)
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    with pytest.raises(NotUsable, match=r"damaged|another version"):
+        warm_start.read(path, MACHINE, NOW)
+    path.write_text(path.read_text()[:-9])
+    with pytest.raises(NotUsable, match="cannot be read"):
+        warm_start.read(path, MACHINE, NOW)
+
+
+# The daemon
+
+
+class Told(NoDisplay):
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def event(self, event: Event) -> None:
+        self.events.append(event)
+
+    def of_warm_start(self) -> list[str]:
+        return [event.text for event in self.events if event.kind == "warm_start"]
+
+
+@pytest.fixture
+def talker() -> Iterator[can.BusABC]:
+    with can.Bus(interface="virtual", channel="tilth-warm") as bus:
+        yield bus
+
+
+def a_run(folder: Path, **options: Any) -> tuple[Daemon, Told]:
+    machine, text = rig(folder, VIRTUAL)
+    told = Told()
+    daemon = Daemon(machine, text, folder, None, told, **options)
+    daemon.turn(0.0)
+    return daemon, told
+
+
+def now(frames: list[Frame]) -> list[Frame]:
+    shift_ns = Clock().t_ns() - frames[0].t_ns
+    return [replace(f, t_ns=f.t_ns + shift_ns, rx_ns=f.rx_ns + shift_ns) for f in frames]
+
+
+def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
+    tmp_path: Path, talker: can.BusABC
+) -> None:
+    first, told = a_run(tmp_path, keep=True)
+    assert told.events == []
+    teach(first._fold.state, Clock().t_ns())
+    first.close()
+    second, told = a_run(tmp_path, keep=True)
+    assert [text[:34] for text in told.of_warm_start()] == ["steady_state and pem go on from wh"]
+    assert second._fold.state.estimators["pem"].fits == 3
+    for frame in now(list(simulate(MACHINE, 3, 4.0))):
+        second.take(frame)
+    (log,) = second.close().log_files
+    kinds = [type(record) for record in open_log(log).records]
+    assert kinds[0] is Snapshot  # before any frame
+    machine, text = rig(tmp_path, VIRTUAL)
+    comparison = Comparison()
+    summary = replay([log], machine, text, outputs=Outputs(comparison=comparison))
+    assert comparison.difference == "" and comparison.compared > 500
+    assert summary.estimates["pem"].parameters[0].value is not None
+
+
+def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: can.BusABC) -> None:
+    first, _ = a_run(tmp_path, keep=True)
+    teach(first._fold.state, Clock().t_ns())
+    first.close()
+    fresh, told = a_run(tmp_path, keep=True, fresh=True)
+    assert told.events == [] and fresh._fold.state.estimators["pem"].fits == 0
+    fresh.close()
+    path = next(tmp_path.glob("*.warm.json"))  # still that of the first: the fresh run learned nothing
+    plain = json.loads(path.read_text())
+    path.write_text(json.dumps({**plain, "sections": {**plain["sections"], "implement": "another"}}))
+    other, told = a_run(tmp_path, keep=True)
+    assert ["[implement] of the machine file changed" in text for text in told.of_warm_start()] == [True]
+    assert other._fold.state.estimators["pem"].fits == 0
+    other.close()
+
+
+def test_without_keeping_there_is_no_file(tmp_path: Path, talker: can.BusABC) -> None:
+    daemon, _ = a_run(tmp_path)
+    teach(daemon._fold.state, Clock().t_ns())
+    daemon.close()
+    assert list(tmp_path.glob("*.warm*")) == []
