@@ -36,7 +36,8 @@ def test_places_in_the_kernel_are_those_of_the_names() -> None:
     places = {
         "wheel_zero": predictor.ZERO, "wheel_gain": predictor.GAIN, "latency": predictor.LATENCY,
         "pair_t": predictor.PAIR, "lever_t": predictor.LEVER, "aside_i": predictor.ASIDE,
-        "cg_t": predictor.CG, "rolling": predictor.ROLLING, "curvature": predictor.CURVATURE, "q_v": predictor.Q,
+        "cg_t": predictor.CG, "rolling": predictor.ROLLING, "curvature": predictor.CURVATURE,
+        "q_v": predictor.Q,
         "s_yaw_rate": predictor.S_YAW, "s_velocity": predictor.S_VELOCITY, "s_position": predictor.S_POSITION,
     }  # fmt: skip
     assert {name: AT[name] for name in places} == places

@@ -24,7 +24,7 @@ from tilth.replay.driver import Outputs, replay
 from tilth.replay.readers import open_log
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import Event, Frame, Status
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 SECOND = 1_000_000_000
@@ -234,8 +234,8 @@ def talker() -> Iterator[can.BusABC]:
         yield bus
 
 
-def a_run(folder: Path, **options: Any) -> tuple[Daemon, Told]:
-    machine, text = rig(folder, VIRTUAL)
+def a_run(folder: Path, described: tuple[Machine, str] | None = None, **options: Any) -> tuple[Daemon, Told]:
+    machine, text = described or rig(folder, VIRTUAL)
     told = Told()
     daemon = Daemon(machine, text, folder, None, told, **options)
     daemon.turn(0.0)
@@ -254,7 +254,8 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert told.events == []
     teach(first._fold.state, Clock().t_ns())
     first.close()
-    second, told = a_run(tmp_path, keep=True)
+    second_rig = rig(tmp_path, VIRTUAL)
+    second, told = a_run(tmp_path, second_rig, keep=True)
     assert [text[:34] for text in told.of_warm_start()] == ["steady_state and pem go on from wh"]
     assert second._fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
@@ -262,7 +263,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     (log,) = second.close().log_files
     kinds = [type(record) for record in open_log(log).records]
     assert kinds[0] is Snapshot  # before any frame
-    machine, text = rig(tmp_path, VIRTUAL)
+    machine, text = second_rig
     comparison = Comparison()
     summary = replay([log], machine, text, outputs=Outputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
