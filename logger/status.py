@@ -51,13 +51,6 @@ def rejected(of_fold: Mapping[str, int], sources: Iterable[Source], bad_stamps: 
     return counts
 
 
-def health_of(status: pb.Status) -> str:
-    """One word for whoever watches from afar: good, degraded, bad."""
-    if not status.recording:
-        return "bad"
-    return "degraded" if status.problems else "good"
-
-
 def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str]:
     """What a person should do something about, worst first. zenoh: what is wrong with it, "" if nothing."""
     young = status.uptime_s < YOUNG_S

@@ -1,6 +1,7 @@
 """Publishes on Zenoh: <prefix>/<machine>/<key> for each row of CHANNELS that has a key.
 
-A plain get answers with the last value while it is fresh, a liveliness token says that this process lives.
+A plain get answers with the last value while it is fresh, and with its age in seconds as an attachment; a
+liveliness token says that this process lives; the rig itself is there from the start.
 Values are dropped rather than waited for: nothing here may cost a frame.
 """
 
@@ -12,11 +13,11 @@ from collections.abc import Callable, Sequence
 
 import zenoh
 
-from tilth.schemas.channels import CHANNELS
+from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.machine import Machine
 
 STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
-# What is computed from frames ends with them. Status and events are the process's own: the last one holds.
+# What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
 _COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
 _NETWORKED = ("tcp", "udp", "tls", "quic", "ws")  # protocols whose endpoints are HOST:PORT
 
@@ -47,6 +48,7 @@ class ZenohSink:
         }
         self._now_ns = now_ns
         self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
+        self.put("/rig", CHANNEL["/rig"].encode(machine))
         self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
         self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
 
@@ -90,7 +92,8 @@ class ZenohSink:
                     "the daemon cannot compute; see status"
                 )
             else:
-                query.reply(publisher.key_expr, data, encoding=publisher.encoding)
+                age = f"{age_ns * 1e-9:.3f}"
+                query.reply(publisher.key_expr, data, encoding=publisher.encoding, attachment=age)
 
 
 def why(error: zenoh.ZError) -> str:

@@ -14,6 +14,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message as ProtoMessage
 
 from tilth.schemas import flow
+from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 
@@ -125,6 +126,32 @@ def _encode_outcome(outcome: flow.FitOutcome) -> bytes:
     ).SerializeToString()
 
 
+def _encode_rig(machine: Machine) -> bytes:
+    tractor, implement, tyres = machine.tractor, machine.implement, machine.tyres
+    axles = (tyres.front, tyres.rear, tyres.implement)
+    values = (*(axle.cornering_stiffness for axle in axles), *(axle.relaxation_length for axle in axles))
+    message = pb.Rig(
+        name=machine.name,
+        a=tractor.a.value,
+        b=tractor.b.value,
+        c=tractor.c.value,
+        d=implement.d.value,
+        e=implement.e.value,
+        m_t=tractor.mass.value,
+        m_i=implement.mass.value,
+        I_t=tractor.yaw_inertia.value,
+        I_i=implement.yaw_inertia.value,
+        h_t=tractor.cg_height.value,
+        h_i=implement.cg_height.value,
+    )
+    for name, value, axle in zip(flow.PARAMETERS, values, axles * 2, strict=True):
+        message.priors.add(name=name, value=value, log_sd=axle.log_sd)
+    for receiver in machine.receiver:
+        forward, right, height = receiver.position
+        message.antennas.add(mount=receiver.mount.value, forward=forward, right=right, height=height)
+    return message.SerializeToString()
+
+
 def _encode_fix(position: flow.Position) -> bytes:
     variance = position.sd**2
     message = LocationFix(
@@ -168,6 +195,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
+    Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False),
 )
 
 # How far a field may differ between two kinds of machine, in its own unit: linear algebra libraries round

@@ -44,7 +44,7 @@ def test_topics_and_keys_are_used_once() -> None:
     keys = [c.key for c in CHANNELS if c.key]
     assert len(set(topics)) == len(topics) and len(set(keys)) == len(keys)
     methods = {f"soil_tire/{row.method}" for row in ESTIMATORS}
-    assert set(keys) == {"pose", "soil_tire", "event", "status", *methods}
+    assert set(keys) == {"pose", "soil_tire", "event", "status", "rig", *methods}
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS, ids=lambda k: k if isinstance(k, str) else "")

@@ -35,7 +35,7 @@ def _faults(layer: str, source: str) -> list[str]:
     outer = LAYERS[LAYERS.index(layer) + 1 :]
     if layer in HEARS_ZENOH_ONLY:
         outer += ("logger", "replay")
-    found = [name for name in _imports(tree) if name.startswith(tuple(f"tilth.{o}" for o in outer))]
+    found = [name for name in _imports(tree) if f"{name}.".startswith(tuple(f"tilth.{o}." for o in outer))]
     if layer in PURE:
         found += [name for name in _imports(tree) if name.split(".")[0] in IMPURE]
         for node in ast.walk(tree):

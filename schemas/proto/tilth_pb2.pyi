@@ -293,7 +293,7 @@ class Count(_message.Message):
     def __init__(self, reason: _Optional[str] = ..., count: _Optional[int] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s")
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -311,9 +311,6 @@ class Status(_message.Message):
     PROBLEMS_FIELD_NUMBER: _ClassVar[int]
     WHEEL_ANGLE_FIELD_NUMBER: _ClassVar[int]
     FIT_S_FIELD_NUMBER: _ClassVar[int]
-    HEALTH_FIELD_NUMBER: _ClassVar[int]
-    FAULTS_FIELD_NUMBER: _ClassVar[int]
-    LONGEST_TURN_S_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     run: str
     version: str
@@ -331,10 +328,7 @@ class Status(_message.Message):
     problems: _containers.RepeatedScalarFieldContainer[str]
     wheel_angle: ReceiverStatus
     fit_s: float
-    health: str
-    faults: _containers.RepeatedCompositeFieldContainer[Count]
-    longest_turn_s: float
-    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ...) -> None: ...
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ...) -> None: ...
 
 class Snapshot(_message.Message):
     __slots__ = ("t_ns", "machine_sha256", "state_json")
@@ -345,3 +339,57 @@ class Snapshot(_message.Message):
     machine_sha256: str
     state_json: str
     def __init__(self, t_ns: _Optional[int] = ..., machine_sha256: _Optional[str] = ..., state_json: _Optional[str] = ...) -> None: ...
+
+class Prior(_message.Message):
+    __slots__ = ("name", "value", "log_sd")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    LOG_SD_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    log_sd: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., log_sd: _Optional[float] = ...) -> None: ...
+
+class Antenna(_message.Message):
+    __slots__ = ("mount", "forward", "right", "height")
+    MOUNT_FIELD_NUMBER: _ClassVar[int]
+    FORWARD_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_FIELD_NUMBER: _ClassVar[int]
+    HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    mount: str
+    forward: float
+    right: float
+    height: float
+    def __init__(self, mount: _Optional[str] = ..., forward: _Optional[float] = ..., right: _Optional[float] = ..., height: _Optional[float] = ...) -> None: ...
+
+class Rig(_message.Message):
+    __slots__ = ("name", "a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i", "h_t", "h_i", "priors", "antennas")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    A_FIELD_NUMBER: _ClassVar[int]
+    B_FIELD_NUMBER: _ClassVar[int]
+    C_FIELD_NUMBER: _ClassVar[int]
+    D_FIELD_NUMBER: _ClassVar[int]
+    E_FIELD_NUMBER: _ClassVar[int]
+    M_T_FIELD_NUMBER: _ClassVar[int]
+    M_I_FIELD_NUMBER: _ClassVar[int]
+    I_T_FIELD_NUMBER: _ClassVar[int]
+    I_I_FIELD_NUMBER: _ClassVar[int]
+    H_T_FIELD_NUMBER: _ClassVar[int]
+    H_I_FIELD_NUMBER: _ClassVar[int]
+    PRIORS_FIELD_NUMBER: _ClassVar[int]
+    ANTENNAS_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    a: float
+    b: float
+    c: float
+    d: float
+    e: float
+    m_t: float
+    m_i: float
+    I_t: float
+    I_i: float
+    h_t: float
+    h_i: float
+    priors: _containers.RepeatedCompositeFieldContainer[Prior]
+    antennas: _containers.RepeatedCompositeFieldContainer[Antenna]
+    def __init__(self, name: _Optional[str] = ..., a: _Optional[float] = ..., b: _Optional[float] = ..., c: _Optional[float] = ..., d: _Optional[float] = ..., e: _Optional[float] = ..., m_t: _Optional[float] = ..., m_i: _Optional[float] = ..., I_t: _Optional[float] = ..., I_i: _Optional[float] = ..., h_t: _Optional[float] = ..., h_i: _Optional[float] = ..., priors: _Optional[_Iterable[_Union[Prior, _Mapping]]] = ..., antennas: _Optional[_Iterable[_Union[Antenna, _Mapping]]] = ...) -> None: ...

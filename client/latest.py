@@ -1,0 +1,122 @@
+"""What a controller may use at this moment, by a rule for what is too old that it had to choose."""
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tilth.estimator.models.family import model_named
+from tilth.estimator.models.parameters import Rig
+from tilth.schemas.flow import PARAMETERS, Estimate, Status
+
+Array = NDArray[np.float64]
+
+_N: Final = len(PARAMETERS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Staleness:
+    """Both in seconds, neither with a default: only the controller knows what its loop can bear.
+
+    silence_s: how old the last estimate may be. One comes each second while all is well; 3 is a usual choice.
+    data_s: how long ago the data may have informed a parameter. Soil changes with the place: at 2 m/s, 300 s
+    are 600 m. `math.inf` says that an estimate of this morning will do.
+    """
+
+    silence_s: float
+    data_s: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.silence_s) and self.silence_s > 0):
+            raise ValueError(f"silence_s = {self.silence_s}: give seconds above zero; 3 is a usual choice")
+        if not self.data_s > 0:
+            raise ValueError(f"data_s = {self.data_s}: give seconds above zero, or math.inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Latest:
+    """The last estimate, judged at the moment of asking."""
+
+    estimate: Estimate | None  # as published; None before the first
+    age_s: float  # of the estimate by this computer's own clock and what is known of its way; inf before
+    refusals: tuple[str, ...]  # of each of PARAMETERS: why it may not be used, "" where it may
+
+    @property
+    def usable(self) -> tuple[bool, ...]:
+        """Of each of PARAMETERS."""
+        return tuple(not refusal for refusal in self.refusals)
+
+    @property
+    def reason(self) -> str:
+        """Why not all may be used, "" where all may."""
+        names: dict[str, list[str]] = {}
+        for name, refusal in zip(PARAMETERS, self.refusals, strict=True):
+            if refusal:
+                names.setdefault(refusal, []).append(name)
+        return "; ".join(f"{', '.join(of)}: {refusal}" for refusal, of in names.items())
+
+    def theta(self, nominal: ArrayLike) -> Array:
+        """What may be used, and `nominal` elsewhere: shape (6,), as PARAMETERS, N/rad and m."""
+        values = np.array(nominal, dtype=float)
+        if self.estimate is not None:
+            for i, parameter in enumerate(self.estimate.parameters):
+                if not self.refusals[i] and parameter.value is not None:
+                    values[i] = parameter.value
+        return values
+
+    def log_covariance(self, nominal: ArrayLike) -> Array:
+        """Covariance of the natural logarithms of `theta`, shape (6, 6): the estimate's block for what may be
+        used, that of `nominal` (shape (6, 6)) for the rest, nothing between the two."""
+        covariance = np.array(nominal, dtype=float)
+        if covariance.shape != (_N, _N):
+            raise ValueError(f"nominal has shape {covariance.shape}, not (6, 6)")
+        used = np.array(self.usable)
+        covariance[np.not_equal.outer(used, used)] = 0.0
+        if self.estimate is not None and used.any():
+            block = np.ix_(used, used)
+            covariance[block] = np.reshape(self.estimate.log_covariance, (_N, _N))[block]
+        return covariance
+
+
+class Linear(NamedTuple):
+    """x' = A x + B w for small motions about straight running at one speed; see estimator.models.family."""
+
+    A: Array  # (n, n)
+    B: Array  # (n, m)
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+
+def linear(rig: Rig, theta: ArrayLike, u: float, model: str = "relaxation") -> Linear:
+    """The matrices of a rig with these soil-tyre parameters (shape (6,)) at forward speed u (m/s).
+
+    model: of estimator.models.family.MODELS. Raises ValueError where there is no such model, or where it does
+    not hold at that speed.
+    """
+    row = model_named(model)
+    values = dict(zip(PARAMETERS, np.asarray(theta, dtype=float).tolist(), strict=True))
+    if not math.isfinite(u) or (u == 0 and not row.at_rest):
+        raise ValueError(f"u = {u}: the {model} model does not hold there")
+    return Linear(*row.matrices(rig._replace(**values), u), row.states, row.inputs)
+
+
+def judge(estimate: Estimate | None, age_s: float, rule: Staleness) -> Latest:
+    """What the rule leaves of an estimate that is so old."""
+    if estimate is None:
+        return Latest(None, math.inf, ("nothing has been heard yet",) * _N)
+    if age_s > rule.silence_s:
+        told = "how old it is cannot be known" if math.isinf(age_s) else f"no estimate for {age_s:.1f} s"
+        return Latest(estimate, age_s, (f"{told}: the daemon, its buses or the network have stopped",) * _N)
+    return Latest(estimate, age_s, tuple(_refusal(estimate, i, age_s, rule) for i in range(_N)))
+
+
+def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> str:
+    parameter = estimate.parameters[i]
+    if parameter.status is not Status.ESTIMATED:
+        return f"{parameter.status.name.lower()}: {parameter.reason}"
+    if parameter.age_s is None:
+        return "" if math.isinf(rule.data_s) else "it does not say when data last informed it"
+    data_s = parameter.age_s + age_s
+    return "" if data_s <= rule.data_s else f"stale: data last informed it {data_s:.0f} s ago"

@@ -1,0 +1,166 @@
+"""What came over Zenoh, checked: bytes of anybody become values of schemas.flow, or a refusal in words.
+
+Nothing here trusts its sender. A field that this version does not know is passed over; a value that no rig
+can have makes its parameter invalid; whatever is not the message it should be is refused as a whole.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+from google.protobuf.message import DecodeError, Message
+
+from tilth.estimator.models.parameters import GEOMETRY, RIG_PARAMETERS, TABLE_5_1, Rig, checked
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
+from tilth.schemas.proto import tilth_pb2 as pb
+
+LARGEST: Final = 64 * 1024  # bytes of a payload; an estimate has one or two thousand
+LONGEST: Final = 500  # characters of a text that is passed on
+_RANGE: Final = {row.name: (row.low, row.high) for row in RIG_PARAMETERS}
+_N: Final = len(PARAMETERS)
+_SYMMETRIC: Final = 1e-6  # of the largest variance
+
+M = TypeVar("M", bound=Message)
+
+
+class Refused(Exception):
+    """What came cannot be used; the text says why."""
+
+
+class Antenna(NamedTuple):
+    """Of a receiver: forward and right of its body's CG and above the ground, m."""
+
+    mount: str
+    forward: float
+    right: float
+    height: float
+
+
+class HeardRig(NamedTuple):
+    """The machine file of the daemon, as far as it is published."""
+
+    name: str
+    rig: Rig  # priors as soil-tyre parameters; what is not in a machine file has the defaults of the models
+    prior_log_sd: tuple[float, ...]  # of PARAMETERS
+    antennas: tuple[Antenna, ...]
+
+
+def parse(message: type[M], data: bytes, encoding: str) -> M:
+    """The message that these bytes are. Raises Refused."""
+    name = message.DESCRIPTOR.name
+    if len(data) > LARGEST:
+        raise Refused(f"{len(data)} bytes are too many for {name}")
+    wanted = f"application/protobuf;tilth.{name}"
+    if encoding != wanted:
+        raise Refused(f"its encoding is {encoding[:80]!r}, not {wanted!r}")
+    found = message()
+    try:
+        found.ParseFromString(data)
+    except DecodeError:
+        raise Refused(f"not a {name}") from None
+    return found
+
+
+def estimate_of(data: bytes, encoding: str) -> Estimate:
+    """Raises Refused."""
+    message = parse(pb.SoilTireEstimate, data, encoding)
+    names = tuple(row.name for row in message.parameters)
+    if names != PARAMETERS:
+        raise Refused(
+            f"an estimate of {', '.join(names)[:80] or 'nothing'}: not this version's six parameters"
+        )
+    if message.t_ns == 0:
+        raise Refused("an estimate without a time")
+    covariance = tuple(message.log_covariance)
+    wrong = _wrong_covariance(covariance)
+    rows = tuple(_parameter(row, i, covariance, wrong) for i, row in enumerate(message.parameters))
+    return Estimate(
+        t_ns=message.t_ns,
+        method=text(message.method),
+        model=text(message.model),
+        parameters=rows,
+        log_covariance=() if wrong else covariance,
+        per_mass=tuple(row.per_mass if row.HasField("per_mass") else None for row in message.parameters),
+        nuisances={text(n.name): (n.value, n.sd) for n in message.nuisances},
+        rank=message.rank,
+        condition=message.condition if message.HasField("condition") else None,
+        excitation={text(e.name): e.value for e in message.excitation},
+        window_s=message.window_s,
+        rule=text(message.rule),
+        determined=tuple(map(text, message.determined)),
+        bound=tuple(message.bound),
+        advice=text(message.advice),
+    )
+
+
+def _parameter(row: pb.Parameter, i: int, covariance: Sequence[float], wrong: str) -> ParameterEstimate:
+    value = row.value if row.HasField("value") else None
+    sd = row.sd if row.HasField("sd") else None
+    age_s = row.age_s if row.HasField("age_s") else None
+    if int(row.status) not in set(map(int, Status)):
+        return ParameterEstimate(None, None, Status.INVALID, f"status {row.status} is not known here")
+    status = Status(row.status)
+    told = text(row.reason)
+    if status is Status.ESTIMATED:
+        low, high = _RANGE[row.name]
+        if value is None or not low <= value <= high:  # not a number is in no range
+            told = f"its value is {value}; a rig has {low:g} to {high:g}"
+        elif sd is None or not (math.isfinite(sd) and sd > 0):
+            told = f"its standard deviation is {sd}"
+        elif wrong:
+            told = wrong
+        elif covariance[i * _N + i] <= 0:
+            told = "it has no variance"
+        elif age_s is not None and not age_s >= 0:
+            told = f"its age is {age_s}"
+        else:
+            return ParameterEstimate(value, sd, status, told, age_s)
+        return ParameterEstimate(None, None, Status.INVALID, told)
+    return ParameterEstimate(value, sd, status, told or "no reason is given", age_s)
+
+
+def _wrong_covariance(covariance: Sequence[float]) -> str:
+    """Why it is none, "" where it is one. Rows of parameters without an estimate may be zero."""
+    if len(covariance) != _N * _N:
+        return f"a covariance of {len(covariance)} numbers; {_N * _N} are needed"
+    matrix = np.reshape(covariance, (_N, _N))
+    if not np.isfinite(matrix).all():
+        return "a covariance with something that is no number"
+    scale = max(float(np.abs(matrix).max()), 1e-12)
+    if np.abs(matrix - matrix.T).max() > _SYMMETRIC * scale:
+        return "a covariance that is not symmetric"
+    if np.linalg.eigvalsh(matrix)[0] < -_SYMMETRIC * scale:
+        return "a covariance with a negative variance"
+    return ""
+
+
+def event_of(data: bytes, encoding: str) -> Event:
+    """Raises Refused."""
+    message = parse(pb.Event, data, encoding)
+    place = message.HasField("latitude_deg") and message.HasField("longitude_deg")
+    latitude, longitude = (message.latitude_deg, message.longitude_deg) if place else (None, None)
+    return Event(message.t_ns, text(message.kind), text(message.text), latitude, longitude)
+
+
+def rig_of_message(data: bytes, encoding: str) -> HeardRig:
+    """Raises Refused."""
+    message = parse(pb.Rig, data, encoding)
+    if tuple(row.name for row in message.priors) != PARAMETERS:
+        raise Refused("a rig without priors of this version's six parameters")
+    values = {name: getattr(message, name) for name in (*GEOMETRY, "h_t", "h_i")}
+    values |= {row.name: row.value for row in message.priors}
+    spread = tuple(row.log_sd for row in message.priors)
+    antennas = tuple(Antenna(text(row.mount), row.forward, row.right, row.height) for row in message.antennas)
+    numbers = [*spread, *(number for antenna in antennas for number in antenna[1:])]
+    if not all(map(math.isfinite, numbers)) or min(spread) <= 0:
+        raise Refused("a rig with something that is no number")
+    try:
+        return HeardRig(text(message.name), checked(TABLE_5_1._replace(**values)), spread, antennas[:4])
+    except ValueError as error:
+        raise Refused(f"a rig that cannot be: {error}") from None
+
+
+def text(told: str) -> str:
+    """A text of somebody else, short and in one line."""
+    return "".join(sign if sign.isprintable() else " " for sign in told[:LONGEST])
