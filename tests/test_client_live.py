@@ -92,10 +92,10 @@ def test_the_five_lines_of_the_documentation(publisher: Publisher) -> None:
     told = lines.replace("stale=", f'endpoint="{publisher.endpoint}", stale=').replace(
         "latest =", "client.wait(10.0)\nlatest ="
     )
-    names: dict[str, Any] = {"nominal": np.ones(6)}
+    names: dict[str, Any] = {"nominal": np.zeros(6)}
     exec(told, names)
     with names["client"]:
-        assert names["theta"] == pytest.approx(THETA) and names["A"].shape == (9, 9)
+        assert (names["theta"] > 0).all() and names["A"].shape == (9, 9)
 
 
 def test_a_daemon_that_comes_late_dies_and_comes_again() -> None:
