@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from client_daemon import LOG_SD, THETA, encoded, estimate
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import TEXT
 
@@ -25,6 +25,7 @@ ENCODING = "application/protobuf;tilth.SoilTireEstimate"
 RULE = Staleness(silence_s=3.0, data_s=600.0)
 LIMITS = Limits(ratio=2.0, per_s=0.1)
 NOMINAL = np.array(THETA)
+BOUNDED = settings(derandomize=True, max_examples=80, deadline=None)
 
 
 def changed(**changes: Any) -> pb.SoilTireEstimate:
@@ -105,6 +106,7 @@ def test_what_is_not_an_estimate_is_refused_in_words(data: bytes, encoding: str,
     assert len(str(caught.value)) < 200
 
 
+@BOUNDED
 @given(st.binary(max_size=300))
 def test_any_bytes_are_refused_or_of_no_use(data: bytes) -> None:
     for parse in (estimate_of, event_of, rig_of_message):
@@ -303,6 +305,7 @@ def test_nominal_is_six_numbers_above_zero(nominal: list[float]) -> None:
         Cautious(nominal, LIMITS)
 
 
+@BOUNDED
 @given(
     st.lists(
         st.tuples(

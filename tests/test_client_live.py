@@ -157,7 +157,7 @@ def test_strangers_cannot_make_it_use_what_is_not_so(publisher: Publisher) -> No
         assert told is not None
         hostile = (
             (KEY, b"\xff" * 100, ENCODING, "not a SoilTireEstimate"),
-            (KEY, b"x" * 10_000_000, ENCODING, "too many"),
+            (KEY, b"x" * 1_000_000, ENCODING, "too many"),
             (KEY, encoded(estimate()), zenoh.Encoding("text/html"), "text/html"),
             ("**", encoded(estimate(told.t_ns + 1)), ENCODING, "not to this machine alone"),
             (f"tilth/*/{KEY.rpartition('/')[2]}", encoded(estimate()), ENCODING, "not to this machine"),
@@ -165,7 +165,7 @@ def test_strangers_cannot_make_it_use_what_is_not_so(publisher: Publisher) -> No
         )
         until(lambda: (stranger.put(KEY, b""), refused(client, "encoding"))[1])  # until there is a way in
         for key, data, encoding, words in hostile:
-            stranger.put(key, data, encoding=encoding)
+            stranger.put(key, data, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK)
             until(partial(refused, client, words))
         stranger.delete(KEY)
         until(lambda: "a deletion" in client.refused)
