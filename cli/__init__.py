@@ -19,6 +19,7 @@ from tilth.schemas.machine import MachineError
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
 COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
+    ("mark", "note an event in the log of the daemon that runs"),
     ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
     ("decode", "print the messages of a log, one JSON object a line"),
     ("replay", "feed logs through the estimators again"),

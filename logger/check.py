@@ -106,7 +106,7 @@ def _disk(folder: Path) -> Iterator[Finding]:
         return
     yield Finding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     free = shutil.disk_usage(place).free
-    hours = hours_left(free, 0, 0.0) or 0.0
+    hours = hours_left(free)
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
     if hours < LOW_HOURS:
         yield Finding("disk", PROBLEM, f"{text}; make room")

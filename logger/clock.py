@@ -1,15 +1,22 @@
 """The one clock of a run: CLOCK_REALTIME at its start plus what CLOCK_MONOTONIC has counted since.
 
-It never steps. The wall clock may (NTP, a GNSS time source, a person); the relation of the two is recorded.
+It never steps. The wall clock may (NTP, a GNSS time source, a person); the relation of the two is recorded,
+and so is what the receivers say of UTC: a computer without a battery-backed clock begins each day in 1970.
 """
 
+import statistics
 import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
 STEP_NS = 100_000_000  # a change of (wall clock - this clock) that counts as a step, between two looks
 OLDEST_NS = 2_000_000_000  # an interface's stamp further back than this is no stamp of this frame
 NEWEST_NS = -1_000_000  # or this far in the future: two reads of the wall clock, and its slewing
+WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
+EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
+HEARD = 8  # times told by receivers before they are believed, and at most so many times that are remembered:
+REMEMBERED = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +36,7 @@ class Clock:
         self.offset_ns = time.time_ns() - time.monotonic_ns()
         self.bad_stamps = 0
         self._wall_ahead_ns = 0
+        self._gnss_ahead: deque[int] = deque(maxlen=REMEMBERED)
 
     def t_ns(self) -> int:
         return time.monotonic_ns() + self.offset_ns
@@ -45,6 +53,26 @@ class Clock:
             return t_ns, t_ns - age_ns if age_ns > 0 else t_ns
         self.bad_stamps += 1
         return t_ns, t_ns
+
+    def told(self, rx_ns: int, utc_ns: int) -> None:
+        """A receiver said at rx_ns that it was utc_ns."""
+        self._gnss_ahead.append(utc_ns - rx_ns)
+
+    @property
+    def gnss_ahead_ns(self) -> int | None:
+        """UTC by the receivers less this clock; None until enough of them agree. Good to about a second."""
+        if len(self._gnss_ahead) < HEARD:
+            return None
+        return int(statistics.median(self._gnss_ahead))
+
+    @property
+    def correction_ns(self) -> int:
+        """What has to be added to t_ns to give UTC; 0 where the computer's clock was right at the start."""
+        ahead_ns = self.gnss_ahead_ns
+        if ahead_ns is not None:
+            return ahead_ns if abs(ahead_ns) > WRONG_NS else 0
+        began_wrong = self.t_ns() < EARLIEST_NS
+        return self._wall_ahead_ns if began_wrong and self.t_ns() + self._wall_ahead_ns > EARLIEST_NS else 0
 
     def relation(self) -> Relation:
         monotonic_ns = time.monotonic_ns()

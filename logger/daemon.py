@@ -10,6 +10,7 @@ import gc
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -22,12 +23,13 @@ from tilth.logger.clock import Clock
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.liveness import Sensors
+from tilth.logger.marks import KIND, Marks
 from tilth.logger.mcap_log import software
 from tilth.logger.recording import Recording
-from tilth.logger.status import bus_status, problems_of, rejected
+from tilth.logger.status import bus_status, hours_left, problems_of, rejected
 from tilth.logger.zenoh_sink import ZenohSink, why
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import Estimate, Event, Frame, Measurement
+from tilth.schemas.flow import Estimate, Event, Frame, Measurement, UtcTime
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -90,9 +92,10 @@ class Daemon:
         *,
         keep: bool = False,
         fresh: bool = False,
+        note: str = "",
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
-        folder learned, unless `fresh`, and keep it for later ones.
+        folder learned, unless `fresh`, and keep it for later ones. note: of the operator, for the log.
 
         Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
         """
@@ -105,8 +108,18 @@ class Daemon:
         self._fold = GuardedFold(machine, fitter=self._worker)
         self._buses = Buses(machine.bus, self._clock, self._report)
         self._warm_path = warm_start.path_of(folder, machine) if keep else None
-        state = self._fold.renew if not fresh and self._warmed() else None
-        self._recording = Recording(folder, machine, machine_text, self._clock, self._report, state)
+        warmed = not fresh and self._warmed()
+        self._recording = Recording(
+            folder,
+            machine,
+            machine_text,
+            self._clock,
+            self._report,
+            self._fold.renew,
+            with_state=warmed,
+            note=note,
+        )
+        self._marks = Marks()
         self._no_zenoh = ""  # why there is no session although one is wanted
         self._sink = self._open_zenoh(suffix) if suffix is not None else None
         self._sensors = Sensors(machine)
@@ -136,9 +149,11 @@ class Daemon:
         t_ns = self._clock.t_ns()
         if t_ns >= self._next_second_ns:
             self._second(t_ns)
+        self._recording.tick(t_ns)
         if t_ns >= self._next_show_ns:
             self._show(t_ns)
         self._publish_events()
+        self._note_marks()
         return len(frames)
 
     def close(self) -> Summary:
@@ -150,6 +165,7 @@ class Daemon:
             if self._sink is not None:
                 last.callback(self._sink.close)
             last.callback(self._publish_events)
+            last.callback(self._note_marks)
             last.callback(self._recording.close)
             last.callback(self._worker.close)
             last.callback(self._publish_events)
@@ -168,6 +184,8 @@ class Daemon:
             value = publication.value
             if isinstance(value, Measurement):
                 self._sensors.heard(value)
+                if isinstance(value, UtcTime):
+                    self._clock.told(value.rx_ns, value.utc_ns)
             elif isinstance(value, Event):
                 self._tell(value)
 
@@ -180,7 +198,6 @@ class Daemon:
         self._next_second_ns = t_ns + SECOND_NS
         self._watch_clock()
         self._buses.watch(t_ns)
-        self._recording.tick(t_ns, self._fold.renew)
         if self._fold.poses:  # a fit may be asked for soon; loading and compiling takes longer than one
             self._worker.start()
         if t_ns >= self._next_keep_ns:
@@ -250,9 +267,22 @@ class Daemon:
             self._put("/event", event.t_ns, CHANNEL["/event"].encode(event))
             self._tell(event)
 
+    def _note_marks(self) -> None:
+        """Log what an operator asked to be noted; publish and answer when it is on the disk, not before."""
+        for mark in self._marks.asked():
+            event = Event(self._clock.t_ns(), KIND, mark.text, *self._fold.place_deg)
+            self._recording.message("/event", event.t_ns, CHANNEL["/event"].encode(event))
+            self._recording.settle(partial(self._marks.settle, mark, event))
+        for mark, event, refusal in self._marks.settled():
+            if not refusal:
+                if self._sink is not None:
+                    self._sink.put("/event", CHANNEL["/event"].encode(event))
+                self._tell(event)
+            mark.answer(event, refusal)
+
     def _open_zenoh(self, suffix: str) -> ZenohSink | None:
         try:
-            sink = ZenohSink(self._machine, suffix)
+            sink = ZenohSink(self._machine, suffix, mark=self._marks.take)
         except ZError as error:
             self._no_zenoh = f"nothing is published: {why(error)}; correct [zenoh] in the machine file"
             self._report("zenoh", self._no_zenoh)
@@ -275,12 +305,15 @@ class Daemon:
             receivers=self._sensors.receivers(t_ns),
             wheel_angle=self._sensors.wheel_angle(t_ns),
             rejected=[pb.Count(reason=reason, count=count) for reason, count in self._rejected().items()],
-            recording=recording.recording,
+            recording=recording.recording or recording.resting,
             log_file=str(recording.files[-1]) if recording.recording else "",
             log_bytes=recording.size_bytes,
+            not_recorded=recording.missed,
+            resting=recording.resting,
         )
         if recording.free_bytes is not None:
             status.disk_free_bytes = recording.free_bytes
+            status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
         if self._worker.seconds is not None:
             status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem
@@ -288,7 +321,8 @@ class Daemon:
         return status
 
     def _rejected(self) -> dict[str, int]:
-        return rejected(self._fold.rejected, self._buses.sources, self._clock.bad_stamps)
+        other = {"stamp": self._clock.bad_stamps, "mark": self._marks.refused}
+        return rejected(self._fold.rejected, self._buses.sources, other)
 
     def _summary(self) -> Summary:
         return Summary(
@@ -323,16 +357,18 @@ def run_daemon(
     stop: Callable[[], bool] = lambda: False,
     keep: bool = False,
     fresh: bool = False,
+    note: str = "",
 ) -> Summary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 
     log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
-    buses carry a simulation. status: where to show, if anywhere. keep, fresh: as of
-    Daemon. Raises MachineError as Daemon does.
+    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note: as of Daemon.
+    Raises MachineError as Daemon does.
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
     suffix = prefix_suffix if zenoh else None
-    daemon = Daemon(machine, machine_text, folder, suffix, status or NoDisplay(), keep=keep, fresh=fresh)
+    display = status or NoDisplay()
+    daemon = Daemon(machine, machine_text, folder, suffix, display, keep=keep, fresh=fresh, note=note)
     # What exists by now stays: the collector need not look at it again and again.
     gc.collect()
     gc.freeze()

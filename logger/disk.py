@@ -1,64 +1,65 @@
-"""All waiting for the disk, in one thread: the loop hands files over and never stands still for them."""
+"""All waiting for the disk, in one thread: the loop hands bytes over and never stands still for them.
 
+A disk that stalls for seconds costs nothing: what it has not taken waits in memory, in order. Each batch is
+synced when it is written; where others wait behind it, one sync does for all.
+"""
+
+import fcntl
 import os
 import shutil
 import threading
-from collections import deque
+import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
-from typing import IO
-
-from tilth.logger.mcap_log import LogWriter
 
 LEAVE_S = 10.0  # how long the end of a run waits for a disk that does not answer
 
 
 class Disk:
-    """Syncs and closes files in the order asked for. `free_bytes` is of the disk, None until known."""
+    """The thread and what waits for it. `free_bytes` is of the disk, None until known."""
 
     def __init__(self, folder: Path) -> None:
         self.free_bytes: int | None = None
-        self.errors: deque[OSError] = deque()
-        self._folder = folder
-        self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._asked = 0
-        self._done = 0
+        self.folder = folder
+        self._jobs: SimpleQueue[tuple[Callable[[], None], int] | None] = SimpleQueue()
+        self._asked_bytes = 0  # counted by the loop
+        self._done_bytes = 0  # counted by the thread
+        self._busy_since_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="tilth-disk", daemon=True)
         self._thread.start()
 
     @property
-    def waiting(self) -> int:
-        """Jobs not done yet: more than a few means that the disk does not keep up."""
-        return self._asked - self._done
+    def waiting_bytes(self) -> int:
+        """Handed over and not yet on the disk."""
+        return self._asked_bytes - self._done_bytes
 
-    def sync(self, log: LogWriter) -> None:
-        """Bring what the log has flushed on to the disk; nothing where that is still under way."""
-        if self.waiting == 0:
-            self._ask(lambda: os.fdatasync(log.fileno()))
+    @property
+    def stalled_s(self) -> float:
+        """How long the disk has been at the job it is at; 0 where it has none."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
 
-    def sync_folder(self) -> None:
-        """Make the name of a new file survive a power cut."""
-        self._ask(lambda: _sync_folder(self._folder))
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits behind the job under way."""
+        return self._jobs.empty()
 
-    def close(self, stream: IO[bytes]) -> None:
-        """Sync and close a finished file."""
-        self._ask(lambda: _sync_and_close(stream))
+    def do(self, job: Callable[[], None], size: int = 0) -> None:
+        """Have the thread do something, after all it was given before; what it raises is the end of it."""
+        self._asked_bytes += size
+        self._jobs.put((job, size))
 
-    def abandon(self, log: LogWriter) -> None:
-        # Here and not in the loop: a sync of the same file may be under way.
-        self._ask(log.abandon)
-
-    def beside(self, job: Callable[[], None], failed: Callable[[OSError], None]) -> None:
+    def beside(self, job: Callable[[], None], failed: Callable[[Exception], None]) -> None:
         """Something that the log does not depend on."""
 
         def guarded() -> None:
             try:
                 job()
-            except OSError as error:
+            except Exception as error:  # whatever it is, the log's own jobs come after it
                 failed(error)
 
-        self._ask(guarded)
+        self.do(guarded)
 
     def stop(self) -> bool:
         """Wait until all is done; False where the disk does not answer."""
@@ -66,26 +67,152 @@ class Disk:
         self._thread.join(LEAVE_S)
         return not self._thread.is_alive()
 
-    def _ask(self, job: Callable[[], None]) -> None:
-        self._asked += 1
-        self._jobs.put(job)
-
     def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
+        while (asked := self._jobs.get()) is not None:
+            job, size = asked
+            self._busy_since_s = time.monotonic()
+            job()
+            self.look()
+            self._done_bytes += size
+            self._busy_since_s = None
+
+    def look(self) -> None:
+        """See how much room there is."""
+        try:
+            self.free_bytes = shutil.disk_usage(self.folder).free
+        except OSError:  # the folder is gone: whoever writes there notices
+            self.free_bytes = None
+
+
+class Spool:
+    """A file that the thread writes. `error` says why it no longer can, None while it can.
+
+    `safe_bytes`, `safe_frames`: what is on the disk for good. mcap.writer.Writer takes it for a stream.
+    """
+
+    def __init__(self, disk: Disk, path: Path) -> None:
+        self.path = path
+        self.opened = False
+        self.error: OSError | None = None
+        self.safe_bytes = 0
+        self.safe_frames = 0
+        self._disk = disk
+        self._size = 0
+        self._unsent: list[bytes] = []
+        # The thread's own.
+        self._descriptor = -1
+        self._written = 0
+        self._written_frames = 0
+
+    def write(self, data: bytes) -> int:
+        """Keep for the next `send`."""
+        self._unsent.append(data)
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        """Nothing: it is `send` that hands over."""
+
+    def send(self, frames: int) -> None:
+        """Hand over what was written; with it the file holds so many frames."""
+        batch, self._unsent = b"".join(self._unsent), []
+        if batch:
+            self._disk.do(lambda: self._guarded(lambda: self._append(batch, frames)), len(batch))
+
+    def close(self) -> None:
+        """Sync and close, when all that was sent is written. What was not sent is forgotten."""
+        self._disk.do(self._close)
+
+    def make(self, keep_free_bytes: float) -> None:
+        """In the thread, or before there is anything to keep waiting: make the file, so that its name
+        survives a power cut, and lock it, so that nobody takes it for an unfinished one."""
+        self._guarded(lambda: self._make(keep_free_bytes))
+
+    def settle(self, then: Callable[[OSError | None], None]) -> None:
+        """Call `then`, in the thread, when all that was sent is on the disk, or cannot be brought there."""
+
+        def settled() -> None:
+            self._guarded(self._sync)
+            then(self.error)
+
+        self._disk.do(settled)
+
+    def _guarded(self, job: Callable[[], None]) -> None:
+        if self.error is None:
             try:
                 job()
-                self.free_bytes = shutil.disk_usage(self._folder).free
             except OSError as error:
-                self.errors.append(error)
-            self._done += 1
+                self.error = error
+
+    def _make(self, keep_free_bytes: float) -> None:
+        folder = self.path.parent
+        folder.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder).free
+        if free < keep_free_bytes:
+            raise OSError(None, f"only {free / 1e6:.0f} MB free; make room", str(folder))
+        self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        # Another program's recovery may have been quicker to take the empty file, and to finish it as such.
+        fcntl.flock(self._descriptor, fcntl.LOCK_EX)
+        os.ftruncate(self._descriptor, 0)
+        sync_folder(folder)
+        self.opened = True
+
+    def _append(self, batch: bytes, frames: int) -> None:
+        rest = memoryview(batch)
+        try:
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+        except OSError:
+            # Half a batch is of no use, and a file with nothing whole in it only clutter.
+            if self._written:
+                os.ftruncate(self._descriptor, self._written)
+            else:
+                self.path.unlink(missing_ok=True)
+                self.opened = False
+            raise
+        self._written += len(batch)
+        self._written_frames = frames
+        if self._disk.idle:
+            self._sync()
+
+    def _sync(self) -> None:
+        if self.safe_bytes < self._written:
+            os.fdatasync(self._descriptor)
+        if os.fstat(self._descriptor).st_nlink == 0:
+            raise FileNotFoundError(None, "the file was removed", str(self.path))
+        self.safe_bytes = self._written
+        self.safe_frames = self._written_frames
+
+    def _close(self) -> None:
+        if self._descriptor < 0:
+            return
+        self._guarded(self._sync)
+        os.close(self._descriptor)
+        self._descriptor = -1
+
+    def rename(self, name: str) -> None:
+        """Give a finished file, in the same folder, the name it should have had."""
+        self._disk.do(lambda: self._guarded(lambda: self._rename(self.path.with_name(name))))
+
+    def _rename(self, path: Path) -> None:
+        try:
+            os.link(self.path, path)  # raises where that name is taken; at every instant there is one name
+        except FileExistsError:
+            return
+        except OSError:  # a file system without links: its rename is one step as well
+            self.path.rename(path)
+        else:
+            sync_folder(path.parent)
+            self.path.unlink()
+        self.path = path
+        sync_folder(path.parent)
 
 
-def _sync_and_close(stream: IO[bytes]) -> None:
-    with stream:
-        os.fsync(stream.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder survive a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -18,6 +18,7 @@ from tilth.estimator.fold import (
     snapshot,
     step,
 )
+from tilth.estimator.geometry import to_degrees
 from tilth.estimator.warm import Kept, keep, warm
 from tilth.logger.fitting import UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
@@ -66,6 +67,12 @@ class GuardedFold:
         self._resume_ns = 0
         self._counted = Counter[str]()  # of states given up
         self._rejected = Counter[str]()
+
+    @property
+    def place_deg(self) -> tuple[float | None, float | None]:
+        """Latitude and longitude of the tractor's centre of gravity at the last pose that had a position."""
+        place = self.state.place
+        return (None, None) if place is None else to_degrees(place[:2], *place[2:])
 
     @property
     def measurements(self) -> int:

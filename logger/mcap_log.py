@@ -6,6 +6,7 @@ File order is processing order. Used by the daemon (through recording.py) and by
 """
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import platform
@@ -19,7 +20,7 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import Message as ProtoMessage
 from mcap.writer import CompressionType, Writer
 
-from tilth.logger.clock import Relation, boot_id, utc_text
+from tilth.logger.clock import Clock, boot_id, utc_text
 from tilth.schemas.channels import CHANNEL, file_descriptor_set
 from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine import Machine
@@ -40,6 +41,7 @@ class Run:
     id: str
     part: int  # from 1
     started_ns: int  # t_ns of the run's start
+    note: str = ""  # what the operator says of it
 
 
 def machine_sha256(machine: Machine, machine_text: str) -> str:
@@ -68,13 +70,16 @@ def software() -> dict[str, str]:
 class LogWriter:
     """Writes one file. Every method may raise OSError; a file that did so is spoilt beyond its last flush."""
 
-    def __init__(self, path: Path, machine: Machine, machine_text: str, run: Run) -> None:
-        """Raises FileExistsError: a log is never overwritten."""
+    def __init__(
+        self, path: Path, machine: Machine, machine_text: str, run: Run, stream: IO[bytes] | None = None
+    ) -> None:
+        """stream: takes the bytes instead of a file made here. Raises FileExistsError: a log is never
+        overwritten."""
         self.path = path
         self.frames = 0
         self.flushed_bytes = 0
         self._machine_sha256 = machine_sha256(machine, machine_text)
-        self._stream: IO[bytes] = path.open("xb")
+        self._stream: IO[bytes] = _new_file(path) if stream is None else stream
         self._writer = Writer(
             self._stream,
             chunk_size=machine.log.chunk_kilobytes * 1024,
@@ -86,7 +91,8 @@ class LogWriter:
         self._writer.start(profile="", library=f"tilth {software()['version']}")
         self.metadata("machine", _machine_metadata(machine, machine_text))
         self.metadata("tilth", software())
-        self.metadata("run", {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)})
+        told = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
+        self.metadata("run", told | ({"note": run.note} if run.note else {}))
 
     def frame(self, frame: Frame) -> None:
         """Log a raw frame."""
@@ -117,9 +123,13 @@ class LogWriter:
         channel = self._register(SNAPSHOT_TOPIC, SNAPSHOT_TOPIC, pb.Snapshot)
         self._writer.add_message(channel, t_ns, snapshot.SerializeToString(), t_ns)
 
-    def clocks(self, relation: Relation, why: str) -> None:
-        """Log what the computer's clocks say: at start, at a step of the wall clock, at the end."""
-        numbers = {key: str(value) for key, value in asdict(relation).items()}
+    def clocks(self, clock: Clock, why: str) -> None:
+        """Log what the computer's clocks and the receivers say: at start, at a step of the wall clock, when
+        receivers tell that it is wrong, at the end. utc_minus_t_ns is the best that is known of UTC."""
+        numbers = {key: str(value) for key, value in asdict(clock.relation()).items()}
+        numbers["utc_minus_t_ns"] = str(clock.correction_ns)
+        if clock.gnss_ahead_ns is not None:
+            numbers["gnss_utc_minus_t_ns"] = str(clock.gnss_ahead_ns)
         self.metadata("clock", {"why": why, "boot_id": boot_id(), **numbers})
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
@@ -130,19 +140,16 @@ class LogWriter:
         self._writer.flush()
         self.flushed_bytes = self._stream.tell()
 
-    def fileno(self) -> int:
-        return self._stream.fileno()
-
-    def finish(self) -> IO[bytes]:
-        """Write the index; the file is whole then. Returns the stream, for syncing and closing."""
+    def finish(self) -> None:
+        """Write the index; the file is whole then."""
         self._writer.finish()
         self._stream.flush()
         self.flushed_bytes = self._stream.tell()
-        return self._stream
 
     def close(self) -> None:
         """Finish, sync and close."""
-        with self.finish() as stream:
+        with self._stream as stream:
+            self.finish()
             os.fsync(stream.fileno())
 
     def abandon(self) -> None:
@@ -163,6 +170,12 @@ class LogWriter:
         channel = self._writer.register_channel(topic, "protobuf", self._schemas[name])
         self._channels[key] = channel
         return channel
+
+
+def _new_file(path: Path) -> IO[bytes]:
+    stream = path.open("xb")
+    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody takes it for one that was left unfinished
+    return stream
 
 
 def _machine_metadata(machine: Machine, machine_text: str) -> dict[str, str]:

@@ -8,7 +8,6 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
 LOW_HOURS = 1.0  # of recording left
-SAMPLE_S = 20.0  # of recording before its rate is believed
 NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
 
 _RECEIVER_PROBLEMS: Mapping[str, str] = {
@@ -39,16 +38,16 @@ def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
     return status
 
 
-def rejected(of_fold: Mapping[str, int], sources: Iterable[Source], bad_stamps: int) -> dict[str, int]:
+def rejected(
+    of_fold: Mapping[str, int], sources: Iterable[Source], other: Mapping[str, int]
+) -> dict[str, int]:
     """Reasons and counts of every layer."""
     counts = dict(of_fold)
     for source in sources:
         for reason, count in (("remote", source.remote_frames), ("can_fd", source.fd_frames)):
             if count:
                 counts[reason] = counts.get(reason, 0) + count
-    if bad_stamps:
-        counts["stamp"] = bad_stamps
-    return counts
+    return counts | {reason: count for reason, count in other.items() if count}
 
 
 def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str]:
@@ -61,9 +60,9 @@ def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str
     found += [] if young else _sensor_problems(status)
     if zenoh:
         found.append(f"zenoh: {zenoh}")
-    left = hours_left(recording.free_bytes, recording.size_bytes, status.uptime_s)
-    if left is not None and left < LOW_HOURS:
-        found.append(f"disk: {left * 60:.0f} minutes of recording left; make room in {recording.folder}")
+    if status.HasField("hours_left") and status.hours_left < LOW_HOURS:
+        minutes = status.hours_left * 60
+        found.append(f"disk: {minutes:.0f} minutes of recording left; make room in {recording.folder}")
     return found
 
 
@@ -80,9 +79,6 @@ def _sensor_problems(status: pb.Status) -> list[str]:
     return found
 
 
-def hours_left(free_bytes: int | None, written_bytes: int, uptime_s: float) -> float | None:
-    """Of recording, at the rate of this run or at a nominal one while it is young."""
-    if free_bytes is None:
-        return None
-    rate = written_bytes / uptime_s if uptime_s > SAMPLE_S and written_bytes else NOMINAL_BYTES_PER_S
-    return free_bytes / rate / 3600.0
+def hours_left(free_bytes: float, bytes_per_s: float | None = None) -> float:
+    """Of recording, at that rate or, where none is known yet, at a nominal one."""
+    return free_bytes / (bytes_per_s or NOMINAL_BYTES_PER_S) / 3600.0

@@ -14,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from tilth.logger.clock import utc_text
-from tilth.logger.status import hours_left
 from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -76,7 +75,7 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
     alive = sum(receiver.state == "alive" for receiver in status.receivers)
     rate = sum(bus.frames_per_s for bus in status.buses)
     parts = [
-        "recording" if status.recording else "NOT RECORDING",
+        "ready, ignition is off" if status.resting else "recording" if status.recording else "NOT RECORDING",
         f"{status.log_bytes / 1e6:.1f} MB",
         f"{status.frames} frames ({rate:.0f}/s)",
         f"receivers {alive}/{len(status.receivers)}",
@@ -128,6 +127,8 @@ def panel(
 def _headline(status: pb.Status) -> Text:
     minutes, seconds = divmod(int(status.uptime_s), 60)
     clock = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
+    if status.resting:
+        return Text.assemble(("○ READY", "bold green"), f"  {clock}  ignition is off: no frame on any bus")
     if status.recording:
         return Text.assemble(
             ("● RECORDING", "bold green"), f"  {clock}  {status.frames} frames, {status.poses} poses"
@@ -191,7 +192,7 @@ def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate
 def _log_line(status: pb.Status) -> Text:
     if not status.HasField("disk_free_bytes"):
         return Text(status.log_file)
-    left = hours_left(int(status.disk_free_bytes), status.log_bytes, status.uptime_s) or 0.0
+    left = status.hours_left
     room = f"{status.disk_free_bytes / 1e9:.1f} GB free, {'over 99' if left > 99 else f'{left:.0f}'} h"
     return Text(
         f"{status.log_file or 'no log file'}  {status.log_bytes / 1e6:.1f} MB  ({room})", overflow="fold"

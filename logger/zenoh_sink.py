@@ -26,11 +26,16 @@ class ZenohSink:
     """One session. `note` says what is unusual about it, empty if nothing is."""
 
     def __init__(
-        self, machine: Machine, prefix_suffix: str = "", now_ns: Callable[[], int] = time.monotonic_ns
+        self,
+        machine: Machine,
+        prefix_suffix: str = "",
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        mark: Callable[[zenoh.Query], None] | None = None,
     ) -> None:
         """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
 
-        now_ns: the clock that tells a value's age. Raises zenoh.ZError where no session can be had.
+        now_ns: the clock that tells a value's age. mark: takes queries on the key `mark`. Raises
+        zenoh.ZError where no session can be had.
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
         self.failures = 0
@@ -50,6 +55,8 @@ class ZenohSink:
         self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
         self.put("/rig", CHANNEL["/rig"].encode(machine))
         self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
+        if mark is not None:
+            self._session.declare_queryable(f"{self.base}/mark", mark, complete=True)
         self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
 
     @property

@@ -1,36 +1,26 @@
 """Reads MCAP logs: frames, snapshots and the results logged live, in file order, as far as the file is whole.
 
-The framing of records is walked here and not by mcap.stream_reader.StreamReader, which takes a record that
-runs past the end of a cut file for a whole one and reports cuts and zeros as four unlike errors. Chunks are
-taken apart by `_Channels.records`, at a fraction of what `iter_messages` costs (bench/replay_speed.py).
+Chunks are taken apart by `_Channels.records`, at a fraction of what `iter_messages` costs, and by
+`tilth.replay.arrays` at a fraction of that, where arrays of raw frames are enough (bench/replay_speed.py).
 """
 
 import io
-import struct
 from collections.abc import Container, Iterator
 from typing import BinaryIO
 
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC as MAGIC
-from zstandard import ZstdError
+from mcap.records import Channel, Metadata, Schema
 
+from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, unpacked, walk
 from tilth.logger.mcap_log import CAN_TOPIC, SNAPSHOT_TOPIC
 from tilth.replay.readers_log import EmptyLog, ForeignLog, Log, Logged, Record
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
 MACHINE = "machine"  # metadata record: name, toml, dbc, sha256
-
-_HEAD = struct.Struct("<BQ")  # opcode, length
-_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log_time, publish_time
-# What damaged bytes raise in the parsers of records and in the decompressors.
-_DAMAGE = (McapError, DecodeError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, OSError)
 
 
 class _Channels:
@@ -63,10 +53,10 @@ class _Channels:
         found: list[Record] = []
         keep = found.append
         parse = CanFrame.FromString
-        unpack = _MESSAGE.unpack_from
+        unpack = MESSAGE.unpack_from
         bus_of = self.buses.get
         end = len(data)
-        data += bytes(_MESSAGE.size)  # a short last record can be unpacked like any other
+        data += bytes(MESSAGE.size)  # a short last record can be unpacked like any other
         start = 0
         while start < end:
             opcode, length, channel, _, t_ns, _ = unpack(data, start)
@@ -98,14 +88,13 @@ def records(log: Log) -> Iterator[Record]:
     channels = _Channels(log)
     if _from_summary(channels, log.file) and not channels.buses:
         raise _no_frames(log)
-    log.file.seek(len(MAGIC))
     for opcode, body in _framed(log):
         try:
             if opcode == Opcode.CHUNK:
-                found = channels.records(_unpacked(body))
+                found = channels.records(unpacked(body))
             else:  # of a file without chunks
-                found = channels.records(_HEAD.pack(opcode, len(body)) + body)
-        except _DAMAGE:
+                found = channels.records(HEAD.pack(opcode, len(body)) + body)
+        except DAMAGE:
             log.skip("damaged_chunk")
         else:
             yield from found
@@ -116,11 +105,10 @@ def records(log: Log) -> Iterator[Record]:
 def metadata(log: Log) -> dict[str, dict[str, str]]:
     """The first metadata record of each name, as far as the file is whole."""
     found: dict[str, dict[str, str]] = {}
-    log.file.seek(len(MAGIC))
     for _, body in _framed(log, {Opcode.METADATA}):
         try:
             record = Metadata.read(ReadDataStream(io.BytesIO(body)))
-        except _DAMAGE:
+        except DAMAGE:
             log.skip("damaged_metadata")
         else:
             found.setdefault(record.name, record.metadata)
@@ -132,26 +120,13 @@ _WANTED = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL}
 
 def _framed(log: Log, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
     """(opcode, body) of the wanted records; sets log.truncated where the file ends without its footer."""
-    file = log.file
     log.truncated = True
-    while len(head := file.read(_HEAD.size)) == _HEAD.size:
-        opcode, length = _HEAD.unpack(head)
-        if opcode == 0 or length > log.size - file.tell():  # zeros after a power cut; a record cut short
-            return
-        if opcode == Opcode.FOOTER:
-            file.seek(length, io.SEEK_CUR)
-            log.truncated = file.read(len(MAGIC)) != MAGIC
-            return
-        if opcode in wanted:
-            yield opcode, file.read(length)
-        else:
-            file.seek(length, io.SEEK_CUR)
-
-
-def _unpacked(body: bytes) -> bytes:
-    """The records of a chunk, its checksum verified."""
-    stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(io.BytesIO(body))), validate_crc=True)
-    return stream.read(length)
+    for place in walk(log.file, log.size):
+        if place.opcode == Opcode.FOOTER:
+            log.file.seek(place.end)
+            log.truncated = log.file.read(len(MAGIC)) != MAGIC
+        elif place.opcode in wanted:
+            yield place.opcode, body_of(log.file, place)
 
 
 def _from_summary(channels: _Channels, file: BinaryIO) -> bool:
@@ -165,7 +140,7 @@ def _from_summary(channels: _Channels, file: BinaryIO) -> bool:
     file.seek(0)
     try:
         summary = make_reader(file).get_summary()
-    except _DAMAGE:
+    except DAMAGE:
         return False
     if summary is None:
         return False

@@ -23,6 +23,7 @@ def status_with(**fields: object) -> pb.Status:
     status.receivers.add(mount="implement_rear", state="lost", age_s=4.0)
     status.wheel_angle.state = "alive"
     status.disk_free_bytes = 1e9
+    status.hours_left = 240.0
     for name, value in fields.items():
         setattr(status, name, value)
     return status

@@ -1,0 +1,82 @@
+"""`tilth mark`: note an event in the log of the daemon that runs."""
+
+import argparse
+import json
+from pathlib import Path
+
+import zenoh
+
+from tilth.cli import WrongUse
+from tilth.logger.clock import utc_text
+from tilth.logger.machine_file import read_machine
+from tilth.logger.zenoh_sink import why
+from tilth.schemas.machine import Zenoh
+from tilth.schemas.proto import tilth_pb2 as pb
+
+WAIT_S = 10.0  # a disk may stall for some seconds before it takes the mark
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "mark",
+        help="note an event in the log of the daemon that runs",
+        description="Note a text, with time and place, in the log of the daemon that runs; done when it is "
+        "on the disk there.",
+    )
+    parser.add_argument("text", metavar="TEXT", help="one line, at most 1 kB")
+    parser.add_argument(
+        "--machine",
+        type=Path,
+        metavar="MACHINE.toml",
+        help="of the daemon, where several are heard or it has [zenoh] settings of its own",
+    )
+    parser.add_argument("--endpoint", metavar="TCP/HOST:PORT", help="where the daemon listens")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="a Zenoh configuration instead, with certificates"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where no daemon answers or it refuses."""
+    prefix, name, endpoints = Zenoh().prefix, "*", Zenoh().listen
+    if args.machine is not None:
+        machine, _ = read_machine(args.machine)
+        prefix, name, endpoints = machine.zenoh.prefix, machine.name, machine.zenoh.listen
+    try:
+        session = zenoh.open(_config(args.config, [args.endpoint] if args.endpoint else endpoints))
+    except zenoh.ZError as error:
+        raise WrongUse(f"no daemon can be reached: {why(error)}; is `tilth run` running?") from None
+    with session:
+        alive = [
+            str(reply.ok.key_expr) for reply in session.liveliness().get(f"{prefix}/{name}/alive") if reply.ok
+        ]
+        if len(alive) != 1:
+            heard = ", ".join(key.split("/")[-2] for key in alive)
+            raise WrongUse(
+                f"several daemons are heard: {heard}; say with --machine which of them"
+                if alive
+                else f"no daemon is heard on {prefix}/{name}; is `tilth run` running?"
+            )
+        key = alive[0].removesuffix("alive") + "mark"
+        replies = list(session.get(key, payload=args.text, encoding="text/plain", timeout=WAIT_S))
+    for reply in replies:
+        if reply.ok:
+            event = pb.Event.FromString(reply.ok.payload.to_bytes())
+            print(f"{utc_text(event.t_ns)} marked: {event.text}")
+            return 0
+        raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
+    raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before marking again")
+
+
+def _config(file: Path | None, endpoints: list[str]) -> zenoh.Config:
+    if file is not None:
+        return zenoh.Config.from_file(str(file))
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", "client"),
+        ("scouting/multicast/enabled", False),
+        ("connect/endpoints", endpoints),
+        ("connect/timeout_ms", 2000),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    return config

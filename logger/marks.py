@@ -1,0 +1,106 @@
+"""Marks of the operator: a text, asked to be noted by a query on <prefix>/<machine>/mark.
+
+The answer is a tilth.Event when the mark is on the disk, or an error in words. What is asked comes in a
+thread of Zenoh's; the daemon's loop logs it between two frames and hears from the disk's thread what became
+of it.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import zenoh
+
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Event
+
+MOST_BYTES: Final = 1024  # of UTF-8
+MOST_WAITING: Final = 16  # not answered yet; a person is slower
+KIND: Final = "mark"  # of the event, and the last part of the key
+
+
+class Refused(Exception):
+    """Why a text is no mark, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """`answer` is called once: with the event and "", or with why it is not in the log. It never raises."""
+
+    text: str
+    answer: Callable[[Event, str], None]
+
+
+class Marks:
+    """What was asked for and what became of it: two queues between threads."""
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self._asked: deque[Mark] = deque()
+        self._settled: deque[tuple[Mark, Event, str]] = deque()
+        self._at_disk = 0
+
+    def take(self, query: zenoh.Query) -> None:
+        """A query on the key itself; what asks for everything there is does not ask for this."""
+        if "*" in str(query.key_expr):
+            return
+        try:
+            text = text_of(query.payload)
+            if len(self._asked) + self._at_disk >= MOST_WAITING:
+                raise Refused("too many marks at a time; try again in a second")
+        except Refused as refusal:
+            self.refused += 1
+            query.reply_err(str(refusal))
+            return
+        self._asked.append(Mark(text, _answerer(query)))
+
+    def asked(self) -> Iterator[Mark]:
+        """Those to be logged now."""
+        while self._asked:
+            self._at_disk += 1
+            yield self._asked.popleft()
+
+    def settle(self, mark: Mark, event: Event, refusal: str) -> None:
+        """From any thread: it is on the disk, or why not."""
+        self._settled.append((mark, event, refusal))
+
+    def settled(self) -> Iterator[tuple[Mark, Event, str]]:
+        """Those to be answered now."""
+        while self._settled:
+            self._at_disk -= 1
+            yield self._settled.popleft()
+
+
+def text_of(payload: zenoh.ZBytes | None) -> str:
+    """The text of a mark. Raises Refused."""
+    size = 0 if payload is None else len(payload)
+    if payload is None or size == 0:
+        raise Refused("a mark needs a text: send it as the payload of the query, in UTF-8")
+    if size > MOST_BYTES:
+        raise Refused(f"this mark has {size} bytes, {MOST_BYTES} are the most; write less")
+    try:
+        text = payload.to_bytes().decode().strip()
+    except UnicodeDecodeError as error:
+        raise Refused(f"this mark is no UTF-8: {error.reason} at byte {error.start}") from None
+    if not text.isprintable():
+        raise Refused("this mark holds control characters; write plain text in one line")
+    if not text:
+        raise Refused("a mark needs a text, this one is blank")
+    return text
+
+
+def _answerer(query: zenoh.Query) -> Callable[[Event, str], None]:
+    channel = CHANNEL["/event"]
+
+    def answer(event: Event, refusal: str) -> None:
+        try:
+            if refusal:
+                query.reply_err(refusal)
+            else:
+                query.reply(query.key_expr, channel.encode(event), encoding=channel.encoding)
+            query.drop()
+        except zenoh.ZError:  # who asked has gone; the mark is in the log all the same
+            return
+
+    return answer

@@ -1,0 +1,87 @@
+"""The framing of MCAP files, walked as far as a file is whole: what replay, recovery and lists of logs share.
+
+Not mcap.stream_reader.StreamReader: that takes a record that runs past the end of a cut file for a whole one
+and reports cuts and zeros as four unlike errors.
+"""
+
+import io
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from google.protobuf.message import DecodeError
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
+
+MAGIC: bytes = MCAP0_MAGIC
+HEAD = struct.Struct("<BQ")  # opcode, length
+MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log_time, publish_time
+FOOTER_SIZE = HEAD.size + 20
+# What damaged bytes raise in the parsers of records and in the decompressors.
+DAMAGE = (McapError, DecodeError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, OSError)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a record stands in its file, bytes; `start` is of its opcode, `body` of what it holds."""
+
+    opcode: int
+    start: int
+    end: int
+
+    @property
+    def body(self) -> int:
+        return self.start + HEAD.size
+
+
+def place_at(file: BinaryIO, start: int, size: int) -> Place | None:
+    """The record that begins at `start` of a file of that size; None where none does that is whole."""
+    file.seek(start)
+    head = file.read(HEAD.size)
+    if len(head) < HEAD.size:
+        return None
+    opcode, length = HEAD.unpack(head)
+    if opcode == 0 or length > size - start - HEAD.size:  # zeros after a power cut; a record cut short
+        return None
+    return Place(opcode, start, start + HEAD.size + length)
+
+
+def walk(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[Place]:
+    """The whole records from `start` on, the footer the last. The file may be moved between two of them."""
+    while (place := place_at(file, start, size)) is not None:
+        yield place
+        if place.opcode == Opcode.FOOTER:
+            return
+        start = place.end
+
+
+def body_of(file: BinaryIO, place: Place) -> bytes:
+    file.seek(place.body)
+    return file.read(place.end - place.body)
+
+
+def is_finished(file: BinaryIO, size: int) -> bool:
+    """Whether the file begins and ends as a whole one does."""
+    if size < 2 * len(MAGIC) + FOOTER_SIZE:
+        return False
+    file.seek(0)
+    head = file.read(len(MAGIC))
+    file.seek(size - len(MAGIC) - FOOTER_SIZE)
+    end = file.read()
+    return head == end[FOOTER_SIZE:] == MAGIC and HEAD.unpack_from(end) == (Opcode.FOOTER, 20)
+
+
+def unpacked(body: bytes) -> bytes:
+    """The records of a chunk, its checksum verified. Raises one of DAMAGE."""
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
+    length_at = 32 + len(chunk.compression)
+    if int.from_bytes(body[length_at : length_at + 8], "little") != len(body) - length_at - 8:
+        raise ValueError("the chunk's own length is not that of its record")
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(length)

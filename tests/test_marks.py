@@ -1,0 +1,128 @@
+"""Marks of an operator: on the disk before anybody is told, refused with a reason otherwise."""
+
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+from loopback import free_port, machine_text, records_of, rig, session, udp_bus
+
+from tilth.cli import main
+from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.recovery import finish
+from tilth.schemas.proto import tilth_pb2 as pb
+
+KEY = "tilth/jd7930-parker500/mark"
+
+
+@contextmanager
+def turning(daemon: Daemon) -> Iterator[Daemon]:
+    """The daemon, going round in a thread of its own."""
+    stop = threading.Event()
+
+    def turn() -> None:
+        while not stop.is_set():
+            daemon.turn(0.01)
+        daemon.close()
+
+    thread = threading.Thread(target=turn)
+    thread.start()
+    try:
+        yield daemon
+    finally:
+        stop.set()
+        thread.join()
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    machine, text = rig(tmp_path, udp_bus("can0", free_port()))
+    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as one:
+        yield one
+
+
+def text_of(sample: zenoh.Sample) -> str:
+    return pb.Event.FromString(sample.payload.to_bytes()).text
+
+
+def ask(other: zenoh.Session, key: str, payload: bytes | str | None) -> list[zenoh.Reply]:
+    return list(other.get(key, payload=payload, timeout=10.0))
+
+
+def noted(folder: Path, cut: Path) -> list[str]:
+    """Marks in the log as a power cut now would leave it."""
+    (path,) = folder.glob("*.mcap")
+    copy = cut / "cut.mcap"
+    shutil.copy(path, copy)
+    finish(copy)
+    return [event.text for event in records_of(copy, "/event", pb.Event) if event.kind == "mark"]
+
+
+def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
+    daemon: Daemon, tmp_path: Path
+) -> None:
+    sink = daemon._sink
+    assert sink is not None
+    heard: list[str] = []
+    with session(sink.endpoints) as other:
+        events = KEY.replace("mark", "event")
+        with other.declare_subscriber(events, lambda sample: heard.append(text_of(sample))):
+            (reply,) = ask(other, KEY, "nasse Senke, Spur 3")
+            assert reply.ok is not None
+            event = pb.Event.FromString(reply.ok.payload.to_bytes())
+            assert (event.kind, event.text) == ("mark", "nasse Senke, Spur 3")
+            assert str(reply.ok.encoding) == "application/protobuf;tilth.Event"
+            assert noted(tmp_path / "logs", tmp_path) == ["nasse Senke, Spur 3"]
+        assert heard == ["nasse Senke, Spur 3"]
+
+
+REFUSED = {
+    "nothing": (None, "needs a text"),
+    "blank": ("  ", "blank"),
+    "long": ("x" * 1025, "1025 bytes"),
+    "huge": (b"y" * 10_000_000, "10000000 bytes"),
+    "no UTF-8": (b"\xff\xfe", "no UTF-8"),
+    "control characters": ("a\x1b[2Jb", "control characters"),
+}
+
+
+def test_what_is_no_mark_is_refused_with_a_reason_and_changes_nothing(daemon: Daemon, tmp_path: Path) -> None:
+    sink = daemon._sink
+    assert sink is not None
+    with session(sink.endpoints) as other:
+        for payload, reason in REFUSED.values():
+            (reply,) = ask(other, KEY, payload)
+            assert reply.err is not None and reason in reply.err.payload.to_string()
+        # Who asks for everything there is asks for no mark, and gets no error.
+        assert all(reply.ok for reply in ask(other, KEY.replace("mark", "**"), "by accident"))
+        assert ask(other, KEY, "x" * 1024)[0].ok
+    assert daemon._rejected()["mark"] == len(REFUSED)
+
+
+def test_a_mark_that_cannot_be_recorded_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "logs").write_text("a file where the folder should be")
+    machine, text = rig(tmp_path, udp_bus("can0", free_port()))
+    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as daemon:
+        assert daemon._sink is not None
+        with session(daemon._sink.endpoints) as other:
+            (reply,) = ask(other, KEY, "here")
+    assert reply.err is not None and "not record" in reply.err.payload.to_string()
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text(machine_text(tmp_path / "logs", udp_bus("can0", free_port())))
+    assert main(["mark", "nobody", "--machine", str(file)]) == 2
+    assert "tilth run" in capsys.readouterr().err
+    machine, text = rig(tmp_path / "logs", udp_bus("can0", free_port()))
+    file.write_text(text)
+    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())):
+        assert main(["mark", "stone", "--machine", str(file)]) == 0
+        assert "marked: stone" in capsys.readouterr().out
+        assert main(["mark", "x" * 2000, "--machine", str(file)]) == 2
+        assert "2000 bytes" in capsys.readouterr().err
+        assert main(["mark", "elsewhere", "--endpoint", machine.zenoh.listen[0]]) == 0
+    assert noted(tmp_path / "logs", tmp_path) == ["stone", "elsewhere"]
