@@ -32,7 +32,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser("replay", help="feed logs through the estimators again")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
     parser.add_argument(
-        "--machine", type=Path, metavar="M.toml", help="needed for logs that tilth did not write"
+        "--machine",
+        type=Path,
+        metavar="M.toml",
+        help="instead of the one in the log; needed where tilth did not write it",
     )
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="write frames and results to a new log")
     parser.add_argument("--publish", action="store_true", help="publish on Zenoh, under the replay prefix")

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import os
 import signal
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from tilth.cli import duration
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
+from tilth.logger.supervisor import of_environment
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -53,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
             stop=lambda: stopping,
             keep=True,
             fresh=args.fresh,
+            supervisor=of_environment(os.environ),
         )
     finally:
         display.close()

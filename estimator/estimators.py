@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from tilth.estimator import pem, steady_state, unknowns
+from tilth.estimator import pem, steady_state, two_step, unknowns
 from tilth.estimator.record import Stretch
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
@@ -51,6 +51,7 @@ class Estimator:
     events: Callable[[Any], list[tuple[str, str]]] = lambda state: []  # (kind, text) since the last call
     fitting: Fitting | None = None
     memory: Memory | None = None
+    asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -75,6 +76,24 @@ ESTIMATORS: tuple[Estimator, ...] = (
         Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
         Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("fits", "window_s")),
     ),
+    Estimator(
+        two_step.METHOD,
+        two_step.TwoStepState,
+        two_step.initial,
+        two_step.take,
+        two_step.estimate,
+        two_step.clock_stepped,
+        fitting=Fitting(
+            two_step.LATENCY_NS, two_step.wanted, two_step.fit, two_step.rehearse, two_step.adopt
+        ),
+        asked_for=lambda machine: machine.estimation.two_step,
+        # No memory: 7.20 forgets nothing, so that what it merged begins anew with each run.
+    ),
 )
 
 ROW: dict[str, Estimator] = {row.method: row for row in ESTIMATORS}
+
+
+def rows_for(machine: Machine) -> tuple[Estimator, ...]:
+    """The rows that run on a machine, in their order, which is also that of their fits in the worker."""
+    return tuple(row for row in ESTIMATORS if row.asked_for(machine))

@@ -10,12 +10,12 @@ from typing import Any
 
 from tilth.estimator import aligner, recorder
 from tilth.estimator.aligner import SILENCE_NS, Aligner
-from tilth.estimator.estimators import ESTIMATORS, ROW
+from tilth.estimator.estimators import ROW, rows_for
 from tilth.estimator.geometry import to_degrees
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
+from tilth.estimator.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.recommend import disagreement, recommend
 from tilth.estimator.recorder import RecordState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -70,7 +70,7 @@ class State:
 
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
-    estimators = {row.method: row.initial(machine) for row in ESTIMATORS}
+    estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine), estimators)
     state.estimates = _estimates_now(state)
     return state
@@ -80,7 +80,7 @@ def _estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> what can be said at this moment; "recommended" beside them."""
     now = {
         row.method: row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
-        for row in ESTIMATORS
+        for row in rows_for(state.machine)
     }
     return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
 
@@ -137,7 +137,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     stretch = recorder.observe(state.record, state.aligner, pose)
     given = []
-    for row in ESTIMATORS:
+    for row in rows_for(state.machine):
         own = state.estimators[row.method]
         estimate = row.take(own, state.machine, pose, stretch)
         if estimate is not None:
@@ -163,6 +163,8 @@ def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publica
     for estimate in given:
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
+    if not any(estimate.method in PREFERRED for estimate in given):
+        return  # of what is there to compare with, nothing follows
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
         _event(state, t_ns, "disagreement", found, out)
@@ -174,7 +176,7 @@ def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publica
 def ask(state: State, t_ns: int) -> list[tuple[str, Any]]:
     """(method, job) of the fits asked for after the frame of t_ns; `ROW[method].fitting` makes them."""
     jobs = []
-    for row in ESTIMATORS:
+    for row in rows_for(state.machine):
         job = row.fitting.wanted(state.estimators[row.method], t_ns) if row.fitting else None
         if job is not None:
             jobs.append((row.method, job))
@@ -185,7 +187,7 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
     """(method, job, t_ns from which it is to be decided) of the fits that were asked for."""
     return [
         (row.method, job, job.asked_ns + row.fitting.latency_ns)
-        for row in ESTIMATORS
+        for row in rows_for(state.machine)
         if row.fitting and (job := state.estimators[row.method].job) is not None
     ]
 
@@ -215,7 +217,7 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     state.aligner = aligner.initial(state.machine)
     recorder.clock_stepped(state.record)
     state.place = None
-    for row in ESTIMATORS:
+    for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], frame.t_ns - state.latest_ns)
     state.latest_ns = frame.t_ns
     text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"
@@ -244,7 +246,12 @@ def restore(machine: Machine, text: str) -> State:
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"this is no stored state of the decoder: {error}") from None
     stored = plain.pop("estimators", {})
-    estimators = {row.method: from_plain(row.state, stored.get(row.method)) for row in ESTIMATORS}
+    estimators = {
+        row.method: from_plain(row.state, stored[row.method])
+        if row.method in stored  # else the machine file that is replayed with asks for more
+        else row.initial(machine)
+        for row in rows_for(machine)
+    }
     given = {
         "machine": machine, "decoder": decoder, "estimators": estimators, "estimates": {},
     }  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.estimators import ESTIMATORS, Memory
+from tilth.estimator.estimators import Memory, rows_for
 from tilth.estimator.fold import State
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Kept:
 def keep(state: State, t_ns: int) -> dict[str, Kept]:
     """Method -> what it has learned by t_ns; only methods that have learned something."""
     kept = {}
-    for row in ESTIMATORS:
+    for row in rows_for(state.machine):
         memory, own = row.memory, state.estimators[row.method]
         if memory is None or not own.informed_ns:
             continue
@@ -55,7 +55,7 @@ def warm(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) ->
     Method -> why it could not be used, "" where it is.
     """
     told = {}
-    for row in ESTIMATORS:
+    for row in rows_for(state.machine):
         before = kept.get(row.method)
         if row.memory is None or before is None:
             continue

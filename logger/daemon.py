@@ -26,7 +26,9 @@ from tilth.logger.liveness import Sensors
 from tilth.logger.marks import KIND, Marks
 from tilth.logger.mcap_log import software
 from tilth.logger.recording import Recording
-from tilth.logger.status import bus_status, hours_left, problems_of, rejected
+from tilth.logger.status import bus_status, health_of, hours_left, problems_of, rejected
+from tilth.logger.status_line import plain_line
+from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh_sink import ZenohSink, why
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, UtcTime
@@ -93,9 +95,11 @@ class Daemon:
         keep: bool = False,
         fresh: bool = False,
         note: str = "",
+        supervisor: Supervisor | None = None,
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
         folder learned, unless `fresh`, and keep it for later ones. note: of the operator, for the log.
+        supervisor: is told that the loop lives.
 
         Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
         """
@@ -128,6 +132,9 @@ class Daemon:
         self._first_frame_ns: int | None = None
         self._last_frame_ns: int | None = None
         self._frames = 0
+        self._clock_steps = 0
+        self._longest_turn_ns = 0
+        self._supervisor = Supervisor({}) if supervisor is None else supervisor
         self._next_second_ns = self._started_ns
         self._next_show_ns = self._started_ns
         self._next_keep_ns = self._started_ns + KEEP_NS
@@ -139,6 +146,7 @@ class Daemon:
     def turn(self, timeout_s: float = TURN_S) -> int:
         """Wait for frames and take them, then do what is due. Returns the number of frames."""
         frames = self._buses.read(timeout_s)
+        began_ns = self._clock.t_ns()
         for frame in frames:
             self.take(frame)
         if frames:
@@ -154,14 +162,19 @@ class Daemon:
             self._show(t_ns)
         self._publish_events()
         self._note_marks()
+        ended_ns = self._clock.t_ns()
+        self._longest_turn_ns = max(self._longest_turn_ns, ended_ns - began_ns)
+        self._supervisor.turned(ended_ns)
         return len(frames)
 
     def close(self) -> Summary:
         """Take what the buses have still got, finish the log, end the session."""
+        self._supervisor.stopping()
         deadline_ns = self._clock.t_ns() + SECOND_NS
         with (
             contextlib.ExitStack() as last
         ):  # each of these, whatever happens to the others; the lowest first
+            last.callback(self._supervisor.close)
             if self._sink is not None:
                 last.callback(self._sink.close)
             last.callback(self._publish_events)
@@ -204,6 +217,7 @@ class Daemon:
             self._keep(t_ns)
         self._status = self._build_status(t_ns)
         self._put("/status", t_ns, CHANNEL["/status"].encode(self._status))
+        self._supervisor.status(plain_line(self._status, self._fold.estimates[RECOMMENDED]))
 
     def _warmed(self) -> bool:
         """Take up what earlier runs have learned, if anything, and say what became of it."""
@@ -251,6 +265,7 @@ class Daemon:
         relation = self._clock.relation()
         step_ns = self._clock.step_ns(relation)
         if step_ns:
+            self._clock_steps += 1
             text = (
                 f"the computer's clock was set by {step_ns * 1e-9:+.3f} s; the log's own clock goes on evenly"
             )
@@ -308,7 +323,6 @@ class Daemon:
             recording=recording.recording or recording.resting,
             log_file=str(recording.files[-1]) if recording.recording else "",
             log_bytes=recording.size_bytes,
-            not_recorded=recording.missed,
             resting=recording.resting,
         )
         if recording.free_bytes is not None:
@@ -318,7 +332,20 @@ class Daemon:
             status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem
         status.problems.extend(problems_of(status, recording, zenoh))
+        status.health = health_of(status)
+        status.faults.extend(pb.Count(reason=reason, count=n) for reason, n in self._faults().items() if n)
+        status.longest_turn_s = self._longest_turn_ns * 1e-9
+        self._longest_turn_ns = 0
         return status
+
+    def _faults(self) -> dict[str, int]:
+        return {
+            "not_recorded": self._recording.missed,  # frames
+            "not_published": 0 if self._sink is None else self._sink.failures,  # values
+            "estimators_failed": self._fold.faults,
+            "clock_stepped": self._clock_steps,
+            "not_notified": self._supervisor.failures,  # systemd
+        }
 
     def _rejected(self) -> dict[str, int]:
         other = {"stamp": self._clock.bad_stamps, "mark": self._marks.refused}
@@ -358,17 +385,21 @@ def run_daemon(
     keep: bool = False,
     fresh: bool = False,
     note: str = "",
+    supervisor: Supervisor | None = None,
 ) -> Summary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 
     log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
-    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note: as of Daemon.
-    Raises MachineError as Daemon does.
+    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note, supervisor:
+    as of Daemon. Raises MachineError as Daemon does.
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
     suffix = prefix_suffix if zenoh else None
-    display = status or NoDisplay()
-    daemon = Daemon(machine, machine_text, folder, suffix, display, keep=keep, fresh=fresh, note=note)
+    shown = status or NoDisplay()
+    daemon = Daemon(
+        machine, machine_text, folder, suffix, shown,
+        keep=keep, fresh=fresh, note=note, supervisor=supervisor,
+    )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.
     gc.collect()
     gc.freeze()

@@ -4,6 +4,7 @@ A disk that stalls for seconds costs nothing: what it has not taken waits in mem
 synced when it is written; where others wait behind it, one sync does for all.
 """
 
+import contextlib
 import fcntl
 import os
 import shutil
@@ -168,7 +169,9 @@ class Spool:
         except OSError:
             # Half a batch is of no use, and a file with nothing whole in it only clutter.
             if self._written:
-                os.ftruncate(self._descriptor, self._written)
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._descriptor, self._written)
+                    self._sync()
             else:
                 self.path.unlink(missing_ok=True)
                 self.opened = False

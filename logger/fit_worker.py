@@ -11,7 +11,7 @@ import sys
 import time
 from typing import Any
 
-from tilth.estimator.estimators import ESTIMATORS, ROW
+from tilth.estimator.estimators import ROW, rows_for
 from tilth.schemas.machine import Machine
 
 NICE = 10  # recording comes first
@@ -31,7 +31,7 @@ def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
 
 def rehearse(machine: Machine) -> None:
     """Compile what fits need before the first of them is asked for."""
-    for row in ESTIMATORS:
+    for row in rows_for(machine):
         if row.fitting is not None:
             row.fitting.rehearse(machine)
 

@@ -184,5 +184,6 @@ class GuardedFold:
         none = tuple(ParameterEstimate(None, None, Status.INVALID, reason) for _ in PARAMETERS)
         publications = [Publication(t_ns, "/event", Event(t_ns, "fault", reason))]
         for topic, method in _METHOD_OF.items():
-            publications.append(Publication(t_ns, topic, Estimate(t_ns, method, "", none, (), ())))
+            if method in self.estimates:
+                publications.append(Publication(t_ns, topic, Estimate(t_ns, method, "", none, (), ())))
         return publications

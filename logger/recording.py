@@ -274,8 +274,8 @@ class Recording:
 
     def _open(self, with_state: bool, at_once: bool = False) -> None:
         """Begin the next file. at_once: nothing is waiting yet, so wait for the disk."""
-        if self._spools and not self._spools[-1].opened:
-            self._spools.pop()
+        if self._spools and self._spools[-1].error is not None and not self._spools[-1].opened:
+            self._spools.pop()  # never made; one that the disk has only not come to yet will be
         part = len(self._spools) + 1
         spool = Spool(self._disk, self.folder / file_name(self._name, part))
         needed = self._keep_free + ROOM_BYTES

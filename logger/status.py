@@ -50,6 +50,13 @@ def rejected(
     return counts | {reason: count for reason, count in other.items() if count}
 
 
+def health_of(status: pb.Status) -> str:
+    """One word for whoever watches from afar: good, degraded, bad."""
+    if not status.recording:
+        return "bad"
+    return "degraded" if status.problems else "good"
+
+
 def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str]:
     """What a person should do something about, worst first. zenoh: what is wrong with it, "" if nothing."""
     young = status.uptime_s < YOUNG_S

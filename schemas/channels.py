@@ -192,6 +192,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire", pb.SoilTireEstimate, _encode_estimate, key="soil_tire"),
     Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
+    Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),

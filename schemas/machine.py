@@ -250,6 +250,13 @@ class Zenoh(_Section):
     connect: list[str] = Field(default_factory=list, description="Zenoh routers to reach")
 
 
+class Estimation(_Section):
+    two_step: bool = Field(
+        default=False,
+        description="also fit by the dissertation's two steps, to compare with: costs half as much as pem",
+    )
+
+
 class Machine(_Section):
     """A whole machine file."""
 
@@ -262,6 +269,7 @@ class Machine(_Section):
     wheel_angle: WheelAngle
     log: Log = Log()
     zenoh: Zenoh = Zenoh()
+    estimation: Estimation = Estimation()
 
     @property
     def name(self) -> str:

@@ -1,5 +1,10 @@
 """Options of the test run."""
 
+import os
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
+
+
 import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
 import pytest
 

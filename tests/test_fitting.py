@@ -1,6 +1,6 @@
 """Fits beside the loop: in time, late, lost; and that a replay uses each just where the live run did."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from logs import MACHINE, MACHINE_TEXT, Live, results_of
+from circle import demo_machine
+from logs import MACHINE_TEXT as PACKAGED
+from logs import Live, results_of
 
 from tilth.estimator import pem
+from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.plain import to_plain
 from tilth.logger.fitting import UNDECIDED, InPlace, Retold, Worker
 from tilth.logger.guarded_fold import GuardedFold
@@ -26,8 +29,11 @@ from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import FitOutcome
 
+TWO_STEP = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that two methods fit
+MACHINE, MACHINE_TEXT = demo_machine(**dict([TWO_STEP])), PACKAGED.replace(*TWO_STEP)
 SECOND = 1_000_000_000
 END_S = 22.0
+METHODS = tuple(row.method for row in ESTIMATORS if row.fitting)
 LOST = "signal 9"
 
 
@@ -47,16 +53,16 @@ def driven() -> list[Frame]:
 class Pocket:
     """Keeps the jobs. Whether fits are late is said beforehand: frames of a test come faster than any fit."""
 
-    def __init__(self, worker: Worker | None, late: bool = False) -> None:
-        self.jobs: list[Any] = []
+    def __init__(self, worker: Worker | None, late: Container[str] = ()) -> None:
+        self.jobs: dict[str, Any] = {}
         self.late = late
         self._worker = worker
 
     def ask(self, method: str, job: Any) -> None:
-        self.jobs.append(job)
+        self.jobs[method] = job
 
     def outcome(self, method: str, job: Any, t_ns: int) -> Any:
-        return None if self.late else self.made(method, job)
+        return None if method in self.late else self.made(method, job)
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
@@ -71,7 +77,7 @@ def a_job() -> pem.Job:
         fold.take(frame)
         if fitter.jobs:
             break
-    (job,) = fitter.jobs
+    job = fitter.jobs[pem.METHOD]
     assert isinstance(job, pem.Job)
     return job
 
@@ -234,21 +240,25 @@ def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
     return comparison.difference, said
 
 
-def outcomes(paths: Sequence[Path]) -> list[bool]:
+def outcomes(paths: Sequence[Path]) -> dict[str, bool]:
     logged = results_of(paths, frozenset({FIT_TOPIC})).get(FIT_TOPIC, [])
-    return [FitOutcome.FromString(row.data).adopted for row in logged]
+    told = [FitOutcome.FromString(row.data) for row in logged]
+    assert len(told) == len(METHODS)
+    return {outcome.method: outcome.adopted for outcome in told}
 
 
-@pytest.mark.parametrize(("late", "gap"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(
+    ("late", "gap"), [((), False), ((pem.METHOD,), False), (METHODS[1:], False), (METHODS, True)]
+)
 def test_a_run_with_a_fit_gives_its_own_bytes_again(
-    tmp_path: Path, worker: Worker, late: bool, gap: bool
+    tmp_path: Path, worker: Worker, late: tuple[str, ...], gap: bool
 ) -> None:
-    rows = without(driven(), 17.5, 21.0) if gap else driven()  # the fit is due in the gap
+    rows = without(driven(), 17.5, 21.5) if gap else driven()  # fits are due in the gap
     live = record(tmp_path, rows, Pocket(worker, late), Once())
     assert len(live.parts) == 4
-    assert outcomes(live.parts) == [not late]
+    assert outcomes(live.parts) == {method: method not in late for method in METHODS}
     assert replayed(live.parts) == ("", [])
-    for part in live.parts[1:3] if not gap else ():
+    for part in live.parts[1:3] if not late else ():
         assert replayed([part]) == ("", [])
 
 
@@ -263,20 +273,20 @@ def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(
     assert isinstance(told, Logged)
     outcome = FitOutcome.FromString(told.data)
     assert before[0].t_ns < outcome.asked_ns + pem.LATENCY_NS <= before[1].t_ns == told.t_ns == outcome.t_ns
-    assert isinstance(rows[at + 1], Frame)  # and is used at the next
-    used = rows[at + 2]
-    assert isinstance(used, Logged) and used.topic == "/soil_tire/pem"
+    used, first = rows[at + 1 : at + 3]  # at the next frame
+    assert isinstance(used, Frame)
+    assert isinstance(first, Logged) and first.topic == "/soil_tire/pem"
 
 
 def test_the_same_run_twice_and_another_with_its_stamps(tmp_path: Path, worker: Worker) -> None:
     (tmp_path / "late").mkdir()
-    late = record(tmp_path / "late", driven(), Pocket(worker, True), lambda fold: False).parts[0]
+    late = record(tmp_path / "late", driven(), Pocket(worker, METHODS), lambda fold: False).parts[0]
     in_time = record(tmp_path, driven(), Pocket(worker), lambda fold: False).parts[0]
     assert replayed([late, late, in_time, late])[0] == ""
 
 
 def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path, worker: Worker) -> None:
-    live = record(tmp_path, driven(), Pocket(worker, True), lambda fold: False)
+    live = record(tmp_path, driven(), Pocket(worker, METHODS), lambda fold: False)
     silent = tmp_path / "silent.mcap"
     writer = LogWriter(silent, MACHINE, MACHINE_TEXT, Run("s", 1, 0))
     for row in live.rows:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import pytest
 from circle import demo_machine
 
-from tilth.estimator import fold
+from tilth.estimator import estimators, fold
 from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.fold import State, initial, restore, snapshot, step
 from tilth.replay.tractor import Fault, Reclaim, Scenario, drive
@@ -209,7 +209,7 @@ def test_another_estimator_is_one_row(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (first, *_) = ESTIMATORS
-    monkeypatch.setattr(fold, "ESTIMATORS", (first, replace(first, method="other")))
+    monkeypatch.setattr(estimators, "ESTIMATORS", (first, replace(first, method="other")))
     state, out = run(frames(5.0))
     assert set(state.estimates) == {first.method, "other", fold.RECOMMENDED}
     recommended = [p.value for p in out if p.topic == "/soil_tire"]

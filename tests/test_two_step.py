@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from circle import START_NS, demo_machine
+from drives import QUIET, Changes, driven
 from numpy.typing import NDArray
 
 from tilth.estimator import two_step, two_step_fit, unknowns
+from tilth.estimator.fold import initial, restore, snapshot
 from tilth.estimator.linear_analysis import simulate
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import rig_of
@@ -245,3 +247,25 @@ def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     assert len(state.window) == 129
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0
+
+
+# Beside the others.
+
+ASKED_FOR: Changes = (("[zenoh]", "[estimation]\ntwo_step = true\n\n[zenoh]"),)
+
+
+def test_beside_the_others_it_changes_nothing_and_is_never_recommended() -> None:
+    usual, run = driven(QUIET, 42.0), driven(QUIET, 42.0, ASKED_FOR)
+    said = run.estimates(two_step.METHOD)
+    assert any(p.value is not None for p in said[-1].parameters)
+    assert {p.status for e in said for p in e.parameters} == {Status.UNESTIMATED, Status.INVALID}
+    own = f"/soil_tire/{two_step.METHOD}"
+    assert [p for p in run.publications if p.topic != own] == usual.publications
+
+
+def test_unless_the_machine_file_asks_for_it_it_is_not_there() -> None:
+    usual = driven(QUIET, 42.0)
+    assert not usual.estimates(two_step.METHOD) and two_step.METHOD not in usual.state.estimators
+    asking = demo_machine(**dict(ASKED_FOR))
+    taken_up = restore(asking, snapshot(initial(MACHINE)))  # a log of before, replayed with such a file
+    assert set(taken_up.estimators) == {*usual.state.estimators, two_step.METHOD}
