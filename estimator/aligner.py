@@ -6,12 +6,13 @@ position at or after that instant, at the latest DEADLINE_NS after it.
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from tilth.estimator import latency, plausibility
 from tilth.estimator.geometry import to_plane
 from tilth.estimator.latency import Latency
 from tilth.estimator.track import NEAR_NS, Sample, Track
+from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -34,6 +35,7 @@ SILENCE_NS = 10_000_000_000  # nobody spoke: no poses of what nobody saw
 FARTHEST = 5_000.0  # m from the origin: beyond, grid north leaves true north by more than a milliradian
 AGREEING = 100.0  # m: two positions that may both be true
 MOUNTS = tuple(Mount)
+_NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
 _USED = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
 
@@ -67,6 +69,12 @@ def initial(machine: Machine) -> Aligner:
         tracks={r.mount.value: Track(round(r.latency.value * 1e9)) for r in present},
         latency=latency.prior(sds),
     )
+
+
+def is_number(measurement: Measurement) -> bool:
+    """Whether all its values are: one that is not would be in every pose for a while."""
+    values = (getattr(measurement, name) for name in _NUMBERS[type(measurement)])
+    return all(value is None or math.isfinite(value) for value in values)
 
 
 def take(state: Aligner, measurement: Measurement) -> None:

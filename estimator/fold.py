@@ -5,10 +5,11 @@ their order.
 """
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tilth.estimator import aligner, recorder
+from tilth.estimator import aligner, recorder, startup, warm
 from tilth.estimator.aligner import SILENCE_NS, Aligner
 from tilth.estimator.estimators import ROW, rows_for
 from tilth.estimator.geometry import to_degrees
@@ -17,6 +18,8 @@ from tilth.estimator.pose import poses
 from tilth.estimator.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.recorder import RecordState
+from tilth.estimator.startup import StartUp
+from tilth.estimator.warm import Kept
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
@@ -49,10 +52,14 @@ class State:
     aligner: Aligner
     record: RecordState
     estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
+    checks: StartUp = field(default_factory=StartUp)
+    kept: dict[str, Kept] = field(default_factory=dict)  # what the run before had learned, by method
+    kept_ns: int = 0  # when that was
     frames: int = 0
     measurements: int = 0
     poses: int = 0
     clock_steps: int = 0
+    not_numbers: int = 0  # measurements that were refused for it
     latest_ns: int = 0  # greatest t_ns since the last step back of the clock
     flags: tuple[str, ...] = ()  # of the last pose
     place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
@@ -65,6 +72,8 @@ class State:
         counts = dict(self.decoder.rejected)
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
+        if self.not_numbers:
+            counts["not_a_number"] = self.not_numbers
         return counts
 
 
@@ -74,6 +83,28 @@ def initial(machine: Machine) -> State:
     state = State(machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine), estimators)
     state.estimates = _estimates_now(state)
     return state
+
+
+def keep(state: State, t_ns: int) -> dict[str, Kept]:
+    """Method -> what it has learned by t_ns, for the next run."""
+    return warm.keep(state.machine, state.estimators, t_ns)
+
+
+def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
+    """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
+    told = warm.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
+    state.latest_ns = t_ns
+    state.kept = {method: before for method, before in kept.items() if told.get(method) == ""}
+    state.kept_ns = t_ns - round(elapsed_s * 1e9)
+    return told
+
+
+def _learn_anew(state: State, t_ns: int) -> None:
+    """As at the beginning of the run, since it was learned from what is no measurement."""
+    state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
+    elapsed_s = max(0, t_ns - state.kept_ns) * 1e-9
+    warm.warm(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
+    state.estimates = _estimates_now(state)
 
 
 def _estimates_now(state: State) -> dict[str, Estimate]:
@@ -110,6 +141,9 @@ def step(state: State, frame: Frame) -> list[Publication]:
 
 def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
     """Publish and keep one measurement. Whether it was a position, which may make a pose due."""
+    if not aligner.is_number(measurement):
+        state.not_numbers += 1
+        return False
     state.measurements += 1
     out.append(Publication(t_ns, TOPIC_OF[type(measurement)], measurement))
     aligner.take(state.aligner, measurement)
@@ -121,6 +155,9 @@ def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publicati
 
 def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
+    startup.observe(state.checks, state.aligner, pose)
+    if found := startup.flags(state.checks):
+        pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
     for flag in pose.flags:
         kind, _, who = flag.partition(":")
@@ -135,6 +172,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
+    _act_on_checks(state, t_ns, out)
     stretch = recorder.observe(state.record, state.aligner, pose)
     given = []
     for row in rows_for(state.machine):
@@ -146,6 +184,22 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
             _event(state, t_ns, kind, text, out)
     if given:
         _estimates(state, t_ns, given, out)
+
+
+def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
+    """Say what was found wrong with receivers; leave out turn rates that are smoothed."""
+    events = startup.events(state.checks)
+    for kind, text in events:
+        _event(state, t_ns, kind, text, out)
+    _use_turn_rates(state)
+    if any(kind == startup.SMOOTHED for kind, _ in events):
+        _learn_anew(state, t_ns)
+
+
+def _use_turn_rates(state: State) -> None:
+    usable = startup.usable_yaw_rates(state.checks)
+    for mount, track in state.aligner.tracks.items():
+        track.smoothed = mount not in usable
 
 
 def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]) -> None:
@@ -215,8 +269,11 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     seconds = (state.latest_ns - frame.t_ns) * 1e-9
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
+    _use_turn_rates(state)
+    startup.clock_stepped(state.checks)
     recorder.clock_stepped(state.record)
     state.place = None
+    state.kept_ns += frame.t_ns - state.latest_ns
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], frame.t_ns - state.latest_ns)
     state.latest_ns = frame.t_ns

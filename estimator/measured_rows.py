@@ -113,7 +113,8 @@ def _of_receiver(used: Used, aligner: Aligner, receiver: Receiver, span: _Span, 
         return found
 
     for t_ns, rate, sd in fresh(track.yaw_rates, _YAW_RATE):
-        out.append((max(0, t_ns - start_ns), YAW_RATE, body, rate, sd))
+        if not track.smoothed:
+            out.append((max(0, t_ns - start_ns), YAW_RATE, body, rate, sd))
     for t_ns, north, east, sd in fresh(track.velocities, _VELOCITY):
         since = max(0, t_ns - start_ns)
         across, sd_lean = _across(span, receiver, since, north, east)

@@ -1,6 +1,6 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
-A window is WINDOW_TICKS of learnable driving, or what a gap leaves of it. When it closes a fit is asked for
+A window is 30 s of learnable driving, or what a gap leaves of it. When it closes a fit is asked for
 (`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later.
 Windows are merged by taking the result of one, drifted over the distance since, as the prior of the next: the
 newest data are always taken at their own likelihood, and none is counted twice.
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator import advice, likelihood, unknowns
-from tilth.estimator.record import Record, Stretch, concatenate
+from tilth.estimator.record import Record, Stretch
 from tilth.estimator.unknowns import NAMES, NOISE, SIX
+from tilth.estimator.windows import WINDOW, collect, refuse
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 
@@ -23,8 +24,6 @@ Array = NDArray[np.float64]
 METHOD = "pem"
 MODEL = "relaxation"
 LATENCY_NS = 3_000_000_000
-WINDOW = 150  # stretches, 30 s
-SHORTEST = 50  # stretches: what is shorter is not fitted
 LEAST_STEERING = math.radians(1.0)
 """Sd of the wheel angle in a window. Below, what looks like information is the ground's own forces, whose
 colour the model does not know: intervals of C_ai from automatic steering held the truth in 50 % of runs."""
@@ -74,7 +73,7 @@ class PemState:
     covariance: Array
     prior_mean: Array
     prior_sd: Array
-    window: list[Record] = field(default_factory=list)
+    window: list[Stretch] = field(default_factory=list)
     closed: Record | None = None  # waits to be asked for
     job: Job | None = None  # asked for, not taken yet
     decided: int = 0  # of the job: 1 it is to be taken, -1 it is late, 0 not known
@@ -104,35 +103,9 @@ def take(state: PemState, machine: Machine, pose: Pose, stretch: Stretch | None)
     seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else 0.0
     state.seen_ns = pose.t_ns
     state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
-    if stretch is not None:
-        _keep(state, stretch)
-    if pose.t_ns - state.published_ns < PUBLISH_NS:
+    if not collect(state, pose.t_ns, stretch, PUBLISH_NS, LEAST_STEERING):
         return None
-    state.published_ns = pose.t_ns
     return estimate(state, machine, pose.t_ns)
-
-
-def _keep(state: PemState, stretch: Stretch) -> None:
-    state.reason = stretch.reason
-    if stretch.reason:
-        state.refused[stretch.reason] = state.refused.get(stretch.reason, 0) + 1
-        _close(state)
-        return
-    if not stretch.follows:
-        _close(state)
-    state.window.append(stretch.record)
-    if len(state.window) >= WINDOW:
-        _close(state)
-
-
-def _close(state: PemState) -> None:
-    wheel = [value for record in state.window for value in record.ticks[:, 0].tolist()]
-    if len(state.window) >= SHORTEST and np.std(wheel) < LEAST_STEERING:
-        state.reason = "too little steering"
-        state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
-    elif len(state.window) >= SHORTEST:
-        state.closed = concatenate([Stretch(r, k > 0, "") for k, r in enumerate(state.window)])
-    state.window.clear()
 
 
 def wanted(state: PemState, t_ns: int) -> Job | None:
@@ -142,8 +115,7 @@ def wanted(state: PemState, t_ns: int) -> Job | None:
     record, state.closed = state.closed, None
     mean, covariance = _drifted(state)
     state.distance = 0.0
-    end_ns = record.t_ns + len(record.ticks) * 20_000_000
-    state.job = Job(t_ns, end_ns, record, mean, covariance)
+    state.job = Job(t_ns, record.end_ns, record, mean, covariance)
     return state.job
 
 
@@ -212,7 +184,7 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
         return estimate(state, machine, t_ns)
     state.last = made
     if made.refused:
-        state.refused[made.refused] = state.refused.get(made.refused, 0) + 1
+        refuse(state, made.refused)
         state.told.append(made.refused)
         return estimate(state, machine, t_ns)
     if made.changed:

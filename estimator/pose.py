@@ -105,7 +105,7 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
     ]
     roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
     pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])
-    yaw_rate = _mean([s for _, tr, at in present if (s := sample_at(tr.yaw_rates, at, HOLD_NS))])
+    yaw_rate = _mean([s for _, tr, at in present if (s := tr.yaw_rate_at(at))])
     body = _Body(index, roll, yaw_rate, {})
     section = _section(state.machine, index)
     tilt = (roll[0] if roll else 0.0, pitch[0] if pitch else 0.0)

@@ -11,12 +11,14 @@ offset of the hitch, as far as the survey is good; uneven ground tells without.
 
 import math
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.body import Antenna, baseline
 from tilth.estimator.geometry import rotate, wrap
 from tilth.estimator.track import HOLD_NS, SLOW_HOLD_NS, sample_at
 from tilth.estimator.turn_rate_lag import Lag, regress, time_constant
@@ -35,8 +37,12 @@ OFFSET_SD: Final = 0.04  # m, of the hitch by the survey of antennas and by yaw 
 RESPONSE: Final = (0.5, 0.5)  # mean and sd of c before any data
 LARGER: Final = 3.0  # mean square of rolls over that of their noise, from which on they tell
 LEAST_ROLL_NOISE: Final = math.radians(0.05)
-_SET: Final = {"roll_corrected_twice": "true", "not_roll_corrected": "false"}
-_UNCLEAR: Final = "the hitch moves with roll as if roll_corrected were wrong on one of them"
+SMOOTHED: Final = "smoothed_yaw_rate"
+TWICE: Final = "roll_corrected_twice"
+NOT: Final = "not_roll_corrected"
+UNCLEAR: Final = "roll_correction"
+KINDS: Final = (SMOOTHED, TWICE, NOT, UNCLEAR)  # of what is found
+_SET: Final = {TWICE: "true", NOT: "false"}
 _NO_RTK: Final = frozenset({"floating", "no_rtk", "no_fix", "fix_unknown"})
 
 
@@ -64,7 +70,7 @@ class StartUp:
     wrong: list[str] = field(default_factory=lambda: [""] * 4)  # as in flow.Mount: a key of _SET, or ""
     unclear: bool = False  # it is wrong somewhere, but not to be told where
     seen_ns: int = 0
-    said: list[tuple[str, str]] = field(default_factory=list)  # (kind, text) of events not yet taken
+    told: list[str] = field(default_factory=list)  # flags of what has been said
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,30 +111,37 @@ def usable_yaw_rates(state: StartUp) -> frozenset[str]:
     return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if not lag.smoothed)
 
 
-def findings(state: StartUp) -> tuple[str, ...]:
-    """What has been found wrong, in words that begin with flag:mount."""
-    out = []
-    for mount, lag in zip(MOUNTS, state.lags, strict=True):
-        if lag.smoothed:
-            tau, sd = time_constant(lag)
-            out.append(
-                f"smoothed_yaw_rate:{mount.value} its turn rate lags by {tau:.1f} ±{sd:.1f} s: not used"
-            )
-    c, sds = responses(state)
-    for k, mount in enumerate(MOUNTS):
-        if state.wrong[k]:
-            leans = f"leans by {c[k]:.2f} ±{sds[k]:.2f} of its height"
-            word = _SET[state.wrong[k]]
-            out.append(f"{state.wrong[k]}:{mount.value} it {leans}: set roll_corrected = {word}")
-    if state.unclear:
-        out.append(f"roll_correction:tractor or implement {_UNCLEAR}")
-    return tuple(out)
+def flags(state: StartUp) -> list[str]:
+    """kind:who of all that is wrong now; who is a mount, or `rig` where it is not known."""
+    out = [f"{SMOOTHED}:{mount.value}" for mount, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed]
+    out += [f"{kind}:{mount.value}" for mount, kind in zip(MOUNTS, state.wrong, strict=True) if kind]
+    return [*out, f"{UNCLEAR}:rig"] if state.unclear else out
 
 
 def events(state: StartUp) -> list[tuple[str, str]]:
-    """(kind, text) of what has been found since this was last asked."""
-    said, state.said = state.said, []
-    return said
+    """(kind, what is wrong and what to do) of what has been found since this was last asked."""
+    now, before = flags(state), state.told
+    state.told = now
+    return [(flag.partition(":")[0], _in_words(state, flag)) for flag in now if flag not in before]
+
+
+def _in_words(state: StartUp, flag: str) -> str:
+    kind, _, who = flag.partition(":")
+    if kind == UNCLEAR:
+        return (
+            "the hitch moves with roll as if roll_corrected were wrong on the tractor or on the implement: "
+            "compare it with what their receivers are set to"
+        )
+    k = [mount.value for mount in MOUNTS].index(who)
+    if kind == SMOOTHED:
+        tau, sd = time_constant(state.lags[k])
+        return (
+            f"{who}: its turn rate lags by {tau:.1f} ± {sd:.1f} s and is not used, and what was learned with "
+            "it is forgotten: turn its smoothing off"
+        )
+    c, sds = responses(state)
+    leans = f"{who}: it moves with roll by {c[k]:.2f} ± {sds[k]:.2f} of its height"
+    return f"{leans}: set roll_corrected = {_SET[kind]} in the machine file"
 
 
 def clock_stepped(state: StartUp) -> None:
@@ -155,7 +168,7 @@ def responses(state: StartUp) -> tuple[Array, Array]:
 
 def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
     """Both antennas of a body as reported, without any roll; None where one is missing or extrapolated."""
-    points, sds, levers = [], [], []
+    antennas = []
     for receiver in aligner.machine.receiver:
         index = MOUNTS.index(receiver.mount)
         if index // 2 != body:
@@ -164,25 +177,22 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
         found = track.position_at(t_ns + aligner.latency.excess_ns(index)) if track.usable() else None
         if found is None or found[2]:
             return None
-        points.append((index, found[0]))
-        sds.append(found[1])
-        levers.append(receiver.position[:2])
-    if len(points) != 2:
+        antennas.append((index, Antenna(found[0], found[1], receiver.position[:2], None, 0.0, 0.0)))
+    if len(antennas) != 2:
         return None
-    order = (0, 1) if points[0][0] < points[1][0] else (1, 0)
-    (front, rear), (ahead, behind) = ([points[k][1] for k in order], [levers[k] for k in order])
-    arm = (ahead[0] - behind[0], ahead[1] - behind[1])
+    front, rear = (antenna for _, antenna in sorted(antennas, key=itemgetter(0)))
+    arm = (front.lever[0] - rear.lever[0], front.lever[1] - rear.lever[1])
     length = math.hypot(*arm)
-    heading = math.atan2(front[1] - rear[1], front[0] - rear[0]) - math.atan2(arm[1], arm[0])
+    pair = baseline(front, rear, 0.0)
     machine = aligner.machine
     place = -machine.tractor.c.value if body == 0 else machine.implement.d.value
     # The hitch is on the line through both antennas, or beside it: so many lengths from the rear one.
+    behind = rear.lever
     share = ((place - behind[0]) * arm[0] - behind[1] * arm[1]) / length**2
-    turned = rotate((place - behind[0], -behind[1]), heading)
-    sd = max(sds)
+    turned = rotate((place - behind[0], -behind[1]), pair.heading)
     return _Pair(
-        heading, sd * math.sqrt(2) / length, (rear[0] + turned[0], rear[1] + turned[1]),
-        sd * math.hypot(share, 1 - share), (share, 1 - share), length,
+        pair.heading, pair.sd_heading, (rear.at[0] + turned[0], rear.at[1] + turned[1]),
+        max(front.sd, rear.sd) * math.hypot(share, 1 - share), (share, 1 - share), length,
     )  # fmt: skip
 
 
@@ -314,15 +324,11 @@ def _add(
 
 def _judge(state: StartUp, machine: Machine) -> None:
     """A fault is found once it is sure, and stays until the opposite is."""
-    for mount, lag in zip(MOUNTS, state.lags, strict=True):
+    for lag in state.lags:
         if lag.intervals == 0:
             continue
         tau, sd = time_constant(lag)
         found = tau > SMOOTHED_S and tau > SURE * sd
-        if found and not lag.smoothed:
-            state.said.append(
-                ("smoothed_yaw_rate", f"{mount.value}: turn rate lags by {tau:.1f} s; not used")
-            )
         lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)
     _judge_rolls(state, machine)
 
@@ -344,20 +350,13 @@ def _judge_rolls(state: StartUp, machine: Machine) -> None:
             setting[k] = abs(told[k] - (number >> bit & 1))  # number 0 is as told
     scores = np.array([_explains(state, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
-    before, unclear = state.wrong, state.unclear
     if scores[0] == scores.max():
         state.wrong, state.unclear = [""] * 4, False
     elif scores[0] < scores.max() - SURE**2 / 2:
         sure = np.all(likely != told, axis=0)
-        kinds = ["roll_corrected_twice" if t == 1.0 else "not_roll_corrected" for t in told]
+        kinds = [TWICE if t == 1.0 else NOT for t in told]
         state.wrong = [kind if yes else "" for kind, yes in zip(kinds, sure, strict=True)]
         state.unclear = not sure.any()
-    for mount, kind, old in zip(MOUNTS, state.wrong, before, strict=True):
-        if kind and not old:
-            text = f"{mount.value}: roll_corrected should be {_SET[kind]} in the machine file"
-            state.said.append((kind, text))
-    if state.unclear and not unclear:
-        state.said.append(("roll_correction", f"tractor or implement: {_UNCLEAR}"))
 
 
 def _explains(state: StartUp, setting: Array) -> float:

@@ -62,6 +62,7 @@ class Track:
     position_pgn: int = 0  # the message its positions come from: the most frequent one it sends
     placed_ns: int = 0  # arrival of the last position that was new, or held at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
+    smoothed: bool = False  # its turn rates lag by more than a latency (startup): kept, not used
 
     def take(self, measurement: Measurement) -> None:
         """Keep a measurement other than a position."""
@@ -153,8 +154,12 @@ class Track:
             line[1] - blend * (after[2] - before[2]) + span * (into * start[0][1] + outof * end[0][1]),
         )
 
+    def yaw_rate_at(self, t_ns: int) -> tuple[float, float] | None:
+        """(yaw rate, sd) at t; None where it is not known, or smoothed."""
+        return None if self.smoothed else sample_at(self.yaw_rates, t_ns, HOLD_NS)
+
     def _rate_near(self, t_ns: int) -> float:
-        found = sample_at(self.yaw_rates, t_ns, HOLD_NS)
+        found = self.yaw_rate_at(t_ns)
         return found[0] if found else 0.0
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator import unknowns
-from tilth.estimator.pem import SHORTEST, WINDOW
-from tilth.estimator.record import TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.record import TICK_NS, Record, Stretch
 from tilth.estimator.two_step_fit import TwoStep, Window, identify, merge_scalar
+from tilth.estimator.windows import collect, refuse
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 
@@ -55,7 +55,8 @@ class TwoStepState:
     published_ns: int = 0
     late: int = 0  # fits that came too late
     refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
-    reason: str = ""  # why the last window gave nothing
+    reason: str = ""  # why nothing is collected now
+    nothing: str = ""  # why the last window gave nothing
 
 
 def initial(machine: Machine) -> TwoStepState:
@@ -65,33 +66,7 @@ def initial(machine: Machine) -> TwoStepState:
 
 def take(state: TwoStepState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
     """Take one stretch; an estimate each PUBLISH_NS. The pose serves as the time."""
-    if stretch is not None:
-        _keep(state, stretch)
-    if pose.t_ns - state.published_ns < PUBLISH_NS:
-        return None
-    state.published_ns = pose.t_ns
-    return estimate(state, machine, pose.t_ns)
-
-
-def _keep(state: TwoStepState, stretch: Stretch) -> None:
-    if stretch.reason or not stretch.follows:
-        _close(state)
-    if stretch.reason:
-        _refuse(state, stretch.reason)
-        return
-    state.window.append(stretch)
-    if len(state.window) >= WINDOW:
-        _close(state)
-
-
-def _close(state: TwoStepState) -> None:
-    if len(state.window) >= SHORTEST:
-        state.closed = concatenate(state.window)
-    state.window.clear()
-
-
-def _refuse(state: TwoStepState, reason: str) -> None:
-    state.refused[reason] = state.refused.get(reason, 0) + 1
+    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, stretch, PUBLISH_NS) else None
 
 
 def wanted(state: TwoStepState, t_ns: int) -> Job | None:
@@ -120,9 +95,9 @@ def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int
     if made is None or job is None:
         state.late += 1
         return estimate(state, machine, t_ns)
-    state.rank, state.reason = made.rank, made.reason
+    state.rank, state.nothing = made.rank, made.reason
     if made.reason:
-        _refuse(state, made.reason)
+        refuse(state, made.reason)
     for k in range(len(PARAMETERS)):
         if not made.found[k // 3] or not 0.0 < made.sds[k] < math.inf:
             continue
@@ -161,7 +136,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
 def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstimate:
     if not state.runs[k]:
         return ParameterEstimate(
-            None, None, Status.UNESTIMATED, state.reason or "no window has been fitted yet"
+            None, None, Status.UNESTIMATED, state.nothing or "no window has been fitted yet"
         )
     why_not = _WHY_NOT[k // 3].format(rank=state.rank)
     return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, why_not, age)

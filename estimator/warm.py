@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.estimators import Memory, rows_for
-from tilth.estimator.fold import State
+from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,14 @@ class Kept:
     counts: dict[str, float]
 
 
-def keep(state: State, t_ns: int) -> dict[str, Kept]:
-    """Method -> what it has learned by t_ns; only methods that have learned something."""
+def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, Kept]:
+    """Method -> what it has learned by t_ns; only methods that have learned something.
+
+    estimators: method -> its state, of a machine's rows.
+    """
     kept = {}
-    for row in rows_for(state.machine):
-        memory, own = row.memory, state.estimators[row.method]
+    for row in rows_for(machine):
+        memory, own = row.memory, estimators[row.method]
         if memory is None or not own.informed_ns:
             continue
         kept[row.method] = Kept(
@@ -49,17 +52,19 @@ def keep(state: State, t_ns: int) -> dict[str, Kept]:
     return kept
 
 
-def warm(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
-    """Let methods of a fresh fold go on from what was kept elapsed_s before t_ns.
+def warm(
+    machine: Machine, estimators: Mapping[str, Any], kept: Mapping[str, Kept], elapsed_s: float, t_ns: int
+) -> dict[str, str]:
+    """Let fresh methods go on from what was kept elapsed_s before t_ns.
 
     Method -> why it could not be used, "" where it is.
     """
     told = {}
-    for row in rows_for(state.machine):
+    for row in rows_for(machine):
         before = kept.get(row.method)
         if row.memory is None or before is None:
             continue
-        own = state.estimators[row.method]
+        own = estimators[row.method]
         told[row.method] = _why_not(row.memory, own, before)
         if not told[row.method]:
             _take(row.memory, own, before, elapsed_s)

@@ -12,14 +12,16 @@ from tilth.estimator.fold import (
     adopt,
     ask,
     decide,
+    go_on,
     initial,
+    keep,
     pending,
     restore,
     snapshot,
     step,
 )
 from tilth.estimator.geometry import to_degrees
-from tilth.estimator.warm import Kept, keep, warm
+from tilth.estimator.warm import Kept
 from tilth.logger.fitting import UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -149,11 +151,10 @@ class GuardedFold:
     def warm(self, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
         """Before the first frame: go on from what was kept elapsed_s ago. Method -> why not, or ""."""
         try:
-            told = warm(self.state, kept, elapsed_s, t_ns)
+            told = go_on(self.state, kept, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = initial(self._machine)
             return dict.fromkeys(kept, f"{type(error).__name__}: {error}")
-        self.state.latest_ns = t_ns
         self.renew()
         self.estimates = dict(self.state.estimates)
         return told

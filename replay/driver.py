@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tilth.estimator import startup
 from tilth.logger.fitting import Retold
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.mcap_log import LogWriter, machine_sha256
@@ -23,7 +24,7 @@ from tilth.schemas.proto.tilth_pb2 import FitOutcome, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 SHOWN = 4096  # frames between two looks of the progress bar
-SAID = frozenset({"fault", "clock_step"})  # kinds of events that a person at a replay should read
+SAID = frozenset({"fault", "clock_step", *startup.KINDS})  # events that a person at a replay should read
 _SOIL_TIRE = "/soil_tire"
 
 

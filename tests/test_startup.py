@@ -4,20 +4,26 @@ import json
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from circle import demo_machine
+from logs import MACHINE_TEXT, record
 
-from tilth.estimator import aligner, startup
+from tilth.estimator import aligner, fold, pem, startup
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
+from tilth.estimator.record import YAW_RATE, concatenate
 from tilth.estimator.startup import StartUp
 from tilth.estimator.turn_rate_lag import Lag, regress, time_constant
+from tilth.estimator.warm import Kept
+from tilth.replay.compare import Comparison
+from tilth.replay.driver import Outputs, replay
 from tilth.replay.scenario import Ground, Scenario
 from tilth.replay.traffic import simulate
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Measurement, Mount, YawRate
+from tilth.schemas.flow import Event, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
 
 MACHINE = demo_machine()
@@ -26,6 +32,9 @@ IMPLEMENT = (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR)
 FLAT = Scenario(other_traffic=False)
 ROUGH = replace(FLAT, ground=Ground(roll_sd_deg=1.0))
 HILL = replace(FLAT, ground=Ground(slope_deg=4.0))
+
+SECOND = 1_000_000_000
+YAW_RATE_BIT = 3.125e-8  # rad/s
 
 Edit = Callable[[Measurement], Measurement]
 
@@ -69,8 +78,8 @@ class Smoothed:
 def drive(
     scenario: Scenario, seconds: float, edit: Edit = as_heard, really: Machine = MACHINE, stored_at: int = -1
 ) -> tuple[StartUp, list[tuple[float, str, str]]]:
-    """(state, (s since the first pose, kind, who) of events), seed 1. stored_at: pose at which it is stored
-    and taken up again."""
+    """(state, (s since the first pose, kind, text) of events), seed 1. stored_at: pose at which
+    it is stored and taken up again."""
     decoder, tracks, state = Decoder(MACHINE), aligner.initial(MACHINE), StartUp()
     found: list[tuple[float, str, str]] = []
     first_ns = count = 0
@@ -84,8 +93,12 @@ def drive(
             if count == stored_at:
                 state = from_plain(StartUp, json.loads(json.dumps(to_plain(state))))
             for kind, text in startup.events(state):
-                found.append(((pose.t_ns - first_ns) * 1e-9, kind, text.partition(":")[0]))
+                found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
     return state, found
+
+
+def who(text: str) -> str:
+    return text.partition(":")[0]
 
 
 # Turn rates.
@@ -117,20 +130,19 @@ def test_a_lag_is_the_slope_of_what_is_missing(tau: float, mean: bool) -> None:
 
 def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
     state, found = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
-    assert {(kind, who) for _, kind, who in found} == {("smoothed_yaw_rate", m.value) for m in TRACTOR}
+    assert {(kind, who(text)) for _, kind, text in found} == {(startup.SMOOTHED, m.value) for m in TRACTOR}
+    assert all("turn its smoothing off" in text for _, _, text in found)
     assert len(found) == 2 and max(at for at, _, _ in found) < 20.0
     assert startup.usable_yaw_rates(state) == {m.value for m in IMPLEMENT}
     for lag in state.lags[:2]:
         tau, sd = time_constant(lag)
         assert abs(tau - 1.0) < 0.15 and sd < 0.1
-    assert [text.split()[0] for text in startup.findings(state)] == [
-        f"smoothed_yaw_rate:{m.value}" for m in TRACTOR
-    ]
+    assert startup.flags(state) == [f"smoothed_yaw_rate:{m.value}" for m in TRACTOR]
 
 
 def test_one_of_four_that_is_a_mean_over_two_seconds_is_told_from_the_others() -> None:
     state, found = drive(FLAT, 30.0, Smoothed({Mount.IMPLEMENT_REAR: 2.0}, mean=True))
-    assert [who for _, _, who in found] == ["implement_rear"]
+    assert [who(text) for _, _, text in found] == ["implement_rear"]
     assert startup.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
 
 
@@ -166,32 +178,31 @@ def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
     mounts: tuple[Mount, ...], kind: str
 ) -> None:
     state, found = drive(ROUGH, 60.0, really=turned_round(mounts))
-    assert {(k, who) for _, k, who in found} - {("roll_correction", "tractor or implement")} == {
-        (kind, m.value) for m in mounts
-    }
-    assert {text.split()[0] for text in startup.findings(state)} == {f"{kind}:{m.value}" for m in mounts}
     word = "true" if kind == "roll_corrected_twice" else "false"
-    assert all(f"set roll_corrected = {word}" in text for text in startup.findings(state))
+    told = {who(text): (k, text) for _, k, text in found if k != startup.UNCLEAR}
+    assert told.keys() == {m.value for m in mounts}
+    for k, text in told.values():
+        assert k == kind and text.endswith(f"set roll_corrected = {word} in the machine file")
+    assert set(startup.flags(state)) == {f"{kind}:{m.value}" for m in mounts}
 
 
 def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_knows() -> None:
     """Both bodies lean alike: either of the two explains where they see the hitch."""
     state, found = drive(HILL, 40.0, really=turned_round(IMPLEMENT))
-    assert found[0][1:] == ("roll_correction", "tractor or implement")
-    assert state.unclear and not any(state.wrong)
-    assert startup.findings(state)[0].startswith("roll_correction:")
+    assert [kind for _, kind, _ in found] == [startup.UNCLEAR]
+    assert startup.flags(state) == ["roll_correction:rig"]
 
 
 def test_on_even_ground_nothing_can_be_said_of_roll() -> None:
     state, found = drive(FLAT, 40.0, really=turned_round(IMPLEMENT))
-    assert not found and not startup.findings(state)
+    assert not found and not startup.flags(state)
     assert np.all(np.isinf(startup.responses(state)[1]))
 
 
 @pytest.mark.parametrize("scenario", [FLAT, ROUGH, HILL], ids=["flat", "rough", "hill"])
 def test_where_nothing_is_wrong_nothing_is_found(scenario: Scenario) -> None:
     state, found = drive(scenario, 60.0)
-    assert not found and not startup.findings(state)
+    assert not found and not startup.flags(state)
     assert startup.usable_yaw_rates(state) == {m.value for m in Mount}
     assert all(abs(time_constant(lag)[0]) < 0.05 for lag in state.lags)
 
@@ -206,6 +217,71 @@ def test_its_state_is_plain_data_that_goes_on_exactly() -> None:
 
 def test_after_a_step_of_the_clock_intervals_begin_anew_and_findings_stay() -> None:
     state, _ = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
-    before = startup.findings(state)
+    before = startup.flags(state)
     startup.clock_stepped(state)
-    assert startup.findings(state) == before and state.seen_ns == 0
+    assert startup.flags(state) == before and state.seen_ns == 0
+
+
+# In the fold.
+
+
+def smoothed_frames(seconds: float) -> list[Frame]:
+    """A drive whose implement's receivers, which speak NMEA 2000, send turn rates that lag by a second."""
+    decoder, smooth = Decoder(MACHINE), Smoothed(dict.fromkeys(IMPLEMENT, 1.0))
+    out = []
+    for frame in simulate(MACHINE, 1, seconds, FLAT):
+        for heard in decoder.measurements(frame):
+            if isinstance(heard, YawRate) and heard.origin.mount in IMPLEMENT:
+                rate = smooth(heard)
+                assert isinstance(rate, YawRate)
+                raw = round(rate.yaw_rate / YAW_RATE_BIT)
+                data = frame.data[:1] + raw.to_bytes(4, "little", signed=True) + frame.data[5:]
+                frame = replace(frame, data=data)
+        out.append(frame)
+    return out
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Frame]:
+    return smoothed_frames(26.0)
+
+
+def learned_before() -> dict[str, Kept]:
+    state = fold.initial(MACHINE)
+    own = state.estimators[pem.METHOD]
+    own.mean[:6] += 0.2
+    own.covariance[:6, :6] *= 0.25
+    own.informed_ns = 1
+    return fold.keep(state, 1)
+
+
+def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_used(
+    rows: list[Frame],
+) -> None:
+    state = fold.initial(MACHINE)
+    fold.go_on(state, learned_before(), 0.0, rows[0].t_ns)
+    out = [p.value for row in rows for p in fold.step(state, row)]
+    events = [value for value in out if isinstance(value, Event)]
+    assert [(e.kind, who(e.text)) for e in events] == [(startup.SMOOTHED, m.value) for m in IMPLEMENT]
+    assert all(e.latitude_deg is not None and "turn its smoothing off" in e.text for e in events)
+    found = out.index(events[0])
+    before = [value for value in out[:found] if isinstance(value, Pose)]
+    after = [value for value in out[found:] if isinstance(value, Pose)]
+    told = {f"{startup.SMOOTHED}:{m.value}" for m in IMPLEMENT}
+    assert all(told <= set(pose.flags) for pose in after) and len(after) > 20
+    assert not any(told & set(pose.flags) for pose in before[:-1])
+    assert any("yaw_rate_of_heading:implement" in pose.flags for pose in after)
+    own = state.estimators[pem.METHOD]
+    assert own.mean[:6] == pytest.approx(learned_before()[pem.METHOD].mean[:6], abs=1e-3)
+    kinds = concatenate(own.window).rows[:, 2:4]
+    assert {body for kind, body in kinds.tolist() if kind == YAW_RATE} == {0.0}  # the tractor's
+    assert own.window[0].record.t_ns > events[0].t_ns - SECOND
+
+
+def test_live_and_replay_find_it_alike(rows: list[Frame], tmp_path: Path) -> None:
+    live = record(tmp_path, rows, 3)
+    for parts in (live.parts, live.parts[2:]):
+        comparison, said = Comparison(), list[str]()
+        replay(parts, MACHINE, MACHINE_TEXT, outputs=Outputs(comparison=comparison), say=said.append)
+        assert comparison.compared > 0 and comparison.difference == ""
+        assert sum("turn its smoothing off" in text for text in said) == (2 if parts == live.parts else 0)
