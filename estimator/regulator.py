@@ -25,6 +25,7 @@ class Regulator(NamedTuple):
     states: tuple[str, ...]
     gain: Array  # (n,)
     poles: Complex  # (n,) of A - B K
+    cost: Array  # (n, n): x' cost x is what is still to come from x
 
 
 class Schedule(NamedTuple):
@@ -53,7 +54,7 @@ def regulator(sys: System, q: float | Array = 1.0, r: float = 800.0) -> Regulato
             f"no gain steadies this rig at {sys.speed:g} m/s: choose another speed or other weights ({error})"
         ) from None
     gain = (b.T @ cost / r)[0]
-    return Regulator(sys.speed, sys.states, gain, eigenvalues(sys.a - b * gain))
+    return Regulator(sys.speed, sys.states, gain, eigenvalues(sys.a - b * gain), cost)
 
 
 def schedule(

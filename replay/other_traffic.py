@@ -45,7 +45,7 @@ ROWS: Final = (
     *((0x0CFE10F0 + (valve << 8), 10, "7D FF 00 FF FF FF FF FF") for valve in range(6)),
     (0x18EF2AF0, 30, "21 c r r r 00 00 00"),  # proprietary, tractor ECU and display
     (0x18EFF02A, 20, "22 c r 00 00 00 00 00"),
-    (0x0CADF02A, 10, "80 7D FD FF FF FF FF FF"),  # guidance command: not steering
+    (0x0CADF02A, 10, "80 7D FC FF FF FF FF FF"),  # guidance command: not steering
     (0x18FFFF2A, 5, "77 r 80 00 FF FF FF FF"),  # the display's cross-track error
     (0x1CE6FF26, 1, "FE 26 83 01 00 00 FF FF"),  # virtual terminal
     (0x1CE68326, 20, "A8 r 00 c FF FF FF FF"),

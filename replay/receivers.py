@@ -6,7 +6,8 @@ Quantisation comes from the encoding of the messages.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from pyproj import Transformer
 from tilth.replay import noise as streams
 from tilth.replay.noise import Array, gauss_markov, generator
 from tilth.replay.scenario import STEP_S, Scenario
-from tilth.replay.tractor import Track, Truth, leaning, rate
+from tilth.replay.tractor import Setting, Track, Truth, leaning, rate
 from tilth.schemas.flow import FixType, Mount
 from tilth.schemas.machine import Machine, Receiver
 
@@ -82,58 +83,107 @@ def star_fire_like(receiver: Receiver) -> bool:
     return manufacturer == 33
 
 
+class Receiving:
+    """One receiver of a run: what is wrong with it is drawn beforehand, what it reports is asked for in
+    order.
+
+    So a run that is steered while it goes on measures just what one does that was driven to its end before.
+    """
+
+    def __init__(self, machine: Machine, run: Truth | Setting, receiver: Receiver, first_s: float) -> None:
+        """Epochs on UTC multiples of its period, from first_s to the end of run.time."""
+        number = list(Mount).index(receiver.mount)
+        rng = generator(run.seed, streams.RECEIVERS, number)
+        scenario, period_s = run.scenario, 0.2 if star_fire_like(receiver) else 0.1
+        self.receiver = receiver
+        self.epochs = _epochs(scenario, period_s, first_s, float(run.time[-1]))  # s, (n,)
+        self._machine = machine
+        self._held: tuple[float, float] | None = None
+        n = len(self.epochs)
+        dropped = generator(run.seed, streams.DROP_OUT, number).random(n) < scenario.link.drop_out
+        self._effects = _effects(scenario, receiver.mount, self.epochs, dropped)
+        self._moved_m = np.array([effect.moved_m for effect in self._effects])
+        self._noise = scenario.noise * rng.standard_normal((6, n))
+        worse = np.array([effect.sd_m for effect in self._effects])
+        self._off = _position_errors(run, self.epochs, worse, rng) if n else (self._moved_m, self._moved_m)
+        late = np.array([effect.late_s for effect in self._effects])
+        self._sent = self.epochs + (run.nuisances[f"latency_{receiver.mount}"] + late)
+        self._sent = self._sent + rng.exponential(scenario.link.jitter, n)
+
+    def rows(self, truth: Truth, first: int, end: int) -> list[Report]:
+        """Reports of the epochs first to end - 1, which truth.time must hold."""
+        if first >= end:
+            return []
+        which = slice(first, end)
+        at = _at(self._machine, truth, self.receiver, self.epochs[which], self._moved_m[which])
+        noise, dx, dy = self._noise[:, which], self._off[0][which], self._off[1][which]
+        north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
+        longitude, latitude = _plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
+        columns = (
+            self.epochs[which],
+            self._sent[which],
+            latitude,
+            longitude,
+            np.arctan2(east, north) % (2 * np.pi),
+            np.hypot(north, east),
+            at.yaw_rate + YAW_RATE * noise[2],
+            (at.heading + HEADING * noise[3]) % (2 * np.pi),
+            at.roll + ROLL * noise[4],
+            at.pitch + ROLL * noise[5],
+        )
+        rows = zip(*(column.tolist() for column in columns), self._effects[which], strict=True)
+        return [self._repeating(Report(*row)) for row in rows]
+
+    def _repeating(self, row: Report) -> Report:
+        """The last good position again, where it holds that."""
+        if row.effect.holds and self._held is not None:
+            return replace(row, latitude_deg=self._held[0], longitude_deg=self._held[1])
+        self._held = row.latitude_deg, row.longitude_deg
+        return row
+
+
 def reports(machine: Machine, truth: Truth, receiver: Receiver, first_s: float) -> list[Report]:
-    """All that one receiver measures, at epochs on UTC multiples of its period, from first_s on."""
-    number = list(Mount).index(receiver.mount)
-    rng = generator(truth.seed, streams.RECEIVERS, number)
-    scenario = truth.scenario
-    epochs = _epochs(scenario, 0.2 if star_fire_like(receiver) else 0.1, first_s, float(truth.time[-1]))
-    if not len(epochs):
-        return []
-    dropped = generator(truth.seed, streams.DROP_OUT, number).random(len(epochs)) < scenario.link.drop_out
-    effects = _effects(scenario, receiver.mount, epochs, dropped)
-    at = _at(machine, truth, receiver, epochs, np.array([effect.moved_m for effect in effects]))
-    noise = scenario.noise * rng.standard_normal((6, len(epochs)))
-    dx, dy = _position_errors(truth, epochs, np.array([effect.sd_m for effect in effects]), rng)
-    north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
-    latest = _latest_new(effects)
-    longitude, latitude = _plane().transform((at.y + dy)[latest], (at.x + dx)[latest], direction="INVERSE")
-    latency = truth.nuisances[f"latency_{receiver.mount}"] + np.array([effect.late_s for effect in effects])
-    columns = (
-        epochs,
-        epochs + latency + rng.exponential(scenario.link.jitter, len(epochs)),
-        latitude,
-        longitude,
-        np.arctan2(east, north) % (2 * np.pi),
-        np.hypot(north, east),
-        at.yaw_rate + YAW_RATE * noise[2],
-        (at.heading + HEADING * noise[3]) % (2 * np.pi),
-        at.roll + ROLL * noise[4],
-        at.pitch + ROLL * noise[5],
-    )
-    rows = zip(*(column.tolist() for column in columns), effects, strict=True)
-    return [Report(*row) for row in rows]
+    """All that one receiver measures in a whole run, from first_s on."""
+    receiving = Receiving(machine, truth, receiver, first_s)
+    return receiving.rows(truth, 0, len(receiving.epochs))
+
+
+class WheelSensor:
+    """The wheel angle as its sensor says it: play and gain of its linkage, zero error and noise."""
+
+    def __init__(self, run: Truth | Setting) -> None:
+        self._told = run.nuisances
+        self._play = float(np.radians(run.scenario.wheel.dead_band_deg))
+        self._noise = run.scenario.noise * generator(run.seed, streams.WHEEL).normal(
+            0.0, WHEEL, len(run.time)
+        )
+        self._passed: float | None = None
+
+    def readings(self, angle: Array, first: int) -> Array:
+        """At the samples from `first` on, in the order of time: rad, shape (m,). angle: the wheels', (m,)."""
+        moved = _with_play(angle, self._play, angle[0] if self._passed is None else self._passed)
+        self._passed = float(moved[-1])
+        noise = self._noise[first : first + len(angle)]
+        return np.asarray(self._told["wheel_gain"] * moved + self._told["wheel_zero"] + noise)
 
 
 def wheel_readings(truth: Truth) -> Array:
-    """The wheel angle as the sensor says it at each of truth.time, rad: play and gain of its linkage, zero
-    error and noise."""
-    noise = truth.scenario.noise * generator(truth.seed, streams.WHEEL).normal(0.0, WHEEL, len(truth.time))
-    moved = _with_play(truth.wheel_angle, np.radians(truth.scenario.wheel.dead_band_deg))
-    return truth.nuisances["wheel_gain"] * moved + truth.nuisances["wheel_zero"] + noise
+    """Of a whole run, at each of truth.time, rad."""
+    return WheelSensor(truth).readings(truth.wheel_angle, 0)
 
 
-def _with_play(angle: Array, play: float) -> Array:
-    """What a linkage passes on that turns freely within so much, rad, shape (n,)."""
+def _with_play(angle: Array, play: float, value: float) -> Array:
+    """What a linkage passes on that turns freely within so much, rad, shape (n,), after it passed `value`."""
     if play == 0.0:
         return angle
-    half, value, values = play / 2, float(angle[0]), []
+    half, values = play / 2, []
     for there in angle.tolist():
         value = min(max(value, there - half), there + half)
         values.append(value)
     return np.array(values)
 
 
+@cache
 def _plane() -> Transformer:
     plane = f"+proj=tmerc +lat_0={ORIGIN_DEG[0]} +lon_0={ORIGIN_DEG[1]} +k=1 +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
@@ -186,7 +236,7 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     height = 0.0 if receiver.roll_corrected else receiver.position[2]
     above = height - (truth.rig.h_t if tractor else truth.rig.h_i)
     back, side = leaning(body.roll, body.pitch)  # of a point one metre higher
-    k = np.round(epochs / STEP_S).astype(np.int64)
+    k = np.round((epochs - truth.time[0]) / STEP_S).astype(np.int64)
     psi, roll, pitch, r = body.heading[k], body.roll[k], body.pitch[k], body.yaw_rate[k]
     forward, right = _place(machine, truth, mount)
     ahead = forward * np.cos(pitch) - above * back[k]
@@ -207,26 +257,19 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
 
 
 def _position_errors(
-    truth: Truth, epochs: Array, worse_m: Array, rng: np.random.Generator
+    run: Truth | Setting, epochs: Array, worse_m: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Errors north and east, m, each shape (n,); worse_m: sd of what a worse fix adds."""
     n, step = len(epochs), float(epochs[1] - epochs[0]) if len(epochs) > 1 else 0.1
     common_step = 0.1  # its own grid: the same for every receiver, whatever its period
-    length = int(truth.time[-1] / common_step) + 2
+    length = int(run.time[-1] / common_step) + 2
     result = []
     for axis in range(2):
         common = gauss_markov(
-            generator(truth.seed, streams.COMMON, axis), *POSITION_COMMON, common_step, length
+            generator(run.seed, streams.COMMON, axis), *POSITION_COMMON, common_step, length
         )
         own = gauss_markov(rng, *POSITION_OWN, step, n) + rng.normal(0.0, POSITION_WHITE, n)
         shared = np.interp(epochs, np.arange(length) * common_step, common)
         worse = worse_m * gauss_markov(rng, 1.0, 30.0, step, n)
-        result.append(truth.scenario.noise * (own + shared) + worse)
+        result.append(run.scenario.noise * (own + shared) + worse)
     return result[0], result[1]
-
-
-def _latest_new(effects: list[Effect]) -> NDArray[np.int64]:
-    """For each epoch the index of the one whose position is reported, shape (n,)."""
-    own = np.arange(len(effects))
-    repeats = np.array([effect.holds for effect in effects])
-    return np.maximum.accumulate(np.where(repeats, 0, own))

@@ -73,6 +73,28 @@ class Truth:
     states: Array  # of the nonlinear model, its STATES, shape (n, 13): CGs on the ground, not swaying
 
 
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a run is, before anybody drives it."""
+
+    seed: int
+    scenario: Scenario
+    believed: Rig  # what the machine file says
+    parameters: dict[str, float]
+    nuisances: dict[str, float]
+    rig: Rig
+    time: Array  # (n,)
+    land: Terrain
+    soil: Field
+
+    def truth(self, time: Array, way: float, states: Array, soil: Array) -> Truth:
+        """Of a stretch of the run. time: (m,), s; way: m driven before it; states: (m, 13); soil: (m, 6)."""
+        return Truth(
+            self.seed, self.scenario, self.parameters, self.rig.geometry, self.nuisances, time,
+            states[:, AT["delta"]], *_tracks(self.rig, self.land, states, way), self.rig, soil, states,
+        )  # fmt: skip
+
+
 def drive(
     machine: Machine,
     seed: int,
@@ -80,25 +102,32 @@ def drive(
     scenario: Scenario | None = None,
     *,
     progress: Callable[[float], None] | None = None,
+    driven_by: Callable[[Setting], Driver] | None = None,
 ) -> Truth:
     """Drive the machine of a machine file for so long. `progress` is told the seconds driven.
 
-    Raises ValueError where the machine is none that can be driven.
+    driven_by: instead of the scenario's own driver. Raises ValueError where the machine is none that can be
+    driven.
     """
     scenario = scenario or Scenario()
+    setting = setting_of(machine, seed, seconds, scenario)
+    driver = (
+        driver_of(scenario, setting.believed, setting.time, seed) if driven_by is None else driven_by(setting)
+    )
+    states, theta = _integrate(setting.rig, driver, setting.land, setting.soil, setting.time, progress)
+    return setting.truth(setting.time, 0.0, states, theta)
+
+
+def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) -> Setting:
+    """All that is drawn before a run begins. Raises ValueError, as `drive`."""
     believed = rig_of(machine)
     nuisances = _nuisances(machine, scenario, seed)
     parameters = draw(machine, seed, scenario)
     rig = _rig(machine, scenario, believed, parameters, nuisances, generator(seed, noise.GEOMETRY))
     time: Array = np.arange(round(seconds / STEP_S) + 1, dtype=np.float64) * STEP_S
-    driver = driver_of(scenario, believed, time, seed)
     land = terrain(scenario.ground, scenario.roll_deg, rig, generator(seed, noise.GROUND))
     soil = field(scenario.soil, parameters, rig, generator(seed, noise.SOIL))
-    states, theta = _integrate(rig, driver, land, soil, time, progress)
-    return Truth(
-        seed, scenario, parameters, rig.geometry, nuisances, time, states[:, AT["delta"]],
-        *_tracks(rig, land, states), rig, theta, states,
-    )  # fmt: skip
+    return Setting(seed, scenario, believed, parameters, nuisances, rig, time, land, soil)
 
 
 def draw(machine: Machine, seed: int, scenario: Scenario) -> dict[str, float]:
@@ -215,11 +244,11 @@ def _interpreted() -> Callable[..., Any]:
     return nonlinear.integrate.plain()
 
 
-def _tracks(rig: Rig, land: Terrain, states: Array) -> tuple[Track, Track]:
-    """Both bodies from the model's states."""
+def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[Track, Track]:
+    """Both bodies from the model's states; way: m that were driven before."""
     u = states[:, AT["u"]]
-    way = np.concatenate([[0.0], np.cumsum(u[:-1] * STEP_S)])
-    rolls = land.rolls(way, states[:, AT["psi_t"]], states[:, AT["psi_i"]])
+    ways = way + np.concatenate([[0.0], np.cumsum(u[:-1] * STEP_S)])
+    rolls = land.rolls(ways, states[:, AT["psi_t"]], states[:, AT["psi_i"]])
     cart = nonlinear.implement(rig, states)
     bodies = (
         (states[:, [AT[name] for name in ("x_t", "y_t", "u", "v")]], "psi_t", "r_t", rig.h_t, rolls[0]),

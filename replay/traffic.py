@@ -20,16 +20,15 @@ import heapq
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import chain
 from typing import Final
 
 from tilth.replay.other_traffic import DEVICES, Sent, other_frames
 from tilth.replay.receivers import Report, reports, star_fire_like, wheel_readings
 from tilth.replay.scenario import Scenario
-from tilth.replay.tractor import Truth, drive
+from tilth.replay.tractor import Setting, Truth, drive
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount, Word
-from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.wheel_angle import compile_sensor
 
 FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
@@ -61,10 +60,10 @@ def traffic(machine: Machine, truth: Truth) -> Iterator[Frame]:
     return heapq.merge(*buses, key=lambda frame: frame.t_ns)
 
 
-def host_clock(truth: Truth) -> Callable[[float], int]:
+def host_clock(run: Truth | Setting) -> Callable[[float], int]:
     """Of seconds of UTC since the start the recording computer's clock, ns: the stamps of its frames."""
-    offset_s, rate = truth.nuisances["clock_offset"], 1.0 + truth.nuisances["clock_skew"]
-    start_ns = truth.scenario.utc_start_ns
+    offset_s, rate = run.nuisances["clock_offset"], 1.0 + run.nuisances["clock_skew"]
+    start_ns = run.scenario.utc_start_ns
     return lambda at_s: start_ns + int(1e9 * (offset_s + rate * at_s))
 
 
@@ -73,12 +72,12 @@ def _queues(machine: Machine, truth: Truth) -> dict[str, list[Iterable[Sent]]]:
     scenario = truth.scenario
     queues: dict[str, list[Iterable[Sent]]] = {bus.name: [] for bus in machine.bus}
     first_bus = queues[machine.bus[0].name]
-    claims, sources = _claims(machine, scenario)
+    claims, sources = claims_of(machine, scenario)
     for bus, sent in claims:
         queues[bus].append([sent])
     for receiver in machine.receiver:
         rows = reports(machine, truth, receiver, FIRST_EPOCH_S)
-        queues[receiver.bus].append(_receiver_frames(receiver, rows, sources[receiver.mount], scenario))
+        queues[receiver.bus].append(receiver_frames(receiver, rows, sources[receiver.mount], scenario))
     if scenario.wheel_sensor:
         queues[machine.wheel_angle.bus].append(_wheel_frames(machine, truth))
     if scenario.other_traffic:
@@ -87,22 +86,42 @@ def _queues(machine: Machine, truth: Truth) -> dict[str, list[Iterable[Sent]]]:
 
 
 def _on_the_bus(machine: Machine, truth: Truth, bus: str, queue: Iterable[Sent]) -> Iterator[Frame]:
+    arbiter = Arbiter(next(b for b in machine.bus if b.name == bus), truth)
+    for sent in queue:
+        yield from arbiter.take(sent)
+    yield from arbiter.until(math.inf)
+
+
+class Arbiter:
     """Arbitration: whenever the bus is free, the lowest identifier that waits goes next."""
-    bit_s = 1.0 / next(b.bitrate for b in machine.bus if b.name == bus)
-    t_ns_at = host_clock(truth)
-    waiting: list[tuple[int, int, int, bool, bytes]] = []
-    free_s = 0.0
-    for order, (sent_s, can_id, extended, data) in enumerate(chain(queue, [(math.inf, 0, True, b"")])):
-        while waiting and free_s < sent_s:
-            _, _, sent_id, is_extended, sent_data = heapq.heappop(waiting)
-            free_s += bit_s * ((67 if is_extended else 47) + 8 * len(sent_data))  # with interframe space
-            t_ns = t_ns_at(free_s)
-            yield Frame(t_ns, t_ns, bus, sent_id, is_extended, False, sent_data)
-        free_s = max(free_s, sent_s)
-        heapq.heappush(waiting, (can_id if extended else can_id << 18, order, can_id, extended, data))
+
+    def __init__(self, bus: Bus, run: Truth | Setting) -> None:
+        self._bus = bus.name
+        self._bit_s = 1.0 / bus.bitrate
+        self._t_ns_at = host_clock(run)
+        self._waiting: list[tuple[int, int, int, bool, bytes]] = []
+        self._free_s = 0.0
+        self._order = 0
+
+    def take(self, sent: Sent) -> Iterator[Frame]:
+        """What goes before this is sent; its time is not before the last one's."""
+        sent_s, can_id, extended, data = sent
+        yield from self.until(sent_s)
+        self._free_s = max(self._free_s, sent_s)
+        self._order += 1
+        arbitrated = can_id if extended else can_id << 18
+        heapq.heappush(self._waiting, (arbitrated, self._order, can_id, extended, data))
+
+    def until(self, at_s: float) -> Iterator[Frame]:
+        """What begins before at_s, s."""
+        while self._waiting and self._free_s < at_s:
+            _, _, sent_id, extended, data = heapq.heappop(self._waiting)
+            self._free_s += self._bit_s * ((67 if extended else 47) + 8 * len(data))  # with interframe space
+            t_ns = self._t_ns_at(self._free_s)
+            yield Frame(t_ns, t_ns, self._bus, sent_id, extended, False, data)
 
 
-def _claims(machine: Machine, scenario: Scenario) -> tuple[list[tuple[str, Sent]], Sources]:
+def claims_of(machine: Machine, scenario: Scenario) -> tuple[list[tuple[str, Sent]], Sources]:
     """Address claims of the whole run as (bus, what is sent), and who uses which source address when."""
     claims: list[tuple[str, float, int, int]] = []
     holders: dict[tuple[str, int], Receiver] = {}
@@ -152,9 +171,10 @@ def _source_at(sources: list[tuple[float, int]], at_s: float) -> int:
     return sources[max(0, bisect_right(sources, (at_s, 255)) - 1)][1]
 
 
-def _receiver_frames(
+def receiver_frames(
     receiver: Receiver, rows: list[Report], sources: list[tuple[float, int]], scenario: Scenario
 ) -> Iterator[Sent]:
+    """Clumps of reports, each frame after the one before."""
     star_fire = star_fire_like(receiver)
     clump: Callable[[Report, int], list[Contents]] = _star_fire_clump if star_fire else _nmea2000_clump
     gap_s = CLUMP_GAP_S[star_fire]
@@ -231,14 +251,17 @@ def _wheel_frames(machine: Machine, truth: Truth) -> Iterator[Sent]:
 
 
 def _tractor_ecu(truth: Truth) -> Iterator[Sent]:
-    """Speed over the wheels and over ground, and the guidance system's curvature, each at 10 Hz."""
     speeds, rates = truth.tractor.forward_velocity, truth.tractor.yaw_rate
     for k in range(3, len(truth.time), 10):
-        speed = abs(float(speeds[k]))
-        direction = "reverse" if speeds[k] < 0.0 else "forward"
-        wheels: dict[str, Word] = {"speed_mps": 1.02 * speed, "direction": direction}  # they slip
-        ground: dict[str, Word] = {"speed_mps": speed, "direction": direction}
-        path: dict[str, Word] = {"curvature_per_m": float(rates[k]) / max(speed, 0.5)}
-        for pgn, words, destination in ((65096, wheels, 255), (65097, ground, 255), (44032, path, 28)):
-            for can_id, data in frames_of(pgn, encode(pgn, words), 0xF0, destination):
-                yield float(truth.time[k]) + 0.004, can_id, True, data
+        yield from ecu_frames(float(truth.time[k]), float(speeds[k]), float(rates[k]))
+
+
+def ecu_frames(at_s: float, velocity: float, yaw_rate: float) -> Iterator[Sent]:
+    """Speed over the wheels and over ground, and the guidance system's curvature, at one instant."""
+    speed, direction = abs(velocity), "reverse" if velocity < 0.0 else "forward"
+    wheels: dict[str, Word] = {"speed_mps": 1.02 * speed, "direction": direction}  # they slip
+    ground: dict[str, Word] = {"speed_mps": speed, "direction": direction}
+    path: dict[str, Word] = {"curvature_per_m": yaw_rate / max(speed, 0.5)}
+    for pgn, words, destination in ((65096, wheels, 255), (65097, ground, 255), (44032, path, 28)):
+        for can_id, data in frames_of(pgn, encode(pgn, words), 0xF0, destination):
+            yield at_s + 0.004, can_id, True, data

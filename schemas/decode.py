@@ -235,6 +235,8 @@ class Decoder:
         if sender.sd is not None:
             makes = makes + _OF_RECEIVERS[key] if makes else _OF_RECEIVERS[key]
         if not makes:
+            if arrival[0].wish:
+                return
             if route.sensor is None:
                 count(self.rejected, sender.reason if sender.sd is None else "unknown_source")
             return

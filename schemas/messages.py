@@ -42,6 +42,10 @@ WORDS: dict[str, Term] = {
     "wheel_angle_rad": Term("rad", "road wheel (or rudder), positive right", _QUARTER),
     "hand_wheel_angle_rad": Term("rad", "the driver's wheel, positive right (clockwise)"),
     "curvature_per_m": Term("1/m", "of the path, positive to the driver's right"),
+    "commanded_curvature_per_m": Term(
+        "1/m", "that the steering is asked for, positive to the driver's right"
+    ),
+    "command_status": Term("", "of a guidance command: intended | not_intended to steer"),
     "direction": Term("", "of travel: forward | reverse"),
     "utc_ns": Term("ns", "since 1970, UTC"),
     "fix": Term("", " | ".join(fix.value for fix in FixType)),
@@ -67,6 +71,7 @@ class Pgn:
     fast: bool = False  # NMEA 2000 fast packet, else a single frame
     selector: int | None = None  # byte 0 of a manufacturer's own message
     manufacturer: int | None = None  # whose own it is
+    wish: bool = False  # asks for something: no measurement, from whomever
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
@@ -152,6 +157,7 @@ J1939_TIME = Composed(
 
 REFERENCE = {0: "true", 1: "magnetic"}
 DIRECTION = {0: "reverse", 1: "forward"}
+COMMAND_STATUS = {0: "not_intended", 1: "intended"}
 METHOD = {
     0: "none", 1: "gnss", 2: "dgnss", 3: "precise", 4: "rtk_fixed", 5: "rtk_float", 6: "dead_reckoning",
     7: "manual", 8: "simulated",
@@ -212,6 +218,10 @@ PGNS: tuple[Pgn, ...] = (
     Pgn(44032, "Guidance Machine Info", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
         Field("curvature_per_m", 0, 16, 0.25, -8032.0, 1e-3),
     )),
+    Pgn(44288, "Guidance System Command", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
+        Field("commanded_curvature_per_m", 0, 16, 0.25, -8032.0, 1e-3),
+        Field("command_status", 16, 2, names=COMMAND_STATUS),
+    ), wish=True),
     # J1939 counts both positive to the left, the yaw rate as far as is known: confirm on traffic.
     Pgn(61449, "Vehicle Dynamic Stability Control 2", "j1939", 6, 10, 8, "SAE J1939-71, SPN 1807, 1808", (
         Field("hand_wheel_angle_rad", 0, 16, 1 / 1024, -31.374, -1.0),

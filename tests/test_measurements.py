@@ -110,8 +110,15 @@ def test_what_a_receiver_says_becomes_measurements(
 
 def test_every_message_of_a_receiver_is_in_that_table() -> None:
     assert {(row.pgn, row.selector) for row in PGNS} - {(pgn, selector) for pgn, selector, _, _ in MADE} == {
-        (61449, None), (60928, None), (127245, None),
+        (61449, None), (60928, None), (127245, None), (44288, None),
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("source", [STRANGER, 28])
+def test_a_command_is_a_wish_and_no_measurement(source: int) -> None:
+    subject = decoder()
+    assert heard(subject, 44288, {"commanded_curvature_per_m": 0.01}, source=source) == []
+    assert subject.rejected == {}
 
 
 def test_the_hand_wheel_is_anyones_and_its_yaw_rate_only_a_receivers() -> None:

@@ -57,6 +57,9 @@ VECTORS = [
     # 32128 is straight on; 10 per km more is a right-hand curve of 100 m radius
     (44032, None, "807DFFFFFFFFFFFF", {"curvature_per_m": 0.0}),
     (44032, None, "A87DFFFFFFFFFFFF", {"curvature_per_m": 0.01}),
+    # Asked to steer such a curve; then: no wish to steer
+    (44288, None, "A87DFDFFFFFFFFFF", {"commanded_curvature_per_m": 0.01, "command_status": "intended"}),
+    (44288, None, "807DFCFFFFFFFFFF", {"commanded_curvature_per_m": 0.0, "command_status": "not_intended"}),
     # J1939 counts to the left: raw above the middle is a left turn, negative here
     (61449, None, "7F81FF5F7DFFFFFF", {
         "hand_wheel_angle_rad": -(33151 / 1024 - 31.374), "yaw_rate_radps": -(32095 / 8192 - 3.92),
@@ -121,7 +124,7 @@ def test_every_word_is_carried_and_the_words_are_those_of_the_command_line() -> 
     assert " ".join(WORDS) == (
         "latitude_deg longitude_deg altitude_m course_rad speed_mps heading_rad heading_reference "
         "yaw_rate_radps roll_rad pitch_rad yaw_rad wheel_angle_rad hand_wheel_angle_rad curvature_per_m "
-        "direction utc_ns fix satellites hdop"
+        "commanded_curvature_per_m command_status direction utc_ns fix satellites hdop"
     )
     fixes = {
         name for row in PGNS for f in row.fields if f.key == "fix" and f.names for name in f.names.values()

@@ -1,0 +1,86 @@
+"""The controller: what the daemon says of poses and soil goes in, the guidance command of ISO 11783 comes
+out.
+
+latest estimate ─► cautious parameters ─► follower's gains
+pose            ─► field's plane       ─► follower ─► wheel angle ─► curvature ─► CAN, PGN 44288
+
+No clock and no wire: who owns them calls it. So the process on a rig (__main__.py) and the deterministic
+loop of the study (lockstep.py) run the same lines.
+"""
+
+import math
+from typing import Final
+
+from pyproj import Transformer
+
+from tilth.adaptive_guidance.follower import Body, Follower, Seen
+from tilth.adaptive_guidance.plan import Plan
+from tilth.client import Cautious, InForce, Latest, Limits, Staleness
+from tilth.estimator.models.parameters import Rig
+from tilth.schemas.decode import encode, frames_of
+from tilth.schemas.flow import BodyPose, Pose, Word
+
+COMMAND: Final = 44288
+ADDRESS: Final = 0x80  # source address of this controller; a rig's own would claim one
+STEERING: Final = 0xF0  # address of the steering ECU
+STALE: Final = Staleness(silence_s=3.0, data_s=300.0)
+LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3)
+
+
+class Controller:
+    """Steers the implement along a plan; begins, and stays where nothing may be used, at the nominal
+    gains."""
+
+    def __init__(
+        self, plan: Plan, nominal: Rig, origin_deg: tuple[float, float], limits: Limits = LIMITS
+    ) -> None:
+        """nominal: as the machine file has it. origin_deg: latitude and longitude of the plan's x = y = 0."""
+        self.follower = Follower(plan, nominal)
+        self.reason = "no pose yet"  # why nothing is commanded; "" while it steers
+        self.unusable = 0  # poses that lack something
+        self._cautious = Cautious(nominal.theta, limits)
+        self._plane = _plane(origin_deg)
+        self._origin = math.nan, math.nan  # latitude and longitude of the poses' origin
+        self._shift = 0.0, 0.0  # its north and east here, m
+
+    def estimate(self, latest: Latest, now: float) -> InForce:
+        """Take what may be used of the last estimate at this moment, s. Call it with each command."""
+        force = self._cautious.step(latest, now)
+        self.follower.theta = force.theta
+        return force
+
+    def pose(self, pose: Pose, at: float) -> None:
+        """Take a pose, whose instant was `at` on the caller's clock, s."""
+        origin = pose.origin_latitude_deg, pose.origin_longitude_deg
+        if origin != self._origin:
+            east, north = self._plane.transform(origin[1], origin[0])
+            self._origin, self._shift = origin, (north, east)
+        tractor, implement = self._body(pose.tractor), self._body(pose.implement)
+        speed, angle = pose.tractor.forward_velocity, pose.wheel_angle
+        if tractor is None or implement is None or speed is None or angle is None:
+            self.unusable += 1
+            return
+        self.follower.pose(Seen(at, tractor, implement, speed, angle))
+
+    def command(self, now: float) -> list[tuple[int, bytes]]:
+        """Frames to send now, (identifier, data): an intention to steer, or none and why in `reason`."""
+        asked = self.follower.command(now)
+        self.reason = asked.reason
+        words: dict[str, Word] = {"commanded_curvature_per_m": 0.0, "command_status": "not_intended"}
+        if asked.wheel_angle is not None:
+            bend = math.tan(asked.wheel_angle) / self.follower.rig.wheelbase
+            words = {"commanded_curvature_per_m": bend, "command_status": "intended"}
+        return frames_of(COMMAND, encode(COMMAND, words), ADDRESS, STEERING)
+
+    def _body(self, body: BodyPose) -> Body | None:
+        x, y, heading = body.x, body.y, body.heading
+        v, r = body.lateral_velocity, body.yaw_rate
+        if x is None or y is None or heading is None or v is None or r is None:
+            return None
+        north, east = self._shift
+        return Body(x + north, y + east, heading, v, r, body.roll or 0.0)
+
+
+def _plane(origin_deg: tuple[float, float]) -> Transformer:
+    plane = f"+proj=tmerc +lat_0={origin_deg[0]} +lon_0={origin_deg[1]} +k=1 +ellps=WGS84 +units=m"
+    return Transformer.from_crs("EPSG:4326", plane, always_xy=True)

@@ -1,0 +1,163 @@
+"""The closed loop in one process, as fast as it can and the same each time: plant, CAN, fold, controller.
+
+nonlinear tractor ─► its frames ─► the daemon's fold ─► poses, estimates ─► controller ─► commands ─► tractor
+
+Only the wires are missing: no Zenoh, no socket, no clock. What the controller is told of the soil is a
+choice:
+
+fixed     nothing: the nominal gains
+adapting  what the fold publishes, with the caution of tilth.client
+knowing   the true parameters under the axles at each moment
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.adaptive_guidance.controller import LIMITS, STALE, Controller
+from tilth.adaptive_guidance.follower import PERIOD_S
+from tilth.adaptive_guidance.plan import STEP, Plan, Work, plan
+from tilth.client import Limits
+from tilth.client.latest import judge
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.logger.fitting import Fitter
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.replay.live import LiveDriver
+from tilth.replay.receivers import ORIGIN_DEG
+from tilth.replay.scenario import STEP_S, Scenario
+from tilth.replay.tractor import Setting, Truth, drive
+from tilth.schemas.flow import Estimate, Frame, Pose
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+FIRST_S: Final = 1.0  # of a run: poses come by then
+EVERY: Final = 10  # samples between two of an error
+
+Change = Callable[[Estimate], Estimate]
+"""What becomes of a recommended estimate on its way to the controller."""
+
+
+class NoFits:
+    """Makes no fit: for controllers that do not listen, who need poses only."""
+
+    def ask(self, method: str, job: object) -> None:
+        return
+
+    def outcome(self, method: str, job: object, t_ns: int) -> None:
+        return None
+
+    def made(self, method: str, job: object) -> None:
+        return None
+
+
+@dataclass(slots=True)
+class Heard:
+    """What one run leaves behind besides the truth."""
+
+    estimates: list[tuple[float, Estimate]] = field(default_factory=list)  # (s, recommended)
+    theta: list[Array] = field(default_factory=list)  # (6,) in force at each command
+    taken: int = 0  # commands
+    refused: dict[str, int] = field(default_factory=dict)
+    ended: str = ""  # why the controller had ceased to steer at the end
+
+
+@dataclass(slots=True)
+class Loop:
+    """The exchange of a LiveDriver: frames of the tractor in, commands out."""
+
+    controller: Controller
+    fold: GuardedFold
+    mode: str
+    truth: Callable[[float], Array]  # parameters at a time, (6,)
+    zero_ns: int  # of the run, on the frames' clock
+    alter: Change
+    heard: Heard = field(default_factory=Heard)
+    _next: float = FIRST_S
+    _last: tuple[float, Estimate] | None = None
+
+    def __call__(self, now: float, frames: list[Frame]) -> list[tuple[int, bytes]]:
+        for frame in frames:
+            for publication, _ in self.fold.take(frame):
+                value = publication.value
+                if isinstance(value, Pose):
+                    self.controller.pose(value, (value.t_ns - self.zero_ns) * 1e-9)
+                elif isinstance(value, Estimate) and publication.topic == "/soil_tire":
+                    self._last = now, self.alter(value)
+                    self.heard.estimates.append(self._last)
+        if now < self._next - STEP_S / 2:
+            return []
+        self._next += PERIOD_S
+        if self.mode == "adapting":
+            told, age = (None, math.inf) if self._last is None else (self._last[1], now - self._last[0])
+            self.controller.estimate(judge(told, age, STALE), now)
+        elif self.mode == "knowing":
+            self.controller.follower.theta = self.truth(now)
+        self.heard.theta.append(self.controller.follower.theta)
+        return self.controller.command(now)
+
+
+def run(
+    machine: Machine,
+    seed: int,
+    scenario: Scenario,
+    work: Work,
+    mode: str,
+    *,
+    limits: Limits = LIMITS,
+    alter: Change = lambda estimate: estimate,
+    fitter: Fitter | None = None,
+) -> tuple[Plan, Truth, Heard]:
+    """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing."""
+    nominal = rig_of(machine)
+    line = plan(work, nominal)
+    assert isinstance(scenario.speed, float)
+    seconds = len(line.row) * STEP / scenario.speed + 3.0
+    scenario = replace(scenario, clock_offset_s=0.0, other_traffic=False)
+    loops: list[Loop] = []
+    drivers: list[LiveDriver] = []
+
+    def driver(setting: Setting) -> LiveDriver:
+        controller = Controller(line, nominal, ORIGIN_DEG, limits)
+        fold = GuardedFold(machine, fitter=fitter if mode == "adapting" else NoFits())
+        soil = _soil(setting, controller, nominal)
+        loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, alter))
+        drivers.append(LiveDriver(machine, setting, loops[0]))
+        return drivers[0]
+
+    truth = drive(machine, seed, seconds, scenario, driven_by=driver)
+    heard, steering = loops[0].heard, drivers[0].steering
+    heard.taken, heard.refused = steering.taken, dict(steering.refused)
+    heard.ended = loops[0].controller.reason
+    return line, truth, heard
+
+
+def _soil(setting: Setting, controller: Controller, nominal: Rig) -> Callable[[float], Array]:
+    """The true parameters where the plan's tractor is: its CG's place counts for all axles."""
+
+    def at(now: float) -> Array:
+        follower = controller.follower
+        x = np.zeros(13)
+        x[:2] = follower.plan.tractor[min(round(follower.station), len(follower.plan.row) - 1), :2]
+        return np.asarray(setting.soil.at(now, x))
+
+    return at
+
+
+def cross_track(line: Plan, truth: Truth) -> tuple[Array, NDArray[np.int64]]:
+    """(error of the implement's CG to the right of its line, m; sample of the plan), each EVERY samples."""
+    way = np.gradient(line.implement[:, :2], axis=0)
+    way /= np.hypot(way[:, 0], way[:, 1])[:, None]
+    k, errors, at = 0, [], []
+    for x, y in zip(truth.implement.x[::EVERY].tolist(), truth.implement.y[::EVERY].tolist(), strict=True):
+        first = max(k - 20, 0)
+        off = np.array([x, y]) - line.implement[first : k + 60, :2]
+        k = first + int(np.argmin(np.hypot(off[:, 0], off[:, 1])))
+        north, east = np.array([x, y]) - line.implement[k, :2]
+        errors.append(east * way[k, 0] - north * way[k, 1])
+        at.append(k)
+    return np.array(errors), np.array(at)

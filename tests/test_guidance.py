@@ -1,0 +1,174 @@
+"""Guidance of the implement: plan, law, controller, and the whole loop on the nonlinear tractor."""
+
+import math
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tilth.adaptive_guidance.controller import COMMAND, LIMITS, STALE, Controller
+from tilth.adaptive_guidance.law import design
+from tilth.adaptive_guidance.lockstep import cross_track, run
+from tilth.adaptive_guidance.plan import STEP, Plan, Work, plan
+from tilth.client.latest import judge
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.replay.receivers import ORIGIN_DEG
+from tilth.replay.scenario import Change, Ground, Scenario, Soil
+from tilth.schemas.can_id import split
+from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.messages import row
+
+WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
+    return parse_machine(file.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def nominal(machine: Machine) -> Rig:
+    return rig_of(machine)
+
+
+@pytest.fixture(scope="module")
+def line(nominal: Rig) -> Plan:
+    return plan(WORK, nominal)
+
+
+def test_the_plan_is_one_that_rolling_wheels_can_follow(line: Plan, nominal: Rig) -> None:
+    for body, behind in ((line.tractor, nominal.b), (line.implement, nominal.towed_length - nominal.d)):
+        heading = np.column_stack([np.cos(body[:, 2]), np.sin(body[:, 2])])
+        axle = body[:, :2] - behind * heading
+        way = np.gradient(axle, STEP, axis=0)
+        sideways = way[:, 1] * heading[:, 0] - way[:, 0] * heading[:, 1]
+        assert np.abs(sideways[2:-2]).max() < 0.01
+    gap = line.tractor[:, :2] - nominal.c * _ahead(line.tractor) - line.implement[:, :2]
+    assert np.allclose(gap, nominal.d * _ahead(line.implement))  # the hitch holds
+    ends = [np.flatnonzero(line.row == k)[-1] for k in range(WORK.rows)]
+    assert line.tractor[ends, 1] == pytest.approx([0.0, 48.0, 96.0], abs=0.1)
+    assert np.cos(line.tractor[ends, 2]) == pytest.approx([1.0, -1.0, 1.0], abs=1e-3)
+
+
+def _ahead(body: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([np.cos(body[:, 2]), np.sin(body[:, 2])])
+
+
+def test_a_turn_that_does_not_fit_is_said(nominal: Rig) -> None:
+    with pytest.raises(ValueError, match="smaller radius"):
+        plan(Work(spacing=20.0, radius=18.0), nominal)
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0, 4.5, 7.0])
+@pytest.mark.parametrize("factor", [0.3, 1.0, 3.0])
+def test_the_law_steadies_what_it_is_made_for(nominal: Rig, speed: float, factor: float) -> None:
+    soil = dict(zip(PARAMETERS, (nominal.theta * factor).tolist(), strict=True))
+    made = design(nominal._replace(**soil), speed)
+    n = len(made.f)
+    whole = np.block([[made.f, made.g[:, None]], [np.zeros((1, n)), np.eye(1)]])
+    whole[n] -= 0.02 * made.gain
+    assert np.abs(np.linalg.eigvals(whole)).max() < 1.0
+    assert all(np.isfinite(part).all() for part in made[2:])
+
+
+# The controller.
+
+
+def pose(at_s: float, x: float = 20.0, y: float = 0.0, **changes: object) -> Pose:
+    body = BodyPose(x, y, 0.01, 0.0, 0.01, 4.5, 0.0, 0.05, 0.07, 0.0, 0.01, 0.0, 0.01)
+    towed = replace(body, x=x - 5.72)
+    one = Pose(
+        round(at_s * 1e9), *ORIGIN_DEG, body, towed, 0.0, 0.02, 0.0, 0.01, 1, None, 0.0, 4, ()
+    )  # fmt: skip
+    return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def told(controller: Controller, now: float) -> tuple[str, float]:
+    ((can_id, data),) = controller.command(now)
+    assert split(can_id).pgn == COMMAND
+    words = row(COMMAND).layout.decode(data, {})
+    return str(words["command_status"]), float(words["commanded_curvature_per_m"])
+
+
+def test_it_steers_only_by_poses_that_are_whole_and_fresh(line: Plan, nominal: Rig) -> None:
+    subject = Controller(line, nominal, ORIGIN_DEG)
+    assert told(subject, 0.1) == ("not_intended", 0.0)
+    subject.pose(pose(0.1, wheel_angle=None), 0.1)
+    assert (told(subject, 0.2)[0], subject.reason, subject.unusable) == ("not_intended", "no pose yet", 1)
+    subject.pose(pose(0.2), 0.2)
+    assert (told(subject, 0.3)[0], subject.reason) == ("intended", "")
+    subject.pose(pose(0.1), 0.1)  # an old one changes nothing
+    assert told(subject, 0.4)[0] == "intended"
+    assert told(subject, 1.4)[0] == "not_intended"
+    assert subject.reason == "the last pose is 1.2 s old"
+
+
+def test_off_the_line_to_the_left_it_steers_to_the_right_at_a_limited_rate(line: Plan, nominal: Rig) -> None:
+    subject = Controller(line, nominal, ORIGIN_DEG)
+    subject.pose(pose(0.0, y=-0.5), 0.0)
+    bends = [told(subject, 0.1 * k)[1] for k in range(8)]
+    assert bends[-1] > 0.001
+    angles = np.arctan(nominal.wheelbase * np.array(bends))
+    assert np.abs(np.diff(angles)).max() < math.radians(20.0) * 0.1 + 1e-3
+
+
+def estimate(factor: float, status: Status = Status.ESTIMATED) -> Estimate:
+    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
+    values = rig_of(parse_machine(file.read_text(encoding="utf-8"))).theta * factor
+    rows = tuple(ParameterEstimate(float(v), 0.05 * float(v), status, "", 1.0) for v in values)
+    return Estimate(1, "recommended", "relaxation", rows, tuple((0.0025 * np.eye(6)).ravel().tolist()), ())
+
+
+@pytest.mark.parametrize(
+    ("estimate_told", "age_s"),
+    [
+        (estimate(0.6), 3.5),  # stale
+        (estimate(0.6, Status.INVALID), 0.1),
+        (estimate(0.6, Status.STALE), 0.1),
+        (None, math.inf),
+    ],
+)
+def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
+    line: Plan, nominal: Rig, estimate_told: Estimate | None, age_s: float
+) -> None:
+    subject = Controller(line, nominal, ORIGIN_DEG)
+    now = 0.0
+    for _ in range(100):
+        now += 0.1
+        subject.estimate(judge(estimate(0.6), 0.1, STALE), now)
+    assert subject.follower.theta == pytest.approx(0.6 * nominal.theta)
+    before = subject.follower.theta
+    for _ in range(100):
+        now += 0.1
+        subject.estimate(judge(estimate_told, age_s, STALE), now)
+        step = np.abs(np.log(subject.follower.theta / before)).max()
+        assert step <= LIMITS.per_s * 0.1 + 1e-9
+        before = subject.follower.theta
+    assert before == pytest.approx(nominal.theta)
+
+
+# The whole loop.
+
+
+def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_turn(
+    machine: Machine, nominal: Rig
+) -> None:
+    soil = Soil(
+        parameters=dict(zip(PARAMETERS, nominal.theta.tolist(), strict=True)),  # type: ignore[arg-type]
+        changes=(Change(at_s=0.0, C_af=0.6, C_ar=0.6, C_ai=0.6),),
+    )
+    scenario = Scenario(speed=4.5, soil=soil, ground=Ground(roll_sd_deg=0.5, force_sd=0.01))
+    work = replace(WORK, rows=2)
+    errors = {}
+    for mode in ("fixed", "knowing"):
+        line, truth, heard = run(machine, 1, scenario, work, mode)
+        assert heard.refused == {}
+        assert heard.ended == "the plan is done"
+        off, at = cross_track(line, truth)
+        errors[mode] = np.sqrt(np.mean(off[line.row[at] < 0] ** 2))
+    assert errors["knowing"] < 0.15
+    assert errors["knowing"] < 0.85 * errors["fixed"]
