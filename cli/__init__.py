@@ -26,6 +26,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),
+    ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
 )
 

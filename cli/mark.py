@@ -7,9 +7,10 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse
+from tilth.client.refusal import holder_of, try_key
 from tilth.logger.clock import utc_text
 from tilth.logger.machine_file import read_machine
-from tilth.logger.zenoh_sink import why
+from tilth.logger.zenoh_session import why
 from tilth.schemas.machine import Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -32,7 +33,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument("--endpoint", metavar="TCP/HOST:PORT", help="where the daemon listens")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a Zenoh configuration instead, with certificates"
+        "--config", type=Path, metavar="KEY.json", help="of `tilth keys`, where the daemon wants one"
     )
 
 
@@ -42,10 +43,15 @@ def run(args: argparse.Namespace) -> int:
     if args.machine is not None:
         machine, _ = read_machine(args.machine)
         prefix, name, endpoints = machine.zenoh.prefix, machine.name, machine.zenoh.listen
+        if machine.zenoh.config is not None and args.config is None:
+            raise WrongUse("this machine wants a key: give an operator's with --config")
+    if args.config is not None:
+        prefix, name = _of_key(args.config)
     try:
         session = zenoh.open(_config(args.config, [args.endpoint] if args.endpoint else endpoints))
     except zenoh.ZError as error:
-        raise WrongUse(f"no daemon can be reached: {why(error)}; is `tilth run` running?") from None
+        reason = why(error) if args.config is None else try_key(args.config).text
+        raise WrongUse(f"no daemon can be reached: {reason}; is `tilth run` running?") from None
     with session:
         alive = [
             str(reply.ok.key_expr) for reply in session.liveliness().get(f"{prefix}/{name}/alive") if reply.ok
@@ -56,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
                 f"several daemons are heard: {heard}; say with --machine which of them"
                 if alive
                 else f"no daemon is heard on {prefix}/{name}; is `tilth run` running?"
+                if args.config is None
+                else try_key(args.config).text
             )
         key = alive[0].removesuffix("alive") + "mark"
         replies = list(session.get(key, payload=args.text, encoding="text/plain", timeout=WAIT_S))
@@ -68,15 +76,28 @@ def run(args: argparse.Namespace) -> int:
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before marking again")
 
 
+def _of_key(path: Path) -> tuple[str, str]:
+    """Prefix and machine that a key is for."""
+    try:
+        holder = holder_of(path)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    if holder.role != "operator":
+        raise WrongUse(f"{path}: {holder.name} may hear and not mark; ask for an operator's key")
+    return holder.prefix, holder.machine
+
+
 def _config(file: Path | None, endpoints: list[str]) -> zenoh.Config:
     if file is not None:
-        return zenoh.Config.from_file(str(file))
-    config = zenoh.Config()
+        config = zenoh.Config.from_file(str(file))
+    else:
+        config = zenoh.Config()
+        config.insert_json5("connect/endpoints", json.dumps(endpoints))
     for key, value in (
         ("mode", "client"),
         ("scouting/multicast/enabled", False),
-        ("connect/endpoints", endpoints),
         ("connect/timeout_ms", 2000),
+        ("connect/exit_on_failure", True),
     ):
         config.insert_json5(key, json.dumps(value))
     return config

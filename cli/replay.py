@@ -15,7 +15,8 @@ from rich.table import Table
 from tilth.cli import WrongUse, add_bus_names
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
-from tilth.logger.zenoh_sink import ZenohSink, why
+from tilth.logger.zenoh_session import why
+from tilth.logger.zenoh_sink import ZenohSink
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.compare import Comparison
 from tilth.replay.driver import Outputs, Pace, Summary, replay

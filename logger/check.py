@@ -15,7 +15,7 @@ from zenoh import ZError
 from tilth.logger.buses import Buses, Source
 from tilth.logger.clock import Clock
 from tilth.logger.status import LOW_HOURS, hours_left
-from tilth.logger.zenoh_sink import is_local, try_session, why
+from tilth.logger.zenoh_session import try_session, why
 from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
 
@@ -150,13 +150,8 @@ def _zenoh(machine: Machine) -> Finding:
         note = try_session(machine)
     except ZError as error:
         return Finding("zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh")
-    notes = [note] if note else []
-    shared = [endpoint for endpoint in machine.zenoh.listen if not is_local(endpoint)]
-    if shared:
-        notes.append(
-            f"listens on {', '.join(shared)} without encryption or password: anyone on that network can read "
-            "and answer"
-        )
-    if notes:
-        return Finding("zenoh", NOTE, "; ".join(notes))
+    if note:
+        return Finding("zenoh", NOTE, note)
+    if machine.zenoh.config is not None:
+        return Finding("zenoh", OK, f"for those who have keys of {machine.zenoh.config}")
     return Finding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")

@@ -29,7 +29,8 @@ from tilth.logger.recording import Recording
 from tilth.logger.status import bus_status, health_of, hours_left, problems_of, rejected
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
-from tilth.logger.zenoh_sink import ZenohSink, why
+from tilth.logger.zenoh_session import why
+from tilth.logger.zenoh_sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, UtcTime
 from tilth.schemas.machine import Machine

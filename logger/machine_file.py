@@ -13,16 +13,21 @@ _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 def read_machine(path: Path | str) -> tuple[Machine, str]:
     """The machine of a file and the file's own text, as it goes into the log.
 
-    A relative wheel_angle.dbc counts from the machine file's folder. Raises MachineError in one sentence.
+    Relative wheel_angle.dbc and zenoh.config count from the machine file's folder. Raises MachineError in one
+    sentence.
     """
     path = Path(path)
     text = _text(path, "machine file")
     dbc = _dbc_name(text)
     dbc_text = None if dbc is None else _text(path.parent / dbc, "wheel_angle.dbc")
     try:
-        return parse_machine(text, dbc_text), text
+        machine = parse_machine(text, dbc_text)
     except MachineError as error:
         raise MachineError(f"{path}: {_unfilled(text) or error}") from None
+    if machine.zenoh.config is not None:
+        zenoh = machine.zenoh.model_copy(update={"config": str(path.parent / machine.zenoh.config)})
+        machine = machine.model_copy(update={"zenoh": zenoh})
+    return machine, text
 
 
 def _unfilled(text: str) -> str:

@@ -5,21 +5,18 @@ liveliness token says that this process lives; the rig itself is there from the 
 Values are dropped rather than waited for: nothing here may cost a frame.
 """
 
-import ipaddress
-import json
-import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import zenoh
 
+from tilth.logger.zenoh_session import open_session
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.machine import Machine
 
 STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
 # What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
 _COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
-_NETWORKED = ("tcp", "udp", "tls", "quic", "ws")  # protocols whose endpoints are HOST:PORT
 
 
 class ZenohSink:
@@ -39,8 +36,7 @@ class ZenohSink:
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
         self.failures = 0
-        self.endpoints, self.note = _endpoints(machine)
-        self._session = zenoh.open(_config(machine, self.endpoints))
+        self._session, self.endpoints, self.note = open_session(machine)
         self._publishers = {
             channel.topic: self._session.declare_publisher(
                 f"{self.base}/{channel.key}",
@@ -101,71 +97,3 @@ class ZenohSink:
             else:
                 age = f"{age_ns * 1e-9:.3f}"
                 query.reply(publisher.key_expr, data, encoding=publisher.encoding, attachment=age)
-
-
-def why(error: zenoh.ZError) -> str:
-    """Zenoh's own words in one line, without the place in its source."""
-    return str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
-
-
-def is_local(endpoint: str) -> bool:
-    """Whether only this computer can reach it."""
-    protocol, _, address = endpoint.partition("/")
-    if protocol not in _NETWORKED:
-        return True
-    host = address.rpartition(":")[0].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def free_endpoint(endpoint: str) -> str:
-    """The endpoint with a port that nobody uses now, where it is TCP and its own is taken."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.rpartition(":")
-    if protocol != "tcp" or not port.isdigit():
-        return endpoint
-    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
-    for wanted in (int(port), 0):
-        with socket.socket(family) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host.strip("[]"), wanted))
-            except OSError:
-                continue
-            return f"{protocol}/{host}:{probe.getsockname()[1]}"
-    return endpoint
-
-
-def _endpoints(machine: Machine) -> tuple[list[str], str]:
-    """Where to listen, and a note where that is not what the machine file says."""
-    wanted = machine.zenoh.listen
-    free = [free_endpoint(endpoint) for endpoint in wanted]
-    if free == wanted:
-        return free, ""
-    return free, (
-        f"{', '.join(wanted)} is taken by another program; listening on {', '.join(free)}; "
-        "if that is another run of this machine, end one: both publish the same keys"
-    )
-
-
-def _config(machine: Machine, listen: Sequence[str]) -> zenoh.Config:
-    config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(machine.zenoh.connect),
-    }
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
-
-
-def try_session(machine: Machine) -> str:
-    """Open a session as a run would and close it; what is unusual about it, or "". Raises zenoh.ZError."""
-    endpoints, note = _endpoints(machine)
-    zenoh.open(_config(machine, endpoints)).close()
-    return note

@@ -248,6 +248,17 @@ class Zenoh(_Section):
     prefix: str = Field(default="tilth", pattern=r"^[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*$")
     listen: list[str] = Field(default=["tcp/127.0.0.1:7447"], description="Zenoh endpoints of the daemon")
     connect: list[str] = Field(default_factory=list, description="Zenoh routers to reach")
+    config: str | None = Field(
+        default=None,
+        description="daemon.json of `tilth keys`, for a shared network: its endpoints instead of listen and "
+        "connect, which are for this computer only; relative to this file",
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if self.config is not None and self.model_fields_set & {"listen", "connect"}:
+            raise ValueError("give config, or listen and connect: that file has its own endpoints")
+        return self
 
 
 class Estimation(_Section):

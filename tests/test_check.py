@@ -99,7 +99,7 @@ def test_a_zenoh_port_that_is_taken_is_worth_a_note_and_a_wrong_one_is_a_problem
         update={"zenoh": machine.zenoh.model_copy(update={"listen": [f"udp/0.0.0.0:{free_port()}"]})}
     )
     found = of(check(wide, tmp_path, SECONDS), "zenoh")
-    assert found.state == NOTE and "anyone on that network can read and answer" in found.text
+    assert found.state == NOTE and "anybody on that network could read and answer" in found.text
 
 
 class OddClock(Clock):

@@ -9,7 +9,7 @@ import zenoh
 from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
 
 from tilth.cli import main
-from tilth.logger.zenoh_sink import free_endpoint
+from tilth.logger.zenoh_session import free_endpoint
 from tilth.replay.readers import frames
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import PARAMETERS

@@ -1,0 +1,102 @@
+"""`tilth keys`: who may hear a machine on a shared network, and who may mark."""
+
+import argparse
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tilth.cli import WrongUse
+from tilth.client.refusal import try_key
+from tilth.deploy import keys
+from tilth.logger.check import YEARS
+from tilth.logger.clock import Clock
+from tilth.logger.machine_file import read_machine
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "keys",
+        help="say who may hear a machine on a shared network, and who may mark",
+        description="Make and revoke keys for a shared network (mutual TLS). The first time with --machine "
+        "and --host; without any option: who has keys. Everything is in FOLDER: keep it off the tractor, "
+        "give daemon.json to the recorder and <name>.json to who it is for.",
+    )
+    parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="where the keys are kept")
+    parser.add_argument("--machine", type=Path, metavar="MACHINE.toml", help="new keys, for this machine")
+    parser.add_argument(
+        "--host",
+        action="append",
+        default=[],
+        metavar="ADDRESS",
+        help="how others reach the recorder's computer",
+    )
+    parser.add_argument("--port", type=int, default=keys.PORT, metavar="N", help=f"({keys.PORT})")
+    parser.add_argument("--operator", action="append", default=[], metavar="NAME", help="may hear and mark")
+    parser.add_argument("--reader", action="append", default=[], metavar="NAME", help="may hear")
+    parser.add_argument("--renew", action="append", default=[], metavar="NAME", help="a new certificate")
+    parser.add_argument("--revoke", action="append", default=[], metavar="NAME", help="let in no longer")
+    parser.add_argument("--days", type=int, default=keys.DAYS, metavar="N", help=f"a key lasts ({keys.DAYS})")
+    parser.add_argument(
+        "--try", dest="key", type=Path, metavar="KEY.json", help="say what a key opens, or why nothing"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where a key that is tried opens nothing."""
+    try:
+        if args.key is not None:
+            verdict = try_key(args.key)
+            print(verdict.text)
+            return 0 if verdict.opens else 1
+        _change(args)
+        _list(args.folder)
+    except (keys.KeysError, ValueError) as error:
+        raise WrongUse(str(error)) from None
+    except OSError as error:
+        place = error.filename or args.folder
+        raise WrongUse(
+            f"{place}: {(error.strerror or str(error)).lower()}; give a folder of your own"
+        ) from None
+    return 0
+
+
+def _change(args: argparse.Namespace) -> None:
+    if args.folder is None:
+        raise WrongUse("give the FOLDER of the keys, or --try KEY.json")
+    if args.days < 1 or not 0 < args.port < 65536:
+        raise WrongUse("give --days above zero and a --port from 1 to 65535")
+    now = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
+    if now.year not in YEARS:
+        raise WrongUse(f"this computer's clock says {now:%Y-%m-%d}; set it, keys last from today")
+    written: list[Path] = []
+    if args.machine is not None:
+        machine, _ = read_machine(args.machine)
+        register = keys.Register(machine.name, machine.zenoh.prefix, tuple(args.host), args.port)
+        written += keys.make(args.folder, register, now)
+    elif args.host:
+        raise WrongUse("--host goes with --machine, when the keys are made")
+    people = [*((n, "operator") for n in args.operator), *((n, "reader") for n in args.reader)]
+    if args.revoke:
+        written += keys.revoke(args.folder, args.revoke)
+    if args.renew:
+        written += keys.renew(args.folder, args.renew, now, args.days)
+    if people:
+        written += keys.admit(args.folder, people, now, args.days)
+    for path in dict.fromkeys(written):
+        print(f"wrote {path}{_WHAT_FOR.get(path.name, '')}")
+
+
+_WHAT_FOR = {
+    "ca.key": ": whoever has it can make keys; keep it off the tractor and off the network",
+    "daemon.json": ': for the recorder, beside its machine file; there: [zenoh] config = "daemon.json"',
+}
+
+
+def _list(folder: Path) -> None:
+    register = keys.read_register(folder)
+    print(f"{register.base} at {', '.join(register.hosts)}, port {register.port}")
+    for party in register.parties:
+        print(f"  {party.name:20} {party.role:9} until {party.until}")
+    for name in register.revoked:
+        print(f"  {name:20} revoked")
+    if not register.parties:
+        print("  nobody may hear it yet; see --reader and --operator")
