@@ -20,6 +20,7 @@ from tilth.schemas.machine import MachineError
 COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
     ("mark", "note an event in the log of the daemon that runs"),
+    ("recover", "finish log files that a power cut left unfinished"),
     ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
     ("decode", "print the messages of a log, one JSON object a line"),
     ("replay", "feed logs through the estimators again"),

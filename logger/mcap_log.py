@@ -12,6 +12,7 @@ import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, cast
@@ -49,6 +50,7 @@ def machine_sha256(machine: Machine, machine_text: str) -> str:
     return hashlib.sha256((machine_text + (machine.wheel_angle.dbc_text or "")).encode()).hexdigest()
 
 
+@cache  # a search of the disk, and each new file of a run asks
 def software() -> dict[str, str]:
     """Versions of all that computes, for the metadata record "tilth"."""
 

@@ -11,28 +11,21 @@ import fcntl
 import io
 import os
 import struct
-import zlib
-from collections import Counter, defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
     ChunkIndex,
-    DataEnd,
-    Footer,
     Header,
-    McapRecord,
     MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
 
 from tilth.logger.mcap_file import (
@@ -47,6 +40,7 @@ from tilth.logger.mcap_file import (
     unpacked,
     walk,
 )
+from tilth.logger.mcap_index import Content, ending
 
 UNREADABLE = 0x80  # opcode: private, passed over by every reader
 _CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # start, end, size, crc, 4, "zstd", length
@@ -70,23 +64,6 @@ class Finished:
     first_ns: int  # log_time of the first and the last message; 0 where there is none
     last_ns: int
     unreadable_bytes: int  # still in the file, in records that readers pass over
-
-
-@dataclass(slots=True)
-class _Content:
-    """What the index at the end of a file tells of it."""
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)  # channel -> messages
-    metadata: list[MetadataIndex] = field(default_factory=list)
-    # chunk's start -> its index, of chunks whose index is not whole in the file
-    unindexed: dict[int, list[MessageIndex]] = field(default_factory=dict)
-    bad: list[tuple[int, int]] = field(default_factory=list)  # start and end of what is no record
-    covered: int = 0  # bytes found under private records, of an earlier recovery
-    end: int = 0  # of the last whole record
-    header: bool = False
 
 
 def finish(path: Path) -> Finished:
@@ -150,9 +127,9 @@ def _is_ours(file: BinaryIO, size: int) -> bool:
     return place.opcode == Opcode.HEADER and b"tilth" in head[place.body : place.end]
 
 
-def _survey(path: Path, file: BinaryIO, size: int) -> _Content:
+def _survey(path: Path, file: BinaryIO, size: int) -> Content:
     """Read the whole file, every checksum verified. Raises NoLog."""
-    content = _Content(end=len(MAGIC))
+    content = Content(end=len(MAGIC))
     file.seek(0)
     head = file.read(len(MAGIC))
     if head != MAGIC:
@@ -184,7 +161,7 @@ def _ends_data(file: BinaryIO, place: Place, size: int) -> bool:
     return ends and _next_chunk(file, place.end, size) == size
 
 
-def _take(content: _Content, file: BinaryIO, place: Place) -> bool:
+def _take(content: Content, file: BinaryIO, place: Place) -> bool:
     """Note what a record tells; False where it is damaged."""
     if place.opcode == UNREADABLE:
         content.covered += place.end - place.start
@@ -211,7 +188,7 @@ def _take(content: _Content, file: BinaryIO, place: Place) -> bool:
     return True
 
 
-def _chunk(content: _Content, place: Place, body: bytes) -> None:
+def _chunk(content: Content, place: Place, body: bytes) -> None:
     index: dict[int, list[tuple[int, int]]] = defaultdict(list)
     definitions = []
     data = unpacked(body)
@@ -249,7 +226,7 @@ def _chunk(content: _Content, place: Place, body: bytes) -> None:
     content.unindexed[place.start] = [MessageIndex(channel, rows) for channel, rows in index.items()]
 
 
-def _define(content: _Content, opcode: int, body: bytes) -> None:
+def _define(content: Content, opcode: int, body: bytes) -> None:
     stream = ReadDataStream(io.BytesIO(body))
     if opcode == Opcode.SCHEMA:
         schema = Schema.read(stream)
@@ -259,7 +236,7 @@ def _define(content: _Content, opcode: int, body: bytes) -> None:
         content.channels[channel.id] = channel
 
 
-def _message_index(content: _Content, place: Place, index: MessageIndex) -> None:
+def _message_index(content: Content, place: Place, index: MessageIndex) -> None:
     """Believed where it is that of the chunk before it, message for message."""
     if not content.chunks:
         raise ValueError("an index before the first chunk")
@@ -273,7 +250,7 @@ def _message_index(content: _Content, place: Place, index: MessageIndex) -> None
         del content.unindexed[chunk.chunk_start_offset]
 
 
-def _complete_definitions(content: _Content, file: BinaryIO, start: int, size: int) -> None:
+def _complete_definitions(content: Content, file: BinaryIO, start: int, size: int) -> None:
     """What a damaged chunk defined: from the index at the end, or else a name that says what is known."""
     for place in walk(file, size, start):
         if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -324,7 +301,7 @@ def _is_zero(file: BinaryIO, start: int, end: int) -> bool:
     return True
 
 
-def _complete(file: BinaryIO, size: int, content: _Content) -> None:
+def _complete(file: BinaryIO, size: int, content: Content) -> None:
     """Make the file a whole one."""
     for start, end in content.bad:
         if end - start < HEAD.size:
@@ -341,7 +318,7 @@ def _complete(file: BinaryIO, size: int, content: _Content) -> None:
     file.truncate(end)
     file.seek(end)
     try:
-        file.write(b"".join(_ending(content, end)))
+        file.write(b"".join(ending(content, end)))
         file.flush()
     except OSError:  # no room: a file without an index is finished another time, half an index is clutter
         file.truncate(end)
@@ -352,69 +329,3 @@ def _complete(file: BinaryIO, size: int, content: _Content) -> None:
 def _cover(file: BinaryIO, start: int, end: int) -> None:
     file.seek(start)
     file.write(HEAD.pack(UNREADABLE, end - start - HEAD.size))
-
-
-def _ending(content: _Content, end: int) -> Iterator[bytes]:
-    """All that follows the data: missing indexes, the end of data, the summary, the footer."""
-    builder = RecordBuilder()
-    if end == 0:
-        yield MAGIC
-        end = len(MAGIC)
-    if not content.header:
-        Header("", "tilth").write(builder)
-    for chunk in content.chunks:
-        missing = content.unindexed.get(chunk.chunk_start_offset)
-        if missing is None:
-            continue
-        begin = builder.count
-        chunk.message_index_offsets.clear()
-        for index in missing:
-            chunk.message_index_offsets[index.channel_id] = end + builder.count
-            index.write(builder)
-        chunk.message_index_length = builder.count - begin
-    DataEnd(0).write(builder)
-    data = builder.end()
-    yield data
-    yield _summary(content, end + len(data))
-    yield MAGIC
-
-
-def _summary(content: _Content, start: int) -> bytes:
-    builder = RecordBuilder()
-    offsets = []
-    groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
-        (Opcode.SCHEMA, list(content.schemas.values())),
-        (Opcode.CHANNEL, list(content.channels.values())),
-        (Opcode.STATISTICS, [_statistics(content)]),
-        (Opcode.CHUNK_INDEX, list(content.chunks)),
-        (Opcode.METADATA_INDEX, list(content.metadata)),
-    )
-    for opcode, records in groups:
-        begin = builder.count
-        for record in records:
-            record.write(builder)
-        if records:
-            offsets.append(SummaryOffset(opcode, start + begin, builder.count - begin))
-    offsets_start = start + builder.count
-    for offset in offsets:
-        offset.write(builder)
-    data: bytes = builder.end()
-    head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
-    Footer(start, offsets_start, zlib.crc32(head, zlib.crc32(data))).write(builder)
-    footer: bytes = builder.end()
-    return data + footer
-
-
-def _statistics(content: _Content) -> Statistics:
-    times = [t for chunk in content.chunks for t in (chunk.message_start_time, chunk.message_end_time)]
-    return Statistics(
-        attachment_count=0,
-        channel_count=len(content.channels),
-        channel_message_counts=dict(content.counts),
-        chunk_count=len(content.chunks),
-        message_count=content.counts.total(),
-        metadata_count=len(content.metadata),
-        message_start_time=min(times, default=0),
-        message_end_time=max(times, default=0),
-        schema_count=len(content.schemas),
-    )

@@ -1,6 +1,6 @@
 """Reads MCAP logs: frames, snapshots and the results logged live, in file order, as far as the file is whole.
 
-Chunks are taken apart by `_Channels.records`, at a fraction of what `iter_messages` costs, and by
+Chunks are taken apart by `Channels.records`, at a fraction of what `iter_messages` costs, and by
 `tilth.replay.arrays` at a fraction of that, where arrays of raw frames are enough (bench/replay_speed.py).
 """
 
@@ -23,7 +23,7 @@ from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 MACHINE = "machine"  # metadata record: name, toml, dbc, sha256
 
 
-class _Channels:
+class Channels:
     """What each channel of a file carries, and how the records of a chunk become ours."""
 
     def __init__(self, log: Log) -> None:
@@ -85,10 +85,10 @@ def records(log: Log) -> Iterator[Record]:
     A chunk that is damaged is left out and counted; at the end log.truncated says whether the file was cut.
     Raises ForeignLog for a whole file without frames of this software.
     """
-    channels = _Channels(log)
-    if _from_summary(channels, log.file) and not channels.buses:
-        raise _no_frames(log)
-    for opcode, body in _framed(log):
+    channels = Channels(log)
+    if from_summary(channels, log.file) and not channels.buses:
+        raise no_frames(log)
+    for opcode, body in framed(log):
         try:
             if opcode == Opcode.CHUNK:
                 found = channels.records(unpacked(body))
@@ -99,13 +99,13 @@ def records(log: Log) -> Iterator[Record]:
         else:
             yield from found
     if not channels.buses and not log.truncated:
-        raise _no_frames(log)
+        raise no_frames(log)
 
 
 def metadata(log: Log) -> dict[str, dict[str, str]]:
     """The first metadata record of each name, as far as the file is whole."""
     found: dict[str, dict[str, str]] = {}
-    for _, body in _framed(log, {Opcode.METADATA}):
+    for _, body in framed(log, {Opcode.METADATA}):
         try:
             record = Metadata.read(ReadDataStream(io.BytesIO(body)))
         except DAMAGE:
@@ -118,7 +118,7 @@ def metadata(log: Log) -> dict[str, dict[str, str]]:
 _WANTED = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL}
 
 
-def _framed(log: Log, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
+def framed(log: Log, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
     """(opcode, body) of the wanted records; sets log.truncated where the file ends without its footer."""
     log.truncated = True
     for place in walk(log.file, log.size):
@@ -129,7 +129,7 @@ def _framed(log: Log, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, b
             yield place.opcode, body_of(log.file, place)
 
 
-def _from_summary(channels: _Channels, file: BinaryIO) -> bool:
+def from_summary(channels: Channels, file: BinaryIO) -> bool:
     """Learn the channels from the index of a finished file: a damaged first chunk costs only itself then.
 
     False where there is no such index: the chunks define the channels as well.
@@ -150,7 +150,7 @@ def _from_summary(channels: _Channels, file: BinaryIO) -> bool:
     return len(summary.channels) > 0
 
 
-def _no_frames(log: Log) -> EmptyLog | ForeignLog:
+def no_frames(log: Log) -> EmptyLog | ForeignLog:
     if MACHINE in metadata(log):
         return EmptyLog(f"{log.path}: no frame was recorded in it")
     return ForeignLog(

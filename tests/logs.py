@@ -1,5 +1,6 @@
 """Logs for the tests of replay: written as the daemon writes them, read back whole."""
 
+import struct
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,3 +144,14 @@ def altered(live: Live, folder: Path, topic: str, count: int, change: str) -> Pa
                 writer.message(row.topic, row.t_ns, data)
     writer.close()
     return path
+
+
+def chunk_ends(content: bytes) -> list[int]:
+    """Where the chunks of a file end."""
+    ends, at = [], 8
+    while at < len(content) - 8:
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        at += 9 + length
+        if opcode == 6:
+            ends.append(at)
+    return ends

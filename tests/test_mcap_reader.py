@@ -1,13 +1,12 @@
 """MCAP logs: what was logged comes back in file order, as far as a cut or damaged file is whole."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from logs import MACHINE, MACHINE_TEXT, drained, messages, some_frames, write_mcap, write_with_can
+from logs import MACHINE, MACHINE_TEXT, chunk_ends, drained, messages, some_frames, write_mcap, write_with_can
 from mcap.writer import CompressionType, Writer
 
 from tilth.logger.mcap_log import LogWriter, Run
@@ -62,17 +61,6 @@ def test_any_compression_and_none(compression: CompressionType, chunked: bool, t
             writer.add_message(channels[row.bus], row.t_ns, raw.SerializeToString(), row.rx_ns)
         writer.finish()
     assert list(frames(path)) == rows
-
-
-def chunk_ends(content: bytes) -> list[int]:
-    """Where the chunks of a file end."""
-    ends, at = [], 8
-    while at < len(content) - 8:
-        opcode, length = struct.unpack_from("<BQ", content, at)
-        at += 9 + length
-        if opcode == 6:
-            ends.append(at)
-    return ends
 
 
 def frames_per_chunk(path: Path, content: bytes, ends: list[int]) -> list[int]:

@@ -1,0 +1,57 @@
+"""In the guest: a recording under load. Beside it a sector of the drive says again and again what time it is.
+
+write_load.py FOLDER SECTOR: frames a millisecond apart, numbered, into FOLDER; times into the block
+device SECTOR, past every cache, so that the order of what reaches the drive tells when each write was made.
+"""
+
+import mmap
+import os
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+NOW = struct.Struct("<8sQ")  # MARK, t_ns
+MARK = b"TilthNow"
+SPACING_NS = 1_000_000
+
+
+def main(folder: Path, sector: str) -> None:
+    from tilth.logger.clock import Clock
+    from tilth.logger.recording import Recording
+    from tilth.schemas.flow import Frame
+    from tilth.schemas.machine import parse_machine
+
+    text = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
+    text = text.replace("[log]", "[log]\nrotate_minutes = 0.1\nkeep_free_megabytes = 1\nchunk_kilobytes = 16")
+    machine = parse_machine(text)
+    clock = Clock()
+    recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
+    threading.Thread(target=tell_time, args=(sector, clock.t_ns), daemon=True).start()
+    next_ns = clock.t_ns()
+    number = 0
+    while True:
+        now_ns = clock.t_ns()
+        while next_ns <= now_ns:
+            data = number.to_bytes(8, "little")
+            recording.frame(Frame(next_ns, next_ns, "can0", 0x18FF0001, True, False, data))
+            next_ns += SPACING_NS
+            number += 1
+        recording.tick(now_ns)
+        time.sleep(0.005)
+
+
+def tell_time(sector: str, t_ns: Callable[[], int]) -> None:
+    block = mmap.mmap(-1, mmap.PAGESIZE)  # O_DIRECT wants it aligned
+    device = os.open(sector, os.O_WRONLY | os.O_DIRECT)
+    while True:
+        block[: NOW.size] = NOW.pack(MARK, t_ns())
+        os.pwrite(device, memoryview(block)[:512], 0)
+        time.sleep(0.005)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2])
