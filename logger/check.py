@@ -82,8 +82,8 @@ def _bus(source: Source, seconds: float) -> Finding:
         text = f"silent for {seconds:.1f} s; check that its devices are on, the bit rate, the plug"
         return Finding(what, PROBLEM, source.unusable or text)
     text = f"{source.frames} frames in {seconds:.1f} s ({source.frames / seconds:.0f}/s)"
-    if source.error_frames:
-        text += f", {source.error_frames} of them error frames; check bitrate, termination and wiring"
+    if source.tally.error_frames:
+        text += f", {source.tally.error_frames} of them error frames; check bitrate, termination and wiring"
         return Finding(what, PROBLEM, text)
     return Finding(what, OK, text)
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 STEP_NS = 100_000_000  # a change of (wall clock - this clock) that counts as a step, between two looks
-OLDEST_NS = 2_000_000_000  # an interface's stamp further back than this is no stamp of this frame
-NEWEST_NS = -1_000_000  # or this far in the future: two reads of the wall clock, and its slewing
+OLDEST_NS = 10_000_000_000  # a stamp further back is none of this frame: no buffer holds so much of a bus
+NEWEST_NS = -1_000_000  # nor one this far in the future; a little, because two clocks are read in turn
+LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
 EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
 HEARD = 8  # times told by receivers before they are believed, and at most so many times that are remembered:
@@ -37,22 +38,41 @@ class Clock:
         self.bad_stamps = 0
         self._wall_ahead_ns = 0
         self._gnss_ahead: deque[int] = deque(maxlen=REMEMBERED)
+        self._ahead_least_ns = 1  # an empty interval: the first look fills it
+        self._ahead_most_ns = 0
+        ahead_ns = 0
+        for _ in range(LOOKS):
+            ahead_ns = self.wall_ahead_ns()
+        self.offset_ns += ahead_ns
+        self._ahead_least_ns -= ahead_ns
+        self._ahead_most_ns -= ahead_ns
 
     def t_ns(self) -> int:
         return time.monotonic_ns() + self.offset_ns
 
-    def stamps(self, realtime_s: float) -> tuple[int, int]:
-        """(t_ns, rx_ns) of a frame read just now that its interface stamped `realtime_s` (since 1970, s).
+    def wall_ahead_ns(self) -> int:
+        """The wall clock less this one, to much less than a microsecond.
 
-        rx_ns comes from the stamp's age, so it stays right when the wall clock has stepped before the frame
-        came. A stamp that cannot be this frame's is counted and replaced by t_ns.
+        Both run at the same rate, slewed alike, so that their difference stands between two steps: each look
+        narrows what the looks before it have left possible.
         """
-        t_ns = time.monotonic_ns() + self.offset_ns
-        age_ns = time.time_ns() - int(realtime_s * 1e9)
-        if NEWEST_NS <= age_ns <= OLDEST_NS:
-            return t_ns, t_ns - age_ns if age_ns > 0 else t_ns
-        self.bad_stamps += 1
-        return t_ns, t_ns
+        before_ns = time.monotonic_ns()
+        wall_ns = time.time_ns() - self.offset_ns
+        least_ns, most_ns = wall_ns - time.monotonic_ns(), wall_ns - before_ns
+        if least_ns > self._ahead_most_ns or most_ns < self._ahead_least_ns:  # the wall clock was set
+            self._ahead_least_ns, self._ahead_most_ns = least_ns, most_ns
+        else:
+            self._ahead_least_ns = max(least_ns, self._ahead_least_ns)
+            self._ahead_most_ns = min(most_ns, self._ahead_most_ns)
+        return (self._ahead_least_ns + self._ahead_most_ns) // 2
+
+    def rx_ns(self, stamp_ns: int, t_ns: int) -> int:
+        """A receive stamp on this clock, of a frame taken at t_ns; t_ns where it cannot be that, counted."""
+        age_ns = t_ns - stamp_ns
+        if 0 <= age_ns <= OLDEST_NS:
+            return stamp_ns
+        self.bad_stamps += not NEWEST_NS <= age_ns < 0
+        return t_ns
 
     def told(self, rx_ns: int, utc_ns: int) -> None:
         """A receiver said at rx_ns that it was utc_ns."""

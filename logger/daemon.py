@@ -211,7 +211,6 @@ class Daemon:
     def _second(self, t_ns: int) -> None:
         self._next_second_ns = t_ns + SECOND_NS
         self._watch_clock()
-        self._buses.watch(t_ns)
         if self._fold.poses:  # a fit may be asked for soon; loading and compiling takes longer than one
             self._worker.start()
         if t_ns >= self._next_keep_ns:

@@ -29,9 +29,14 @@ def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
         frames=source.frames,
         frames_per_s=source.frames_per_s,
         reopened=max(source.opened - 1, 0),
-        error_frames=source.error_frames,
+        error_frames=source.tally.error_frames,
         lost_frames=source.lost,
-        reason=source.reason,
+        reason=source.problem,
+        stamp=source.stamp,
+        controller=source.tally.health.state,
+        errors=[pb.Count(reason=name, count=n) for name, n in source.tally.health.counts.items()],
+        failures=source.failures,
+        silences=source.silences,
     )
     if source.state != "open":
         status.silent_s = (t_ns - source.heard_ns) * 1e-9
@@ -44,7 +49,12 @@ def rejected(
     """Reasons and counts of every layer."""
     counts = dict(of_fold)
     for source in sources:
-        for reason, count in (("remote", source.remote_frames), ("can_fd", source.fd_frames)):
+        tally = source.tally
+        for reason, count in (
+            ("remote", tally.remote_frames),
+            ("can_fd", tally.fd_frames),
+            ("garbled", tally.garbled),
+        ):
             if count:
                 counts[reason] = counts.get(reason, 0) + count
     return counts | {reason: count for reason, count in other.items() if count}

@@ -115,13 +115,9 @@ def listen(
     clock = Clock()
     buses = Buses(configs, clock, report)
     end_ns = clock.t_ns() + int(seconds * 1e9)
-    watch_ns = 0
     try:
-        while (t_ns := clock.t_ns()) < end_ns and not stop():
+        while clock.t_ns() < end_ns and not stop():
             yield from buses.read(0.1)
-            if t_ns >= watch_ns:
-                watch_ns = t_ns + 1_000_000_000
-                buses.watch(t_ns)
     finally:
         buses.close()
 

@@ -297,7 +297,7 @@ def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
     assert "can9" in shown.events[0].text and "nosuchcan9" in shown.events[0].text
     assert any(problem.startswith("bus can9 failed") for problem in shown.status.problems)
     assert [frame.bus for frame in logged_frames(summary.log_files[0])] == ["can0"]
-    (event,) = records_of(summary.log_files[0], "/event", pb.Event)
+    event, *_ = records_of(summary.log_files[0], "/event", pb.Event)
     assert event.kind == "bus" and event.text == shown.events[0].text
 
 

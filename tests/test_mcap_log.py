@@ -357,10 +357,20 @@ def test_a_step_of_the_wall_clock_is_found_once(ahead_s: list[float], found_s: l
         (10 * NEWEST_NS, False),  # the wall clock was set back meanwhile
     ],
 )
-def test_rx_ns_is_the_age_of_the_stamp_and_never_later_than_t_ns(age_ns: int, good: bool) -> None:
+def test_rx_ns_is_the_stamp_and_never_later_than_t_ns(age_ns: int, good: bool) -> None:
     clock = Clock()
     clock.offset_ns += 7_000_000_000  # as after a step of the wall clock since the start
-    t_ns, rx_ns = clock.stamps((time.time_ns() - age_ns) * 1e-9)
+    stamp_ns = time.time_ns() - age_ns
+    ahead_ns = clock.wall_ahead_ns()
+    t_ns = clock.t_ns()
+    rx_ns = clock.rx_ns(stamp_ns - ahead_ns, t_ns)
     assert rx_ns <= t_ns and clock.bad_stamps == (not good)
-    expected = age_ns if good and age_ns > 0 else 0
-    assert t_ns - rx_ns == pytest.approx(expected, abs=5_000_000)
+    assert ahead_ns == pytest.approx(-7_000_000_000, abs=100_000)
+    assert rx_ns == (stamp_ns - ahead_ns if good and age_ns > 0 else t_ns)
+
+
+def test_both_clocks_are_told_apart_to_a_microsecond() -> None:
+    """Their difference stands between two steps: many looks agree, and begin at none."""
+    clock = Clock()
+    looks = [clock.wall_ahead_ns() for _ in range(1000)]
+    assert max(map(abs, looks)) < 1_000

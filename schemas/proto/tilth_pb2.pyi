@@ -249,7 +249,7 @@ class Event(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ...) -> None: ...
 
 class BusStatus(_message.Message):
-    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason")
+    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason", "stamp", "controller", "errors", "failures", "silences")
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -259,6 +259,11 @@ class BusStatus(_message.Message):
     ERROR_FRAMES_FIELD_NUMBER: _ClassVar[int]
     LOST_FRAMES_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
+    STAMP_FIELD_NUMBER: _ClassVar[int]
+    CONTROLLER_FIELD_NUMBER: _ClassVar[int]
+    ERRORS_FIELD_NUMBER: _ClassVar[int]
+    FAILURES_FIELD_NUMBER: _ClassVar[int]
+    SILENCES_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: str
     frames: int
@@ -268,7 +273,12 @@ class BusStatus(_message.Message):
     error_frames: int
     lost_frames: int
     reason: str
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ..., lost_frames: _Optional[int] = ..., reason: _Optional[str] = ...) -> None: ...
+    stamp: str
+    controller: str
+    errors: _containers.RepeatedCompositeFieldContainer[Count]
+    failures: int
+    silences: int
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ..., lost_frames: _Optional[int] = ..., reason: _Optional[str] = ..., stamp: _Optional[str] = ..., controller: _Optional[str] = ..., errors: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., failures: _Optional[int] = ..., silences: _Optional[int] = ...) -> None: ...
 
 class ReceiverStatus(_message.Message):
     __slots__ = ("mount", "state", "fix", "age_s", "source")

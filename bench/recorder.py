@@ -1,0 +1,201 @@
+"""What does a raw frame cost, from the socket to the disk? Buses and log alone, without the estimation.
+
+    python bench/recorder.py [--seconds N]              # four full buses, 7,600 frames/s, through loopback
+    python bench/recorder.py record MACHINE.toml FOLDER # until Ctrl-C; used in the virtual machine
+
+Where the kernel has no CAN, datagram sockets of loopback stand in for the raw ones: same code, same struct
+can_frame in them. `pytest -m vm -k beside` sets it beside `candump -L` and `python -m can.logger` on a vcan.
+"""
+
+# ruff: noqa: E402
+from tilth.logger.lean_can import import_can
+
+import_can()  # as `tilth run` does, before anybody else imports python-can
+
+import argparse
+import gc
+import json
+import multiprocessing
+import resource
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Callable
+from importlib import resources
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from tilth.logger.bus_opening import open_port
+from tilth.logger.buses import Buses, Opener
+from tilth.logger.clock import Clock
+from tilth.logger.port import Tally
+from tilth.logger.recording import Recording
+from tilth.logger.socketcan import CAN_FRAME, EXTENDED, SocketCanPort
+from tilth.logger.status import bus_status
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Event
+from tilth.schemas.machine import Bus, Machine, parse_machine
+from tilth.schemas.proto import tilth_pb2 as pb
+
+BUSES = 4
+RATE = 7600.0  # frames/s: four full buses of 250 kbit/s
+TURN_S = 0.1
+SECOND_NS = 1_000_000_000
+
+
+class Recorder:
+    """Buses and log, with their events and states in it: the daemon without what it computes."""
+
+    def __init__(self, machine: Machine, text: str, folder: Path, opener: Opener = open_port) -> None:
+        self.clock = Clock()
+        self.events: list[tuple[str, str]] = []
+        self.recording = Recording(folder, machine, text, self.clock, self._report, lambda: "{}")
+        self.buses = Buses(machine.bus, self.clock, self._report, opener)
+        self._next_ns = self.clock.t_ns()
+
+    def turn(self, timeout_s: float = TURN_S) -> int:
+        frames = self.buses.read(timeout_s)
+        record = self.recording.frame
+        for frame in frames:
+            record(frame)
+        t_ns = self.clock.t_ns()
+        while self.events:
+            event = Event(t_ns, *self.events.pop(0))
+            self.recording.message("/event", t_ns, CHANNEL["/event"].encode(event))
+            print(event.text, flush=True)
+        if t_ns >= self._next_ns:
+            self._next_ns = t_ns + SECOND_NS
+            status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.sources])
+            self.recording.message("/status", t_ns, CHANNEL["/status"].encode(status))
+        self.recording.tick(t_ns)
+        return len(frames)
+
+    def close(self) -> None:
+        while self.turn(0.0):
+            continue
+        self.buses.close()
+        self.recording.close()
+
+    def _report(self, kind: str, text: str) -> None:
+        self.events.append((kind, text))
+
+
+def cpu_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def record(machine_path: Path, folder: Path) -> None:
+    """Until SIGINT; then one line of JSON: frames and the CPU time they cost."""
+    text = machine_path.read_text()
+    recorder = Recorder(parse_machine(text), text, folder)
+    ended: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: ended.append(number))
+    before = cpu_s()
+    while not ended:
+        recorder.turn()
+    spent = cpu_s() - before
+    recorder.close()
+    print(json.dumps({"frames": recorder.recording.frames, "cpu_s": spent}), flush=True)
+
+
+def rig() -> tuple[Machine, str]:
+    """The demo's machine with four SocketCAN buses."""
+    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
+    start, end = text.index("[[bus]]"), text.index("[[receiver]]")
+    row = '[[bus]]\nname = "can{0}"\ninterface = "socketcan"\nchannel = "can{0}"\n\n'
+    text = text[:start] + "".join(row.format(i) for i in range(BUSES)) + text[end:]
+    return parse_machine(text), text
+
+
+def stand_ins() -> tuple[Opener, dict[str, tuple[str, int]]]:
+    """Ports on sockets of loopback, and the address of each bus."""
+    sockets = {f"can{i}": socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for i in range(BUSES)}
+    for one in sockets.values():
+        one.bind(("127.0.0.1", 0))
+
+    def opener(config: Bus, clock: Clock, tally: Tally) -> SocketCanPort:
+        return SocketCanPort(sockets[config.name], clock, tally, config)
+
+    return opener, {name: one.getsockname() for name, one in sockets.items()}
+
+
+def send(addresses: list[tuple[str, int]], rate: float, seconds: float, told: Connection) -> None:
+    """A process: random frames on all buses in turn, as from controllers that fill their bus."""
+    rng = np.random.default_rng(1)
+    wires = []
+    for address in addresses:
+        wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        wire.connect(address)
+        wires.append(wire)
+    noise = rng.integers(0, 256, (4096, 8), dtype=np.uint8)
+    frames = [CAN_FRAME.pack(0x18FF0000 + i % 50 | EXTENDED, 8, row.tobytes()) for i, row in enumerate(noise)]
+    told.recv()
+    began, count = time.monotonic(), int(rate * seconds)
+    for number in range(count):
+        if number % 4 == 0:  # the buses send at the same instants
+            wait = began + number / rate - time.monotonic()
+            if wait > 0.0002:
+                time.sleep(wait)
+        wires[number % len(wires)].send(frames[number % 4096])
+    told.send((count, time.monotonic() - began))
+
+
+def at_rate(rate: float, seconds: float, while_running: Callable[[Recorder], None] = lambda _: None) -> None:
+    """Print what recording costs at that rate, and how long the loop was ever away."""
+    opener, addresses = stand_ins()
+    machine, text = rig()
+    line, far = multiprocessing.Pipe()
+    context = multiprocessing.get_context("spawn")
+    job = (list(addresses.values()), rate, seconds, far)
+    child = context.Process(target=send, args=job, daemon=True)
+    child.start()
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(machine, text, Path(folder), opener)
+        for _ in range(20):
+            recorder.turn(0.01)
+        gc.collect()
+        gc.freeze()
+        line.send("go")
+        away, end = [], float("inf")
+        before, last, told = cpu_s(), time.monotonic(), (0, 0.0)
+        while time.monotonic() < end:
+            recorder.turn(0.0 if rate > 1e5 else TURN_S)
+            now = time.monotonic()
+            away.append(now - last)
+            last = now
+            if end == float("inf") and line.poll():
+                told, end = line.recv(), now + 0.5
+        spent = cpu_s() - before
+        recorder.close()
+        size = sum(path.stat().st_size for path in Path(folder).glob("*.mcap"))
+    sent, took_s = told
+    got, lost = recorder.recording.frames, sum(source.lost for source in recorder.buses.sources)
+    gaps = np.array(away[:-5]) * 1e3
+    print(f"{sent} frames sent on {BUSES} buses in {took_s:.1f} s ({sent / took_s:.0f}/s): {got} recorded,")
+    print(f"    {sent - got} lost ({lost} of them known to the kernel), {size / got:.1f} bytes each")
+    print(
+        f"    {spent / got * 1e6:.2f} us of CPU each, socket to disk ({spent / took_s * 100:.1f} % of a core)"
+    )
+    worst = f"worst {gaps.max():.1f} ms, {np.percentile(gaps, 99.9):.1f} ms in 999 of 1000"
+    print(f"    from one turn of the loop to the next: {worst} ({len(gaps)} turns)")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What a raw frame costs from the socket to the disk.")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("words", nargs="*", help="record MACHINE.toml FOLDER")
+    args = parser.parse_args()
+    if args.words[:1] == ["record"] and len(args.words) == 3:
+        record(Path(args.words[1]), Path(args.words[2]))
+    elif args.words:
+        parser.error("record MACHINE.toml FOLDER")
+    else:
+        at_rate(RATE, args.seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""What a CAN controller says by error frames, in words: classes of linux/can/error.h.
+
+`ERRORS` has one row per thing that can go wrong; an error frame may tell several at once.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+AGAIN_NS = 10_000_000_000  # the same thing is said again after this, with how often it came meanwhile
+HEALTHY_NS = 10_000_000_000  # traffic for so long without any error: the controller counts as recovered
+BACK_NS = 500_000_000  # traffic so long after bus-off: it is over
+WHOLE = -1  # the class alone tells it
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """A row: identifier bits, which byte, which of its bits, what it is called, and what to do."""
+
+    bits: int
+    byte: int
+    mask: int
+    name: str
+    words: str
+    state: str = ""  # of the controller from then on; "active" is the good one
+
+
+CONTROLLER, PROTOCOL, TRANSCEIVER = 0x04, 0x08, 0x10
+_LOOK = "check bit rate, termination, plugs"
+ERRORS: tuple[Error, ...] = (
+    Error(0x40, WHOLE, 0, "bus_off", "bus-off, the controller has left the bus; check bit rate and wiring, "
+          "and bring it up with restart-ms 100", "bus_off"),
+    Error(0x100, WHOLE, 0, "restarted", "the controller was restarted", "active"),
+    Error(CONTROLLER, 1, 0x01, "overrun", "overrun, the controller had no room for frames and lost some"),
+    Error(CONTROLLER, 1, 0x02, "transmit_overrun", "the controller's transmit buffer overflowed"),
+    Error(CONTROLLER, 1, 0x0C, "warning", f"many errors; {_LOOK}", "warning"),
+    Error(CONTROLLER, 1, 0x30, "passive", f"error-passive, very many errors; {_LOOK}", "passive"),
+    Error(CONTROLLER, 1, 0x40, "recovered", "the controller is error-active again", "active"),
+    Error(PROTOCOL, WHOLE, 0, "protocol", f"damaged frames on the bus; {_LOOK}"),
+    Error(TRANSCEIVER, 4, 0x0F, "can_high", "CAN high is broken or shorted; check the wire"),
+    Error(TRANSCEIVER, 4, 0xF0, "can_low", "CAN low is broken or shorted; check the wire"),
+    Error(0x80, WHOLE, 0, "bus_error", f"bus errors; {_LOOK}"),
+    Error(0x02, WHOLE, 0, "arbitration", "arbitration lost"),
+    Error(0x20, WHOLE, 0, "no_acknowledge", "nobody acknowledges; is anything else on the bus?"),
+    Error(0x01, WHOLE, 0, "transmit_timeout", "the driver could not send"),
+)  # fmt: skip
+STATES = ("active", "warning", "passive", "bus_off", "stopped", "sleeping")  # enum can_state
+UNKNOWN = Error(0, WHOLE, 0, "unknown", "an error of an unknown kind")
+_BY_NAME = {row.name: row for row in (*ERRORS, UNKNOWN)}
+_OF_STATE = {row.state: row for row in ERRORS if row.state}  # the last row of each
+
+
+def errors_of(can_id: int, data: bytes) -> list[Error]:
+    """The rows that an error frame tells; never empty. can_id: without the flag that makes it one."""
+    found = [
+        row
+        for row in ERRORS
+        if can_id & row.bits and (row.byte == WHOLE or (row.byte < len(data) and data[row.byte] & row.mask))
+    ]
+    return found or [UNKNOWN]
+
+
+@dataclass(slots=True)
+class Health:
+    """Of one controller: what it has said, how often, and what of it is still to be told."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    state: str = "active"
+    _since_ns: dict[str, int] = field(default_factory=dict)  # name -> when it was last told
+    _told: Counter[str] = field(default_factory=Counter)
+    _latest_ns: int = 0
+
+    def hear(self, t_ns: int, can_id: int, data: bytes) -> None:
+        """Take an error frame."""
+        self._latest_ns = t_ns
+        for row in errors_of(can_id, data):
+            self.count(t_ns, row)
+
+    def told(self, t_ns: int, state: str) -> None:
+        """Who knows was asked: what it says of the controller's state goes over what was heard."""
+        row = _OF_STATE.get(state)
+        if row is not None and state != self.state:
+            self.count(t_ns, row)
+
+    def count(self, t_ns: int, row: Error) -> None:
+        """Something went wrong once more."""
+        self._latest_ns = t_ns
+        self.counts[row.name] += 1
+        self.state = row.state or self.state
+
+    @property
+    def problem(self) -> str:
+        """What is wrong at the moment; "" where nothing is."""
+        if self.state == "active":
+            return ""
+        return _OF_STATE[self.state].words
+
+    def news(self, t_ns: int, traffic: bool) -> list[str]:
+        """What is to be told now, each with its count; each at most once in AGAIN_NS.
+
+        traffic: whether frames have come since the last look, other than error frames.
+        """
+        needed_ns = BACK_NS if self.state == "bus_off" else HEALTHY_NS
+        if traffic and self.state != "active" and t_ns - self._latest_ns > needed_ns:
+            self.count(t_ns, _OF_STATE["active"])
+        said = []
+        for name, count in self.counts.items():
+            new = count - self._told[name]
+            if new and t_ns - self._since_ns.get(name, -AGAIN_NS) >= AGAIN_NS:
+                self._since_ns[name] = t_ns
+                self._told[name] = count
+                said.append(f"{_BY_NAME[name].words} ({new} times, {count} in all)")
+        return said

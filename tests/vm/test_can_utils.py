@@ -1,0 +1,170 @@
+"""The real SocketCAN path: what can-utils send and see, against what the daemon's log holds."""
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from guest import boot, missing
+from loopback import TEXT, logged_frames, records_of
+
+from tilth.schemas.flow import Frame
+from tilth.schemas.proto import tilth_pb2 as pb
+
+pytestmark = [pytest.mark.vm, pytest.mark.skipif(missing() != "", reason=missing())]
+BUSES = ("vcan0", "vcan1", "vcan2", "vcan3", "can0", "can1")
+_LINE = re.compile(r"\((\d+)\.(\d{6})\) (\w+) ([0-9A-F]+)#(R?)([0-9A-F]*)")
+
+
+class Drive:
+    """What came of the scenario."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        (self.log,) = out.glob("*.mcap")
+        self.frames = logged_frames(self.log)
+        self.events: list[pb.Event] = records_of(self.log, "/event", pb.Event)
+        self.statuses: list[pb.Status] = records_of(self.log, "/status", pb.Status)
+        self.times = dict(line.split() for line in (out / "times").read_text().splitlines())
+
+    def of(self, bus: str) -> list[Frame]:
+        return [frame for frame in self.frames if frame.bus == bus]
+
+    def buses(self, name: str) -> list[pb.BusStatus]:
+        """All statuses of one bus, in their order."""
+        return [bus for status in self.statuses for bus in status.buses if bus.name == name]
+
+    def seen_s(self, what: str, text: str) -> float:
+        """How long after something was done the log holds the event."""
+        done_ns = float(self.times[what]) * 1e9
+        return min((e.t_ns - done_ns) * 1e-9 for e in self.events if text in e.text and e.t_ns > done_ns)
+
+
+def machine_text(*names: str) -> str:
+    bus = '[[bus]]\nname = "{0}"\ninterface = "socketcan"\nchannel = "{0}"\nbitrate = 250000\n\n'
+    start, end = TEXT.index("[[bus]]"), TEXT.index("[[receiver]]")
+    return TEXT[:start] + "".join(bus.format(name) for name in names) + TEXT[end:]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    out = tmp_path_factory.mktemp("socketcan")
+    (out / "machine.toml").write_text(machine_text(*BUSES))
+    (out / "drive.log").write_text(
+        "".join(f"({1_700_000_000 + i * 0.002:.6f}) vcan0 18F11300#{i:016X}\n" for i in range(500))
+    )
+    with boot(["bash", "-e", "tests/vm/socketcan.sh"], out) as guest:
+        guest.finish(900)
+    return Drive(out)
+
+
+def candump(path: Path) -> Iterator[tuple[int, int, bool, bool, bytes]]:
+    """(receive stamp us, identifier, extended, error, data) of each line that is no remote frame."""
+    for line in path.read_text().splitlines():
+        found = _LINE.match(line)
+        assert found, line
+        seconds, micro, _, identifier, remote, data = found.groups()
+        number = int(identifier, 16)
+        if not remote:
+            rx_us = int(seconds) * 1_000_000 + int(micro)
+            error = len(identifier) == 8 and number & 0x2000_0000 != 0
+            extended = len(identifier) == 8 and not error
+            yield rx_us, number & 0x1FFF_FFFF, extended, error, bytes.fromhex(data)
+
+
+@pytest.mark.parametrize(("bus", "least"), [("vcan0", 4500), ("can0", 500), ("can1", 400)])
+def test_the_log_holds_what_candump_saw_frame_for_frame_stamp_for_stamp(
+    drive: Drive, bus: str, least: int
+) -> None:
+    seen = list(candump(drive.out / f"{bus}.candump"))
+    logged = drive.of(bus)
+    begin = len(seen) - len(logged)  # what candump saw before the daemon had opened the bus
+    assert least < len(logged) <= len(seen)
+    assert [row[1:] for row in seen[begin:]] == [(f.can_id, f.extended, f.error, f.data) for f in logged]
+    apart_ns = [abs(f.rx_ns - row[0] * 1000) for f, row in zip(logged, seen[begin:], strict=True)]
+    assert max(apart_ns) < 1500  # candump cuts at a microsecond
+    assert {status.stamp for status in drive.buses(bus)} <= {"", "kernel"}
+
+
+def test_a_real_controller_that_overruns_says_so(drive: Drive) -> None:
+    """Two cards on one bus: what the second lost, 64 bytes of buffer in it, comes as error frames or not at
+    all, and is never passed over."""
+    sent = {f.data for f in drive.of("can0") if len(f.data) == 8}
+    missing = len(sent - {f.data for f in drive.of("can1")})
+    overruns = [f for f in drive.of("can1") if f.error and f.can_id & 0x4 and f.data[1] & 1]
+    assert len(sent) == 500 and (missing == 0) == (overruns == [])
+    assert any(e.text.startswith("can1: overrun") for e in drive.events) == bool(missing)
+
+
+def test_error_frames_are_events_and_states(drive: Drive) -> None:
+    said = [e.text.partition(" (")[0] for e in drive.events if e.text.startswith("vcan0: ")]
+    wanted = ("overrun", "error-passive", "bus-off", "the controller was restarted")
+    heard = [text for text in said if text.startswith(tuple(f"vcan0: {word}" for word in wanted))]
+    assert [next(word for word in wanted if word in text) for text in heard] == list(wanted)
+    statuses = drive.buses("vcan0")
+    assert {"passive", "bus_off"} <= {status.controller for status in statuses}
+    assert any("bus-off" in status.reason for status in statuses)
+    last = statuses[-1]
+    assert last.controller == "active" and "bus-off" not in last.reason and last.error_frames == 4
+    counts = {count.reason: count.count for count in last.errors}
+    assert counts == {"overrun": 1, "passive": 1, "bus_off": 1, "restarted": 1}
+
+
+@pytest.mark.parametrize(
+    ("done", "bus", "text"),
+    [
+        ("down", "vcan2", "Network is down; bring it up"),
+        ("deleted", "vcan2", "No such device; plug the adapter in"),
+        ("pulled", "can1", "Network is down; bring it up"),
+    ],
+)
+def test_an_interface_that_goes_is_seen_said_and_shown(drive: Drive, done: str, bus: str, text: str) -> None:
+    assert (
+        drive.seen_s(done, f"{bus}: socketcan {bus}: Network is down") < 2.0
+    )  # a deleted one goes down first
+    assert drive.seen_s(done, f"{bus}: socketcan {bus}: {text}") < 10.0
+    assert drive.seen_s(done, f"{bus}: works again after") < 60.0
+    statuses = drive.buses(bus)
+    assert any(one.state == "failed" and text in one.reason for one in statuses)
+    assert statuses[-1].failures == (2 if bus == "vcan2" else 1) and statuses[-1].state != "failed"
+
+
+def test_silence_is_seen_within_two_seconds(drive: Drive) -> None:
+    silent = next(e for e in drive.events if e.text.startswith("vcan1: silent"))
+    last_ns = max(f.t_ns for f in drive.of("vcan1") if f.t_ns < silent.t_ns)
+    assert silent.t_ns - last_ns < 2_000_000_000
+    assert any(one.state == "silent" for one in drive.buses("vcan1"))
+
+
+def test_what_the_kernel_could_not_keep_is_counted_exactly(drive: Drive) -> None:
+    flood = [f for f in drive.of("vcan1") if f.can_id == 0x1FFFFF00]
+    lost = drive.buses("vcan1")[-1].lost_frames
+    assert int(drive.times["flood"]) == 20_000 == len(flood) + lost and 0 < lost < 15_000
+    assert any(f"({lost} in all)" in e.text and "lost in the kernel" in e.text for e in drive.events)
+    # Those kept came up to seconds late, and their stamps say when they really came.
+    assert max(f.t_ns - f.rx_ns for f in flood) > 100_000_000
+
+
+def test_the_other_bus_never_stopped(drive: Drive) -> None:
+    frames = drive.of("vcan3")
+    steady = [int.from_bytes(f.data, "little") for f in frames if f.can_id == 0x0ABCDEF0]
+    assert steady == list(range(len(steady))) and len(steady) > 200
+    assert len(frames) == int(drive.times["steady"])
+    assert drive.buses("vcan3")[-1].lost_frames == 0
+
+
+def test_beside_candump_and_python_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Printed, not judged: nothing here has the speed of hardware."""
+    (tmp_path / "machine.toml").write_text(machine_text("vcan0"))
+    with boot(["bash", "-e", "tests/vm/beside.sh"], tmp_path) as guest:
+        guest.finish(900)
+    rows = {}
+    for line in (tmp_path / "cpu").read_text().splitlines():
+        name, ticks, frames = line.split()
+        rows[name] = int(ticks) * 10_000 / int(frames)  # us
+        assert int(frames) >= 4000
+    ours = rows["tilth"]
+    words = [f" {name} {cost:.0f} us ({cost / ours:.2f} of ours)" for name, cost in rows.items()]
+    with capsys.disabled():
+        sys.stdout.write(f"\nCPU for each frame on an emulated processor:{','.join(words)}\n")
