@@ -7,9 +7,12 @@ from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
-
 import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
 import pytest
+
+# Many tests start processes, which would each compile all that they import: three times the computing.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
