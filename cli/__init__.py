@@ -32,6 +32,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("discover", "listen to a bus and draft a machine file"),
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
+    ("monitor", "show a running daemon in a browser"),
 )
 
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("schemas", "estimator", "logger", "replay", "client", "monitor", "cli", "deploy")
 SHIPPED = {
     ".py", ".pyi", ".proto", ".json", ".toml", ".txt", ".service", ".rules", ".sysusers", ".sysctl",
-    ".timesyncd",
+    ".timesyncd", ".html", ".js", ".css", ".svg",
 }  # fmt: skip
 
 
