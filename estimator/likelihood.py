@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.estimator.predictor import DT, FOLLOW, FULL, KEEP, innovations
+from tilth.estimator.predictor import DT, FOLLOW, FULL, KEEP, N_STATES, PLACED, innovations
 from tilth.estimator.record import EAST, NORTH, Record
 from tilth.estimator.unknowns import AT, NAMES, NOISES
 from tilth.schemas.flow import PARAMETERS
@@ -27,10 +27,11 @@ STEP_LIMIT: Final = 1e-4
 MOST_ITERATIONS: Final = 25
 CLOSE: Final = 0.03  # of a posterior sd: a step this small ends the search
 SLACK: Final = 0.2  # nats that a step may cost: slopes of what follows others' gains are not exact
-ROUGH: Final = (
-    1.5  # of a disturbance's logarithm: a search that begins with rough ground finds no false bottom
-)
-_RESTLESS: Final = slice(AT["q_v"], AT["q_r_i"] + 1)
+ROUGH: Final = 1.5
+"""Of a disturbance's logarithm that is not known to one: a search that begins with rough ground finds no
+false bottom."""
+_RESTLESS: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
+_SIX: Final = np.arange(6)
 FLAT: Final = 0.05  # nats
 SETTLED: Final = 0.1  # of a posterior sd of the six
 NEAR: Final = 0.3  # of a posterior sd: where a search that can go no further has arrived
@@ -38,10 +39,15 @@ OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
 _GAINS: Final = frozenset({*PARAMETERS, *NOISES})
 """What moves the filter's gains and so the variances. All else moves them little or not at all."""
-COLOUR: Final = 4.0
-"""By how much of the innovations' autocorrelation the sds of the six grow. Disturbances that are not white
-bend the estimates by what no covariance of the white model knows; the factor is from Monte Carlo over uneven
-ground, and it is nothing where the innovations are white."""
+TRUST: Final = (0.03, 0.3)
+"""How far any of the six logarithms and any noise level may move before the slopes are taken again, which is
+nine tenths of a fit's cost."""
+COLOUR: Final = 1.0
+"""By how much of the innovations' autocorrelation the sds of the six grow: what is left of a ground that is
+no Gauss-Markov process and of slow errors of receivers. From Monte Carlo; nothing where they are white."""
+MODEL_SD: Final = 0.03
+"""Of the six logarithms with `planar`: tyre curve and load transfer are another rig's than the file's. On
+soil of grip 0.7 that is what is left after 30 s of strong steering; more data do not make it less."""
 BIN_S: Final = 0.1
 LAGS: Final = 12  # bins over which scores may be correlated: waves of the ground, slow errors of receivers
 
@@ -99,9 +105,21 @@ class Search:
     active: NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class Slopes:
+    """Prediction errors at a point, shape (m,), and their slopes over the active unknowns, shape (a, m), at
+    one nearby."""
+
+    e: Array
+    s: Array
+    de: Array
+    ds: Array
+    taken: Array  # [n], the point of the slopes
+
+
 def first_state(record: Record, rigging: Rigging) -> Array:
-    """Where the filter starts, shape (12,): headings and yaw rates of the first tick, the first position."""
-    x = np.zeros(12)
+    """Where the filter starts, shape (15,): headings and yaw rates of the first tick, the first position."""
+    x = np.zeros(N_STATES)
     first = record.ticks[0]
     x[6:8], x[1:3] = first[2:4], first[4:6]
     heading_t, heading_i = (np.array([np.cos(psi), np.sin(psi)]) for psi in first[2:4])
@@ -113,7 +131,7 @@ def first_state(record: Record, rigging: Rigging) -> Array:
             arm = ahead * heading_t
             if place >= 2:
                 arm = -rigging.geometry[2] * heading_t + (ahead - rigging.geometry[3]) * heading_i
-            x[8 + column] = found[0, 4] - arm[column]
+            x[PLACED + column] = found[0, 4] - arm[column]
     return x
 
 
@@ -156,15 +174,15 @@ def find(
     search = search_of(record, rigging, mean, covariance)
     active = search.active
     point, gained = mean.copy(), 0.0
-    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 0.0, ROUGH, 0.0)
+    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 1.0, ROUGH, 0.0)
     if reference is not None:
         e, s = errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
         gained = float(0.5 * np.sum(e[1] ** 2 / s[1] + np.log(s[1]) - e[0] ** 2 / s[0] - np.log(s[0])))
     damping, converged, done = 1e-3, False, 0
-    e, s, de, ds = _slopes(search, point)
-    cost = _cost(search, point, e, s)
+    slopes = _slopes(search, point, None)
+    cost = _cost(search, point, slopes.e, slopes.s)
     for done in range(1, MOST_ITERATIONS + 1):
-        gradient, information = _scores(search, point, e, s, de, ds)
+        gradient, information = _scores(search, point, slopes)
         step, tried, found = _step(search, point, gradient, information, damping, cost)
         if found is None:
             break
@@ -175,23 +193,25 @@ def find(
         if done == 2:
             _leave_out(search, point)
         before = cost
-        e, s, de, ds = _slopes(search, point)
-        cost = _cost(search, point, e, s)
+        slopes = _slopes(search, point, slopes)
+        cost = _cost(search, point, slopes.e, slopes.s)
         six = np.abs(step / _sds(information))[active < 6]
         # A noise level may go to and fro where nothing depends on it.
         settled = abs(cost - before) < FLAT and bool(np.max(six, initial=0.0) < SETTLED)
         if done > 2 and (close or settled):
             converged = True
             break
-    gradient, information = _scores(search, point, e, s, de, ds)
+    gradient, information = _scores(search, point, slopes)
     left = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
     converged = converged or bool(np.max(left[active < 6], initial=0.0) < NEAR)
     whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(active, active)] = _honest(search, _inverse(information), e, s, de, ds)
-    colour = whiteness(record.rows, search.used, e, s)
+    whole[np.ix_(active, active)] = _honest(search, _inverse(information), slopes)
+    colour = whiteness(record.rows, search.used, slopes.e, slopes.s)
     wider = np.ones(len(NAMES))
     wider[unknowns.SIX] = 1.0 + COLOUR * max(colour, 0.0)
     whole *= np.outer(wider, wider)
+    if rigging.planar:
+        whole[_SIX, _SIX] += MODEL_SD**2 * (np.diag(covariance)[_SIX] > 0.0)
     own = np.zeros_like(whole)
     own[np.ix_(active, active)] = information - search.prior_information
     return Found(
@@ -200,20 +220,24 @@ def find(
     )  # fmt: skip
 
 
-def _slopes(search: Search, point: Array) -> tuple[Array, Array, Array, Array]:
-    """(e, S) at the point, shape (m,), and their slopes over the active unknowns, shape (a, m)."""
-    names = [NAMES[k] for k in search.active]
-    sds = np.sqrt(1.0 / np.diag(search.prior_information))
-    nudges = np.minimum(STEPS * sds, STEP_LIMIT)
-    points = np.tile(point, (len(names) + 1, 1))
+def _slopes(search: Search, point: Array, before: Slopes | None) -> Slopes:
+    """At the point. before: slopes of another, which serve as far as TRUST says."""
+    if before is not None:
+        moved = np.abs(point - before.taken)
+        if np.max(moved[unknowns.SIX]) < TRUST[0] and np.max(moved[unknowns.NOISE]) < TRUST[1]:
+            e, s = errors(search, point[None], np.array([FULL], dtype=float))
+            return replace(before, e=e[0], s=s[0])
+    nudges = np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
+    points = np.tile(point, (len(nudges) + 1, 1))
     points[np.arange(1, len(points)), search.active] += nudges
-    modes = np.array([KEEP, *(FULL if name in _GAINS else FOLLOW for name in names)], dtype=float)
-    e, s = errors(search, points, modes)
-    return e[0], s[0], (e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None]
+    modes = [KEEP, *(FULL if NAMES[k] in _GAINS else FOLLOW for k in search.active)]
+    e, s = errors(search, points, np.array(modes, dtype=float))
+    return Slopes(e[0], s[0], (e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None], point)
 
 
-def _scores(search: Search, point: Array, e: Array, s: Array, de: Array, ds: Array) -> tuple[Array, Array]:
+def _scores(search: Search, point: Array, slopes: Slopes) -> tuple[Array, Array]:
     """(gradient, information) of the cost, with the prior's."""
+    e, s, de, ds = slopes.e, slopes.s, slopes.de * search.used, slopes.ds * search.used
     ratio = e / s
     gradient = de @ ratio + 0.5 * ds @ ((1.0 - e * ratio) / s)
     white, wide = de / np.sqrt(s), ds / s
@@ -237,12 +261,13 @@ def with_gain(found: Found, gain: float) -> Found:
     return replace(found, gain=gain)
 
 
-def _honest(search: Search, covariance: Array, e: Array, s: Array, de: Array, ds: Array) -> Array:
+def _honest(search: Search, covariance: Array, slopes: Slopes) -> Array:
     """The covariance, made larger where the scores are correlated over time, as coloured noise makes them.
 
     Newey-West estimate of the scores' covariance between inverse informations (the sandwich of quasi maximum
     likelihood). It only widens: a short record may by chance look better than white.
     """
+    e, s, de, ds = slopes.e, slopes.s, slopes.de * search.used, slopes.ds * search.used
     ratio = e / s
     scores = de * ratio + 0.5 * ds * ((1.0 - e * ratio) / s)
     bins = (search.record.rows[:, 0] * DT / BIN_S).astype(np.int64)

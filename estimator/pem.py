@@ -30,6 +30,7 @@ colour the model does not know: intervals of C_ai from automatic steering held t
 DRIFT_M = 50_000.0  # distance over which the soil forgets itself
 NOISE_SD = 0.4  # log sd with which noise levels begin each window: ground and satellites change
 CHANGED = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
+LEAST_TAKEN = 0.25
 WORST = 4.5  # prior sds: a parameter further off is none
 SUPPORTED, LOST = 0.5, 0.6  # posterior over prior sd of a logarithm: gives a number, takes it back
 STALE_S = 300.0
@@ -140,7 +141,7 @@ def fit(machine: Machine, job: Job) -> Fit:
     mean, covariance = job.mean, job.covariance
     found = likelihood.find(job.record, rigging, mean, covariance, prior_mean)
     moved = found.mean[SIX] - mean[SIX]
-    changed = bool(moved @ np.linalg.solve(covariance[SIX, SIX], moved) > CHANGED)
+    changed = _contradiction(moved, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGED
     if changed:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
@@ -155,6 +156,16 @@ def fit(machine: Machine, job: Job) -> Fit:
         found.iterations, found.rows, changed, advice.advise(machine, found.mean, found.covariance, speed),
         _why_not(found, prior_mean, prior_sd),
     )  # fmt: skip
+
+
+def _contradiction(moved: Array, before: Array, after: Array) -> float:
+    """Chi-square of how far a window moved the six, whose covariance is what it took from theirs.
+
+    Where a window took little it is not believed to have taken less than LEAST_TAKEN of the variance.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(before))
+    taken, along = np.linalg.eigh(np.eye(len(moved)) - root @ after @ root.T)
+    return float(np.sum((along.T @ root @ moved) ** 2 / np.maximum(taken, LEAST_TAKEN)))
 
 
 def rehearse(machine: Machine) -> None:

@@ -17,9 +17,11 @@ from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
 Array = NDArray[np.float64]
 
-NOISES: Final = ("q_v", "q_r_t", "q_r_i", "s_yaw_rate", "s_velocity", "s_position")
-"""Natural logarithms: sd of the white disturbance of each acceleration, held for one tick (m/s^2, rad/s^2);
-factors on the sds that the machine file states for yaw rates, velocities, and positions and headings."""
+NOISES: Final = ("push_t", "push_i", "push_yaw", "memory", "s_yaw_rate", "s_velocity", "s_position")
+"""Natural logarithms: sds of how the ground pushes across the tractor and the implement (m/s^2) and turns the
+tractor (rad/s^2), and how long that lasts (s, of a first-order Gauss-Markov process; white where that is less
+than a tick); factors on the sds that the machine file states for yaw rates, velocities, and positions and
+headings."""
 
 NAMES: Final = (
     *PARAMETERS,  # natural logarithms of N/rad and m
@@ -38,13 +40,14 @@ NAMES: Final = (
 
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 SIX: Final = slice(0, 6)
-NOISE: Final = slice(AT["q_v"], AT["s_position"] + 1)
+NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-DISTURBANCE: Final = (0.2, 0.06, 0.08)  # m/s^2, rad/s^2: about what identifiability.DISTURBANCES has
+DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
+MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
 SENSOR_LOG_SD: Final = 0.5
 
 
@@ -67,8 +70,8 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
-    mean[NOISE] = np.log([*DISTURBANCE, 1.0, 1.0, 1.0])
-    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [SENSOR_LOG_SD] * 3
+    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0])
+    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1]] + [SENSOR_LOG_SD] * 3
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
     return mean, sd
 

@@ -27,7 +27,8 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 DT = predictor.DT
-DISTURBANCE = (0.25, 0.1, 0.1)  # as identifiability.DISTURBANCES
+PUSHES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
+LASTS = math.exp(-DT / MEMORY)
 SDS = (math.radians(0.2), math.radians(0.3))
 SPEED = 4.5
 
@@ -37,35 +38,35 @@ def test_places_in_the_kernel_are_those_of_the_names() -> None:
         "wheel_zero": predictor.ZERO, "wheel_gain": predictor.GAIN, "latency": predictor.LATENCY,
         "pair_t": predictor.PAIR, "lever_t": predictor.LEVER, "aside_i": predictor.ASIDE,
         "cg_t": predictor.CG, "rolling": predictor.ROLLING, "curvature": predictor.CURVATURE,
-        "q_v": predictor.Q,
+        "push_t": predictor.Q, "memory": predictor.MEMORY,
         "s_yaw_rate": predictor.S_YAW, "s_velocity": predictor.S_VELOCITY, "s_position": predictor.S_POSITION,
     }  # fmt: skip
     assert {name: AT[name] for name in places} == places
 
 
-def discrete(rig: Rig) -> tuple[Array, Array]:
-    """(F, G) of the first eight states of the predictor for a wheel angle, by a matrix exponential."""
+def discrete(rig: Rig) -> tuple[Array, Array, Array]:
+    """(F, G, pushed) of the first eight states of the predictor for themselves, a wheel angle and the
+    ground's three pushes, by a matrix exponential."""
     a = relaxation.system_matrix(SPEED, rig.geometry, rig.theta)
     b = relaxation.input_matrix(SPEED, rig.geometry, rig.theta)
     keep = [0, 1, 2, 3, 4, 5, 7, 8]
-    whole = np.zeros((9, 9))
-    whole[:8, :8], whole[:8, 8] = a[np.ix_(keep, keep)], b[keep, 0]
+    whole = np.zeros((12, 12))
+    whole[:8, :8], whole[:8, 8:11], whole[1, 11] = a[np.ix_(keep, keep)], b[keep], 1.0
     exact: Array = np.asarray(expm(whole * DT), np.float64)
-    return exact[:8, :8], exact[:8, 8]
+    return exact[:8, :8], exact[:8, 8], exact[:8, 9:]
 
 
 def own_record(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
-    """Gyros and headings at every tick of a rig that moves as the relaxation model, white disturbances."""
+    """Gyros and headings at every tick of a rig that moves as the relaxation model on uneven ground."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
     time: Array = np.arange(n, dtype=np.float64) * DT
     wheel = manoeuvre_named(kind).wheel_angle(time, math.radians(8.0), rng)
-    f, g = discrete(rig)
-    states = np.zeros((n, 8))
-    shocks = rng.standard_normal((n, 3)) * DISTURBANCE * DT
+    f, g, pushed = discrete(rig)
+    states, push = np.zeros((n, 8)), rng.standard_normal((n, 3)) * PUSHES
     for k in range(n - 1):
-        states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2
-        states[k + 1, :3] += shocks[k]
+        states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2 + pushed @ push[k]
+        push[k + 1] = LASTS * push[k] + math.sqrt(1.0 - LASTS**2) * push[k + 1]
     ticks = np.zeros((n, 8))
     ticks[:, 0], ticks[:, 1], ticks[:, 2:4], ticks[:, 4:6] = wheel, SPEED, states[:, 6:8], states[:, 1:3]
     rows = [
@@ -98,23 +99,24 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     record = own_record(rig, 3, seconds=0.6)
     mean, covariance = alone(machine)
     mean[SIX] = np.log(rig.theta)
-    mean[AT["q_v"] : AT["q_r_i"] + 1] = np.log(DISTURBANCE)
+    mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
     told = without_pairs(machine)
     search = likelihood.search_of(record, told, mean, covariance)
     e, s = likelihood.errors(search, mean[None], np.zeros(1))
-    f, g = discrete(rig)
+    f, g, pushed = discrete(rig)
+    whole_f = np.block([[f, pushed], [np.zeros((3, 8)), LASTS * np.eye(3)]])
     n, first = len(record.ticks), likelihood.first_state(record, told)[:8]
-    start = np.diag(np.square(predictor.START[:8]))
-    shock = np.diag([*np.square(np.array(DISTURBANCE) * DT), *[0.0] * 5])
+    start = np.diag(np.square([*predictor.START, *PUSHES]))
+    shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
         turned = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
         centre.append(f @ centre[-1] + g * turned)
-        spreads.append(f @ spreads[-1] @ f.T + shock)
+        spreads.append(whole_f @ spreads[-1] @ whole_f.T + shock)
     columns = [1 + int(r[3]) if r[2] == YAW_RATE else 6 + int(r[3]) for r in record.rows]
     ticks = record.rows[:, 0].astype(int)
     dense = np.diag(record.rows[:, 5] ** 2)
-    powers = [np.linalg.matrix_power(f, k) for k in range(n)]
+    powers = [np.linalg.matrix_power(whole_f, k) for k in range(n)]
     for i, (ki, ci) in enumerate(zip(ticks, columns, strict=True)):
         for j, (kj, cj) in enumerate(zip(ticks, columns, strict=True)):
             early, late, c_early, c_late = (ki, kj, ci, cj) if ki <= kj else (kj, ki, cj, ci)
