@@ -46,3 +46,10 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
         what = endpoint if config is None else config
         why = str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
         raise ValueError(f"{what}: {why}; an endpoint looks like {ENDPOINT}") from None
+
+
+def living(session: zenoh.Session, prefix: str = "tilth") -> list[str]:
+    """What the keys begin with of the daemons that are heard now, then of replays and simulations."""
+    found = [str(reply.ok.key_expr) for reply in session.liveliness().get(f"{prefix}/**/alive") if reply.ok]
+    bases = {key.removesuffix("/alive") for key in found}
+    return sorted(bases, key=lambda base: (base.endswith("/replay"), base))

@@ -1,0 +1,102 @@
+"""`tilth mavlink`: the recommended estimate to an autopilot."""
+
+import argparse
+import math
+import signal
+import threading
+import time
+from pathlib import Path
+
+from tilth.cli import WrongUse
+from tilth.client import Client, Staleness
+from tilth.client.latest import judge
+from tilth.client.link import ENDPOINT, base_key, living, open_session
+from tilth.client.mavlink import Sender
+from tilth.schemas.mavlink import udp_address
+
+EVERY_S = 1.0  # as often as an estimate comes, and a heartbeat must
+RULE = Staleness(silence_s=3.0, data_s=math.inf)  # how old the data are is sent along
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "mavlink",
+        help="send the parameters to a MAVLink autopilot",
+        description="Sends the recommended estimate, with status and age, once a second as "
+        "NAMED_VALUE_FLOAT and DEBUG_FLOAT_ARRAY. What may not be used is NaN. Until Ctrl-C.",
+    )
+    add_daemon(parser)
+    parser.add_argument(
+        "--to", required=True, metavar="udpout:HOST:PORT", help="the autopilot, or a router of its messages"
+    )
+    parser.add_argument(
+        "--system", type=int, default=1, metavar="N", help="MAVLink system: the vehicle's (1)"
+    )
+    parser.add_argument(
+        "--component", type=int, default=191, metavar="N", help="MAVLink component (191: onboard computer)"
+    )
+
+
+def add_daemon(parser: argparse.ArgumentParser) -> None:
+    """Which daemon to hear."""
+    parser.add_argument(
+        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
+    parser.add_argument(
+        "--machine", default="", metavar="NAME", help="of the machine file (the one that runs)"
+    )
+    parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
+    parser.add_argument(
+        "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    for name, number in (("--system", args.system), ("--component", args.component)):
+        if not 1 <= number <= 255:
+            raise WrongUse(f"{name} {number}: give a number from 1 to 255")
+    try:
+        to = udp_address(args.to)
+        if to.listening:
+            raise ValueError(f"--to {args.to}: it sends only; give udpout:HOST:PORT")
+        base_key(args.machine or "any", args.prefix, args.replay)
+        session = open_session(args.connect, args.config)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    try:
+        sender = Sender(to, args.system, args.component)
+    except OSError as error:
+        session.close()
+        raise WrongUse(f"--to {args.to}: {error.strerror or error}; correct the host") from None
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
+    client = Client(session, base, "", RULE) if base else None
+    began_s, told = time.monotonic(), ""
+    try:
+        while True:
+            if client is None and (found := living(session, args.prefix)):
+                client = Client(session, found[0], "", RULE)
+            unsent = sender.unsent
+            latest = client.latest() if client else judge(None, math.inf, RULE)
+            sender.send(latest, int((time.monotonic() - began_s) * 1e3))
+            told = _say(args.to, sender.reason if sender.unsent > unsent else "", latest.reason, told)
+            if stop.wait(EVERY_S):
+                return 0
+    finally:
+        print(f"{sender.sent} messages, {sender.unsent} of them not sent", flush=True)
+        if client is not None:
+            client.close()
+        session.close()
+        sender.close()
+
+
+def _say(to: str, unsent: str, reason: str, before: str) -> str:
+    """Print what has changed."""
+    now = f"{to}: {unsent}; is it on?" if unsent else f"sends to {to}"
+    now += f"; NaN: {reason}" if reason else "; all six may be used"
+    shape = "".join(c for c in now if not c.isdigit())  # ages go on all the time
+    if shape != before:
+        print(now, flush=True)
+    return shape

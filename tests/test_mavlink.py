@@ -1,0 +1,146 @@
+"""`tilth mavlink` between processes: a daemon's Zenoh, the bridge, a UDP way that loses, and a peer."""
+
+import math
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from client_daemon import LOG_SD, THETA, Publisher, estimate
+from pymavlink.dialects.v20 import common
+
+from tilth.cli import main
+from tilth.client import Staleness
+from tilth.client.latest import judge
+from tilth.client.mavlink import AGE, SUFFIXES, numbers
+from tilth.schemas.flow import PARAMETERS, ParameterEstimate, Status
+
+RULE = Staleness(silence_s=3.0, data_s=math.inf)
+PER_TICK = 1 + 1 + len(PARAMETERS) * len(SUFFIXES) + 1  # heartbeat, array, named values with AGE
+
+
+class Peer:
+    """Hears MAVLink on a UDP port, without every `lossy`-th datagram; counts what its numbers say is lost."""
+
+    def __init__(self, lossy: int = 0) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(30.0)
+        self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
+        self._codec = common.MAVLink(None)
+        self._lossy, self._came, self._last = lossy, 0, -1
+        self.dropped = self.lost = 0
+        self.names: dict[str, float] = {}
+        self.array: list[float] = []
+        self.heartbeats: list[tuple[int, int]] = []
+
+    def hear(self) -> None:
+        packed = self._socket.recv(2048)
+        self._came += 1
+        if self._lossy and self._came % self._lossy == 0:
+            self.dropped += 1
+            return
+        message: Any = self._codec.parse_char(packed)
+        if self._last >= 0:
+            self.lost += (message.get_seq() - self._last - 1) % 256
+        self._last = message.get_seq()
+        kind = message.get_type()
+        if kind == "NAMED_VALUE_FLOAT":
+            self.names[message.name] = message.value
+        elif kind == "DEBUG_FLOAT_ARRAY":
+            assert message.name == "tilth"
+            self.array = message.data
+        else:
+            assert kind == "HEARTBEAT"
+            self.heartbeats.append((message.get_srcSystem(), message.type))
+
+    def hear_until(self, condition: Callable[[], bool]) -> None:
+        while not condition():
+            self.hear()
+
+    def hear_all(self) -> None:
+        """Each name and the array afresh, whatever is lost meanwhile."""
+        self.names.clear()
+        self.array = []
+        self.hear_until(lambda: len(self.names) == PER_TICK - 2 and bool(self.array))
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@contextmanager
+def bridge(endpoint: str, to: str, *options: str) -> Iterator[subprocess.Popen[str]]:
+    words = ("mavlink", "--connect", endpoint, "--to", f"udpout:{to}", *options)
+    code = f"import sys; from tilth.cli import main; sys.exit(main({words!r}))"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_peer_has_the_numbers_with_status_and_age_whatever_the_way_loses() -> None:
+    peer = Peer(lossy=7)
+    with Publisher() as publisher, bridge(publisher.endpoint, peer.address) as process:
+        peer.hear_until(lambda: peer.names.get("C_ai_st") == Status.ESTIMATED)
+        peer.hear_all()
+        for i, (name, value) in enumerate(zip(PARAMETERS, THETA, strict=True)):
+            row = [peer.names[name + suffix] for suffix in SUFFIXES]
+            assert row[:3] == pytest.approx([value, value * LOG_SD, Status.ESTIMATED], rel=1e-6)
+            assert 0.5 <= row[3] < 5.0
+            assert peer.array[1 + 4 * i : 4 + 4 * i] == pytest.approx(row[:3])
+        assert 0 <= peer.names[AGE] < 3
+        publisher.order(silent=True)  # the daemon falls silent: no number outlives it
+        peer.hear_until(lambda: peer.names["C_af_st"] == peer.names["sigma_i_st"] == Status.STALE)
+        peer.hear_all()
+        assert all(math.isnan(peer.names[name]) for name in PARAMETERS)
+        assert peer.names[AGE] > 3
+        assert peer.dropped > 5
+        assert 0 <= peer.dropped - peer.lost <= 1  # what was dropped last may not be missed yet
+        assert {*peer.heartbeats} == {(1, common.MAV_TYPE_ONBOARD_CONTROLLER)}
+        process.terminate()
+        out, _ = process.communicate(timeout=10)
+        assert process.returncode == 0
+        assert "all six may be used" in out and "0 of them not sent" in out
+    peer.close()
+
+
+@pytest.mark.parametrize("status", Status)
+def test_a_number_is_there_only_while_it_may_be_used(status: Status) -> None:
+    row = ParameterEstimate(150e3, 15e3, status, "because", 7.0)
+    told = estimate(parameters=(row,) * 6)
+    named = numbers(judge(told, 2.0, RULE))
+    assert math.isnan(named["C_ai"]) == math.isnan(named["C_ai_sd"]) == (status is not Status.ESTIMATED)
+    assert (named["C_ai_st"], named["C_ai_ag"], named[AGE]) == (status, 9.0, 2.0)
+    silent = numbers(judge(told, 4.0, RULE))
+    assert math.isnan(silent["C_ai"]) and silent["C_ai_st"] != Status.ESTIMATED
+
+
+def test_before_the_first_estimate_all_are_nan_and_names_fit_the_message() -> None:
+    named = numbers(judge(None, math.inf, RULE))
+    assert {named[name + "_st"] for name in PARAMETERS} == {float(Status.UNESTIMATED)}
+    assert all(math.isnan(number) for name, number in named.items() if not name.endswith("_st"))
+    assert max(map(len, named)) <= 10 and len(named) == PER_TICK - 2 <= 58
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--to", "udpin:0.0.0.0:14550"), "it sends only; give udpout:HOST:PORT"),
+        (("--to", "/dev/ttyACM0"), "a serial port is reached through mavlink-router or MAVProxy"),
+        (("--to", "udpout:127.0.0.1:0"), "give udpout:HOST:PORT"),
+        (("--to", "udpout:127.0.0.1:14550", "--system", "256"), "give a number from 1 to 255"),
+        (("--to", "udpout:127.0.0.1:14550", "--machine", "a/b"), "give its name in the machine file"),
+        (("--to", "udpout:127.0.0.1:14550", "--connect", "nonsense"), "an endpoint looks like"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(
+    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(("mavlink", *words)) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
