@@ -10,10 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from loopback import logged_frames, numbered
+from loopback import logged_frames, numbered, records_of
 from test_mcap_log import Recorder
 
 from tilth.logger.recording import FLUSH_NS
+from tilth.logger.runs import stored_runs
+from tilth.logger.status import hours_left
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Event
+from tilth.schemas.proto import tilth_pb2 as pb
 
 HERE = Path(__file__).resolve().parent
 
@@ -107,3 +112,39 @@ def test_a_disk_that_never_answers_stops_the_recording_before_memory_is_full(
     found = [frame for path in sorted(tmp_path.glob("*.mcap")) for frame in logged_frames(path)]
     assert len(found) == run.recording.frames == 10_000 - run.recording.missed
     assert found[-1000:] == run.taken[-1000:]
+
+
+def test_a_run_ends_with_the_ignition_and_the_next_frame_begins_another(tmp_path: Path) -> None:
+    run = Recorder(tmp_path, log="ignition_off_s = 3")
+    frames = list(run.from_now(numbered(4000)))
+    for frame in frames[:2000]:
+        run.take(frame)
+    first = run.recording.run_id
+    run.until(lambda: run.recording.resting)
+    event = CHANNEL["/event"].encode(Event(frames[0].t_ns, "bus", "can0: silent"))
+    run.recording.message("/event", frames[0].t_ns, event)
+    before = sorted(tmp_path.glob("*.mcap"))
+    for frame in frames[2000:]:
+        run.take(frame)
+    run.recording.close()
+    assert run.recording.run_id != first and run.events[-1].startswith(
+        "log: ignition is on: a new run begins"
+    )
+    one, two = sorted(tmp_path.glob("*.mcap"), key=lambda path: path not in before)
+    assert (
+        before == [one] and logged_frames(one) == run.taken[:2000] and logged_frames(two) == run.taken[2000:]
+    )
+    assert len(records_of(two, "/snapshot", pb.Snapshot)) == 1  # it replays alone
+    assert [kept.text for kept in records_of(two, "/event", pb.Event)] == ["can0: silent"]
+    assert len(stored_runs(tmp_path)) == 2
+
+
+def test_hours_left_are_those_at_the_rate_of_recording(tmp_path: Path) -> None:
+    run = Recorder(tmp_path)
+    assert run.recording.bytes_per_s is None and hours_left(144e6) == 1.0
+    for frame in run.from_now(numbered(25_000)):
+        run.take(frame)
+    rate = run.recording.bytes_per_s
+    run.recording.close()
+    assert rate == pytest.approx(run.recording.files[0].stat().st_size / 25.0, rel=0.2)
+    assert rate is not None and hours_left(rate * 7200.0, rate) == pytest.approx(2.0)
