@@ -21,7 +21,7 @@ from tilth.schemas.machine import Bus
 
 BATCH = 32  # frames taken from one bus before the others have their turn
 # After frames that were stamped on arrival others are let come: a wake-up costs as much as three of them.
-REST_S = 0.004
+REST_S = 0.002
 POLL_S = 0.002  # for interfaces without a descriptor
 WATCH_NS = 250_000_000
 ASK_NS = 1_000_000_000
@@ -36,6 +36,7 @@ HANGING = 4  # openings of one bus that may hang at a time
 EMPTY_READS = 200  # readable, but nothing to read: the far side is gone
 NOT_YET = "not open yet"
 SLOW = "opening it does not end; the far side or the driver hangs: restart it"
+LOST = {"mavlink": "messages of the autopilot lost on the way; give its link more bit rate, or less to do"}
 LEAVE_S = 2.0  # how long the end of a run waits for buses that are just being opened or closed
 
 Report = Callable[[str, str], None]  # kind and text of an event
@@ -380,5 +381,5 @@ class Buses:
         lost = source.lost_before + port.lost()
         if lost > source.lost:
             new, source.lost = lost - source.lost, lost
-            text = f"{new} frames lost in the kernel, the computer was busy ({lost} in all)"
-            self._say(source, text)
+            what = LOST.get(source.config.interface, "frames lost in the kernel, the computer was busy")
+            self._say(source, f"{new} {what} ({lost} in all)")

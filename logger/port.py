@@ -21,7 +21,7 @@ STAMPED: Mapping[str, str] = {
     DRIVER: "the driver behind python-can",
     COMPUTER: "this program, as it reads them",
 }
-_BY_KERNEL = ("socketcan", "udp_multicast")  # of python-can's
+_BY_KERNEL = ("mavlink", "socketcan", "udp_multicast")  # of python-can's
 ID_BITS = 0x1FFF_FFFF
 
 
@@ -73,7 +73,8 @@ class Port(Protocol):
         """Called about each second: find out what only tells when it is asked."""
 
     def lost(self) -> int:
-        """Frames that the kernel has dropped since the opening because nobody took them."""
+        """Frames since the opening that the kernel has dropped because nobody took them; of an autopilot its
+        messages, of any kind, that were lost on the way."""
         ...
 
     def close(self) -> None:
@@ -123,7 +124,9 @@ class LibraryPort:
         return
 
     def lost(self) -> int:
-        return 0 if self._socket is None else receive_buffer.dropped(self._socket)
+        if self._socket is not None:
+            return receive_buffer.dropped(self._socket)
+        return int(getattr(self.bus, "messages_lost", 0))
 
     def close(self) -> None:
         if self._socket is not None:

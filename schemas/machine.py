@@ -101,7 +101,7 @@ class Tyres(_Section):
 
 class Bus(_Section):
     name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
-    interface: str = Field(description="any python-can interface")
+    interface: str = Field(description="any python-can interface, mavlink among them")
     channel: str | int
     bitrate: int = Field(default=250_000, gt=0)
     options: dict[str, str | int | float | bool] = Field(
