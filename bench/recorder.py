@@ -1,6 +1,7 @@
 """What does a raw frame cost, from the socket to the disk? Buses and log alone, without the estimation.
 
     python bench/recorder.py [--seconds N]              # four full buses, 7,600 frames/s, through loopback
+    python bench/recorder.py soak [--seconds N]         # the whole daemon under that load: nothing lost?
     python bench/recorder.py record MACHINE.toml FOLDER # until Ctrl-C; used in the virtual machine
 
 Where the kernel has no CAN, datagram sockets of loopback stand in for the raw ones: same code, same struct
@@ -16,12 +17,12 @@ import argparse
 import gc
 import json
 import multiprocessing
+import os
 import resource
 import signal
 import socket
 import tempfile
 import time
-from collections.abc import Callable
 from importlib import resources
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -133,6 +134,7 @@ def send(addresses: list[tuple[str, int]], rate: float, seconds: float, told: Co
         wires.append(wire)
     noise = rng.integers(0, 256, (4096, 8), dtype=np.uint8)
     frames = [CAN_FRAME.pack(0x18FF0000 + i % 50 | EXTENDED, 8, row.tobytes()) for i, row in enumerate(noise)]
+    told.send("ready")
     told.recv()
     began, count = time.monotonic(), int(rate * seconds)
     for number in range(count):
@@ -144,57 +146,120 @@ def send(addresses: list[tuple[str, int]], rate: float, seconds: float, told: Co
     told.send((count, time.monotonic() - began))
 
 
-def at_rate(rate: float, seconds: float, while_running: Callable[[Recorder], None] = lambda _: None) -> None:
-    """Print what recording costs at that rate, and how long the loop was ever away."""
-    opener, addresses = stand_ins()
-    machine, text = rig()
-    line, far = multiprocessing.Pipe()
-    context = multiprocessing.get_context("spawn")
-    job = (list(addresses.values()), rate, seconds, far)
-    child = context.Process(target=send, args=job, daemon=True)
-    child.start()
-    with tempfile.TemporaryDirectory() as folder:
-        recorder = Recorder(machine, text, Path(folder), opener)
-        for _ in range(20):
-            recorder.turn(0.01)
+class Load:
+    """A second process that fills four buses, begun and waited for from here."""
+
+    def __init__(self, seconds: float) -> None:
+        self.opener, addresses = stand_ins()
+        self._line, far = multiprocessing.Pipe()
+        context = multiprocessing.get_context("spawn")
+        job = (list(addresses.values()), RATE, seconds, far)
+        self._child = context.Process(target=send, args=job, daemon=True)
+        self._child.start()
+        self._told: tuple[int, float] | None = None
+        self._end = 0.0
+
+    def begin(self) -> None:
+        assert self._line.recv() == "ready"
         gc.collect()
         gc.freeze()
-        line.send("go")
-        away, end = [], float("inf")
-        before, last, told = cpu_s(), time.monotonic(), (0, 0.0)
-        while time.monotonic() < end:
-            recorder.turn(0.0 if rate > 1e5 else TURN_S)
+        self._line.send("go")
+
+    def over(self) -> bool:
+        """Whether all is sent, and half a second has passed since."""
+        if self._told is None and self._line.poll():
+            self._told, self._end = self._line.recv(), time.monotonic() + 0.5
+        return self._told is not None and time.monotonic() > self._end
+
+    def sent(self) -> tuple[int, float]:
+        """Frames, and the seconds that took."""
+        assert self._told is not None
+        return self._told
+
+
+def cost(seconds: float) -> None:
+    """What recording costs, and how long the loop was ever away."""
+    load = Load(seconds)
+    machine, text = rig()
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(machine, text, Path(folder), load.opener)
+        for _ in range(20):
+            recorder.turn(0.01)
+        away = []
+        load.begin()
+        recorder.turn()
+        before, last = cpu_s(), time.monotonic()
+        while not load.over():
+            recorder.turn()
             now = time.monotonic()
             away.append(now - last)
             last = now
-            if end == float("inf") and line.poll():
-                told, end = line.recv(), now + 0.5
         spent = cpu_s() - before
         recorder.close()
         size = sum(path.stat().st_size for path in Path(folder).glob("*.mcap"))
-    sent, took_s = told
+    sent, took_s = load.sent()
     got, lost = recorder.recording.frames, sum(source.lost for source in recorder.buses.sources)
-    gaps = np.array(away[:-5]) * 1e3
+    gaps = np.array([gap for gap in away if gap < 0.9 * TURN_S]) * 1e3  # without those that waited in vain
     print(f"{sent} frames sent on {BUSES} buses in {took_s:.1f} s ({sent / took_s:.0f}/s): {got} recorded,")
     print(f"    {sent - got} lost ({lost} of them known to the kernel), {size / got:.1f} bytes each")
-    print(
-        f"    {spent / got * 1e6:.2f} us of CPU each, socket to disk ({spent / took_s * 100:.1f} % of a core)"
-    )
+    each = f"{spent / got * 1e6:.2f} us of CPU each, socket to disk"
+    print(f"    {each} ({spent / took_s * 100:.1f} % of a core)")
     worst = f"worst {gaps.max():.1f} ms, {np.percentile(gaps, 99.9):.1f} ms in 999 of 1000"
     print(f"    from one turn of the loop to the next: {worst} ({len(gaps)} turns)")
+
+
+def soak(seconds: float) -> None:
+    """The daemon with all that it computes, for as long as asked; one line of JSON."""
+    from tilth.logger.daemon import Daemon, NoDisplay  # takes minutes to load in the virtual machine
+
+    load = Load(seconds)
+    machine, text = rig()
+    with tempfile.TemporaryDirectory() as folder:
+        daemon = Daemon(machine, text, Path(folder), None, NoDisplay(), opener=load.opener)
+        for _ in range(20):
+            daemon.turn(0.01)
+        load.begin()
+        before, began, sizes = cpu_s(), time.monotonic(), [resident_mb()]
+        while not load.over():
+            daemon.turn()
+            if time.monotonic() - began > len(sizes) * seconds / 10:
+                sizes.append(resident_mb())
+        share = (cpu_s() - before) / (time.monotonic() - began)
+        summary = daemon.close()
+        files = [path.stat().st_size for path in summary.log_files]
+    sent, took_s = load.sent()
+    said = {
+        "sent": sent,
+        "per_s": round(sent / took_s),
+        "recorded": summary.recorded,
+        "lost": sent - summary.recorded,
+        "lost_in_kernel": summary.lost,
+        "core": round(share, 3),
+        "resident_mb": [round(size) for size in sizes],
+        "files": len(files),
+        "bytes_per_frame": round(sum(files) / max(summary.recorded, 1), 1),
+    }
+    print(json.dumps(said))
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="What a raw frame costs from the socket to the disk.")
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("words", nargs="*", help="record MACHINE.toml FOLDER")
+    parser.add_argument("words", nargs="*", help="soak, or record MACHINE.toml FOLDER")
     args = parser.parse_args()
     if args.words[:1] == ["record"] and len(args.words) == 3:
         record(Path(args.words[1]), Path(args.words[2]))
+    elif args.words == ["soak"]:
+        soak(args.seconds)
     elif args.words:
-        parser.error("record MACHINE.toml FOLDER")
+        parser.error("soak, or record MACHINE.toml FOLDER")
     else:
-        at_rate(RATE, args.seconds)
+        cost(args.seconds)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,9 @@ from tilth.schemas.machine import MachineError
 COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
     ("mark", "note an event in the log of the daemon that runs"),
+    ("logs", "list the runs in a log folder, mark those to be kept, add notes"),
+    ("offload", "copy finished runs to a stick or another folder, verified"),
+    ("verify", "read logs fully, and say what is missing or wrong in them"),
     ("recover", "finish log files that a power cut left unfinished"),
     ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
     ("decode", "print the messages of a log, one JSON object a line"),
@@ -30,6 +33,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
+    ("monitor", "show a running daemon in a browser"),
 )
 
 

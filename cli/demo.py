@@ -1,9 +1,12 @@
 """`tilth demo`: a simulated tractor through the whole chain."""
 
 import argparse
+import contextlib
 import json
 import signal
+import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
@@ -28,6 +31,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--log", type=Path, default=Path("logs"), metavar="DIR", help="folder of the log (logs)"
     )
+    parser.add_argument("--no-page", action="store_true", help="do not serve the live page meanwhile")
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
 
 
@@ -45,18 +49,41 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(signum, stop)
     plain = args.json or not sys.stdout.isatty()
     display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
-    try:
-        demo = run_demo(args.seconds, args.seed, args.log, display, lambda: stopping, _say)
-    except DemoError as error:
-        _say(str(error))
-        return 1
-    finally:
-        display.close()
+    with contextlib.ExitStack() as beside:
+        watch = None if args.no_page else lambda endpoint: beside.callback(_page(endpoint))
+        try:
+            demo = run_demo(args.seconds, args.seed, args.log, display, lambda: stopping, _say, watch)
+        except DemoError as error:
+            _say(str(error))
+            return 1
+        finally:
+            display.close()
     if args.json:
         print(json.dumps(result(demo)))
     else:
         _tell(demo)
     return 1 if demo.frames_lost or demo.summary.faults else 0
+
+
+def _page(endpoint: str) -> Callable[[], None]:
+    """Start the live page, as `tilth monitor` does, and say where it is. Returns what ends it."""
+    start = "import sys; from tilth.cli import main; sys.exit(main())"
+    page = subprocess.Popen(
+        [sys.executable, "-c", start, "monitor", "--connect", endpoint, "--port", "0"],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C in the terminal is for the daemon
+    )
+    assert page.stdout is not None
+    with page.stdout as lines:
+        address = lines.readline().strip()
+    _say(f"watch it at {address}" if address else "there is no page: `tilth monitor` says why")
+
+    def end() -> None:
+        page.terminate()
+        page.wait()
+
+    return end
 
 
 def _say(text: str) -> None:

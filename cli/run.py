@@ -28,6 +28,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("--no-zenoh", action="store_true", help="publish nothing")
     parser.add_argument("--plain", action="store_true", help="plain lines also in a terminal")
     parser.add_argument("--fresh", action="store_true", help="do not go on from what earlier runs learned")
+    parser.add_argument(
+        "--note", default="", metavar="TEXT", help="what is to be known of it, kept in the log"
+    )
     parser.add_argument("--seconds", type=duration, metavar="N", help="stop by itself")
 
 
@@ -55,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
             stop=lambda: stopping,
             keep=True,
             fresh=args.fresh,
+            note=args.note,
             supervisor=of_environment(os.environ),
         )
     finally:

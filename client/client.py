@@ -16,7 +16,7 @@ import zenoh
 
 from tilth.client.latest import Latest, Linear, Staleness, judge, linear
 from tilth.client.link import ENDPOINT, base_key, open_session
-from tilth.client.received import HeardRig, Refused, estimate_of, event_of, rig_of_message
+from tilth.client.received import HeardRig, Refused, answered_age, estimate_of, event_of, rig_of_message
 from tilth.schemas.flow import Estimate, Event
 
 SOIL_CHANGE: Final = "soil_change"  # kind of the event
@@ -166,7 +166,7 @@ class Client:
         if reply.ok is None:  # the daemon says that it has none that is fresh
             return
         with self._refusing():
-            answered = (_age(reply.ok.attachment), time.monotonic() - asked_s)
+            answered = (answered_age(reply.ok.attachment), time.monotonic() - asked_s)
             self._take(_bytes_of(reply.ok, self._key), str(reply.ok.encoding), answered)
 
     def _take(self, data: bytes, encoding: str, answered: tuple[float, float] | None) -> None:
@@ -284,12 +284,3 @@ def _bytes_of(sample: zenoh.Sample, key: str) -> bytes:
     if sample.kind != zenoh.SampleKind.PUT:
         raise Refused("a deletion")
     return sample.payload.to_bytes()
-
-
-def _age(attachment: zenoh.ZBytes | None) -> float:
-    """Seconds; infinite where a daemon of another version does not say."""
-    try:
-        age_s = float(attachment.to_string()) if attachment is not None else math.inf
-    except ValueError:
-        return math.inf
-    return age_s if age_s >= 0 else math.inf

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
+import zenoh
 from google.protobuf.message import DecodeError, Message
 
 from tilth.estimator.models.parameters import GEOMETRY, RIG_PARAMETERS, TABLE_5_1, Rig, checked
@@ -164,3 +165,13 @@ def rig_of_message(data: bytes, encoding: str) -> HeardRig:
 def text(told: str) -> str:
     """A text of somebody else, short and in one line."""
     return "".join(sign if sign.isprintable() else " " for sign in told[:LONGEST])
+
+
+def answered_age(attachment: zenoh.ZBytes | None) -> float:
+    """Seconds since a value was published, of an answer to a query; infinite where a daemon of another
+    version does not say."""
+    try:
+        age_s = float(attachment.to_string()) if attachment is not None else math.inf
+    except ValueError:
+        return math.inf
+    return age_s if age_s >= 0 else math.inf

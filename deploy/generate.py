@@ -1,6 +1,7 @@
 """Write what is generated from the tree: `python -m tilth.deploy.generate`, from a development install.
 
-schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json.
+schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
+deploy/constraints.txt, the versions that a recorder is installed with.
 """
 
 import json
@@ -10,7 +11,9 @@ from pathlib import Path
 
 from tilth.schemas.machine import Machine
 
-SCHEMAS = Path(__file__).resolve().parents[1] / "schemas"
+ROOT = Path(__file__).resolve().parents[1]
+SCHEMAS = ROOT / "schemas"
+EXPORT = "uv export --frozen --no-dev --no-hashes --no-header --no-annotate --no-emit-project --quiet"
 
 
 def main() -> None:
@@ -19,6 +22,8 @@ def main() -> None:
     subprocess.run([sys.executable, *command, str(proto / "tilth.proto")], check=True)
     schema = json.dumps(Machine.model_json_schema(), indent=2) + "\n"
     (SCHEMAS / "machine.schema.json").write_text(schema)
+    said = subprocess.run([*EXPORT.split(), "--directory", str(ROOT)], capture_output=True, check=True)
+    (ROOT / "deploy" / "constraints.txt").write_bytes(said.stdout)
 
 
 if __name__ == "__main__":

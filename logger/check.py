@@ -46,7 +46,7 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
     return [
         _configuration(machine),
         *_listen(machine, clock, seconds),
-        *_disk(folder),
+        *_disk(folder, machine.log.keep_free_megabytes * 1e6),
         *_clock(clock),
         _zenoh(machine),
     ]
@@ -88,7 +88,7 @@ def _bus(source: Source, seconds: float) -> Finding:
     return Finding(what, OK, text)
 
 
-def _disk(folder: Path) -> Iterator[Finding]:
+def _disk(folder: Path, keep_free: float) -> Iterator[Finding]:
     """`run` makes the folder; here its nearest existing parent must do."""
     place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
     try:
@@ -106,7 +106,7 @@ def _disk(folder: Path) -> Iterator[Finding]:
         return
     yield Finding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     free = shutil.disk_usage(place).free
-    hours = hours_left(free)
+    hours = hours_left(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
     if hours < LOW_HOURS:
         yield Finding("disk", PROBLEM, f"{text}; make room")

@@ -18,7 +18,8 @@ from zenoh import ZError
 
 from tilth.estimator.fold import RECOMMENDED
 from tilth.logger import warm_start
-from tilth.logger.buses import Buses
+from tilth.logger.bus_opening import open_port
+from tilth.logger.buses import Buses, Opener
 from tilth.logger.clock import Clock
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
@@ -97,10 +98,11 @@ class Daemon:
         fresh: bool = False,
         note: str = "",
         supervisor: Supervisor | None = None,
+        opener: Opener = open_port,
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
         folder learned, unless `fresh`, and keep it for later ones. note: of the operator, for the log.
-        supervisor: is told that the loop lives.
+        supervisor: is told that the loop lives. opener: opens a bus.
 
         Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
         """
@@ -111,7 +113,7 @@ class Daemon:
         self._started_ns = self._clock.t_ns()
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
-        self._buses = Buses(machine.bus, self._clock, self._report)
+        self._buses = Buses(machine.bus, self._clock, self._report, opener)
         self._warm_path = warm_start.path_of(folder, machine) if keep else None
         warmed = not fresh and self._warmed()
         self._recording = Recording(

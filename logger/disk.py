@@ -94,6 +94,7 @@ class Spool:
     def __init__(self, disk: Disk, path: Path) -> None:
         self.path = path
         self.opened = False
+        self.closed = False  # nothing will change any more
         self.error: OSError | None = None
         self.safe_bytes = 0
         self.safe_frames = 0
@@ -190,11 +191,11 @@ class Spool:
         self.safe_frames = self._written_frames
 
     def _close(self) -> None:
-        if self._descriptor < 0:
-            return
-        self._guarded(self._sync)
-        os.close(self._descriptor)
-        self._descriptor = -1
+        if self._descriptor >= 0:
+            self._guarded(self._sync)
+            os.close(self._descriptor)
+            self._descriptor = -1
+        self.closed = True
 
     def rename(self, name: str) -> None:
         """Give a finished file, in the same folder, the name it should have had."""

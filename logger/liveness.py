@@ -17,6 +17,10 @@ class _Heard:
     data_ns: int = 0
     fix: FixType | None = None
     fix_ns: int = 0
+    count: int = 0  # of data since `told_ns`
+    told_ns: int = 0
+    fault: str = ""
+    fault_ns: int = 0
 
 
 class Sensors:
@@ -30,6 +34,7 @@ class Sensors:
         if isinstance(measurement, WheelAngle):
             heard = self._wheel
             heard.data_ns = measurement.t_ns
+            heard.count += 1
         else:
             mount = measurement.origin.mount
             if mount is None or mount not in self._receivers:
@@ -37,12 +42,14 @@ class Sensors:
             heard = self._receivers[mount]
             if isinstance(measurement, Position):
                 heard.data_ns = measurement.t_ns
+                heard.count += 1
             elif isinstance(measurement, Fix):
                 heard.fix, heard.fix_ns = measurement.fix, measurement.t_ns
         heard.any_ns = measurement.t_ns
         heard.source = measurement.origin.source
 
     def receivers(self, t_ns: int) -> list[pb.ReceiverStatus]:
+        """Rates are those since the last call."""
         return [_status(heard, t_ns, mount.value) for mount, heard in self._receivers.items()]
 
     def wheel_angle(self, t_ns: int) -> pb.ReceiverStatus:
@@ -50,11 +57,19 @@ class Sensors:
 
 
 def _status(heard: _Heard, t_ns: int, mount: str) -> pb.ReceiverStatus:
+    """Notes when it was asked and what it found: for the next time."""
     status = pb.ReceiverStatus(mount=mount, state=_state(heard, t_ns), source=heard.source)
     if heard.fix is not None and t_ns - heard.fix_ns < FIX_NS:
         status.fix = heard.fix.value
     if heard.data_ns:
         status.age_s = (t_ns - heard.data_ns) * 1e-9
+    if t_ns > heard.told_ns > 0:
+        status.per_s = heard.count / ((t_ns - heard.told_ns) * 1e-9)
+    heard.count, heard.told_ns = 0, t_ns
+    if status.state in ("lost", "no_data"):
+        heard.fault, heard.fault_ns = status.state, t_ns
+    if heard.fault:
+        status.fault, status.fault_age_s = heard.fault, (t_ns - heard.fault_ns) * 1e-9
     return status
 
 

@@ -90,7 +90,9 @@ class Recording:
 
     @property
     def recording(self) -> bool:
-        return self._writer is not None and self._spools[-1].error is None
+        if self._writer is None or self._spools[-1].error is not None:
+            return False
+        return not self.problem.startswith("not recording")  # a new try, of which nothing is on the disk yet
 
     @property
     def size_bytes(self) -> int:
@@ -153,8 +155,7 @@ class Recording:
             return
         self._next_ns = t_ns + FLUSH_NS
         self._now_ns = t_ns
-        if self._closing and not self._disk.waiting_bytes:
-            self._count_closing()
+        self._count_closing()
         self._make_room(t_ns)
         if self._writer is not None:
             self._keep_up(self._writer)
@@ -166,7 +167,7 @@ class Recording:
         if self._writer is not None:
             self._finish(self._writer, "end")
         stopped = self._disk.stop()
-        self._count_closing()
+        self._count_closing(at_end=True)
         if not stopped:
             self._report("log", f"{self.folder}: the disk does not answer; the end of the log may be missing")
 
@@ -189,7 +190,11 @@ class Recording:
             self._fail(writer, spool.error)
             return
         self._flush(writer)
-        if spool.safe_bytes:
+        stalled_s = self._disk.stalled_s
+        if stalled_s > SLOW_S and not self.problem.startswith("not recording"):
+            waits = f"the disk has not answered for {stalled_s:.0f} s; the log waits in memory"
+            self.problem = f"{self.folder}: {waits}"
+        elif spool.safe_bytes:
             self._recovered(spool)
         if self._disk.waiting_bytes > MOST_WAITING:
             self._finish(writer, "the disk does not keep up")
@@ -216,9 +221,7 @@ class Recording:
             self._report(
                 "log", f"recording again in {spool.path.name}; {self.missed} frames were not recorded"
             )
-        stalled_s = self._disk.stalled_s
-        slow = f"{self.folder}: the disk has not answered for {stalled_s:.0f} s; the log waits in memory"
-        self.problem = slow if stalled_s > SLOW_S else ""
+        self.problem = ""
 
     def _is_due(self, writer: LogWriter) -> bool:
         large = writer.flushed_bytes >= self._log.rotate_megabytes * 1e6
@@ -248,16 +251,17 @@ class Recording:
         self.frames += writer.frames
         self._closing.append((spool, writer.frames))
 
-    def _count_closing(self) -> None:
-        """See what became of files that were finished."""
-        for spool, frames in self._closing:
+    def _count_closing(self, at_end: bool = False) -> None:
+        """See what became of files that were finished; at_end: also of those that the disk never took."""
+        waiting = [] if at_end else [each for each in self._closing if not each[0].closed]
+        for spool, frames in [each for each in self._closing if each not in waiting]:
             self.missed += frames - spool.safe_frames
             self.frames -= frames - spool.safe_frames
             if spool.error is not None:
                 self._report(
                     "log", f"the end of the log may be missing: {_sentence(spool.error, spool.path)}"
                 )
-        self._closing.clear()
+        self._closing = waiting
 
     def _try_again(self) -> None:
         """Begin a file where there seems to be room, and nothing is left of what waited for the disk."""
@@ -330,7 +334,8 @@ class Recording:
 
     def _make_room(self, t_ns: int) -> None:
         free = self._disk.free_bytes
-        low = free is not None and free < self._keep_free + 2 * self._log.rotate_megabytes * 1e6
+        ahead = max(2 * self._log.rotate_megabytes * 1e6, 2 * ROOM_BYTES)
+        low = free is not None and free < self._keep_free + ahead
         if low and self._log.when_full == "delete_oldest" and t_ns - self._room_ns >= RETRY_NS:
             self._room_ns = t_ns
             trusted = self._clock.gnss_ahead_ns is not None
@@ -351,6 +356,8 @@ class Recording:
         for path in recovery.unfinished(self.folder):
             try:
                 done = recovery.finish(path)
+            except FileNotFoundError:  # deleted meanwhile to make room
+                continue
             except (recovery.NoLog, OSError) as error:
                 self._report("log", f"{path.name} was left unfinished and stays so: {error}")
             else:
@@ -369,4 +376,6 @@ def _sentence(error: Exception, folder: Path) -> str:
     if not isinstance(error, OSError):
         return f"{folder}: {type(error).__name__}: {error}"
     place = error.filename or folder
+    if error.errno is None:  # in our words
+        return f"{place}: {error.strerror}"
     return f"{place}: {(error.strerror or str(error)).lower()}; check disk and folder, it is tried again"

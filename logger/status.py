@@ -8,6 +8,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
 LOW_HOURS = 1.0  # of recording left
+FRAME_BITS = 142  # of a frame of eight bytes with a long identifier, its usual stuffing and the gap after it
 NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
 
 _RECEIVER_PROBLEMS: Mapping[str, str] = {
@@ -37,6 +38,7 @@ def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
         errors=[pb.Count(reason=name, count=n) for name, n in source.tally.health.counts.items()],
         failures=source.failures,
         silences=source.silences,
+        load=min(source.frames_per_s * FRAME_BITS / source.config.bitrate, 1.0),
     )
     if source.state != "open":
         status.silent_s = (t_ns - source.heard_ns) * 1e-9

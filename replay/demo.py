@@ -20,6 +20,7 @@ from typing import Any, Final, Literal, Self
 from rich.table import Table
 
 from tilth.logger.daemon import Display, Summary, run_daemon
+from tilth.logger.zenoh_session import free_endpoint
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.scenario import Scenario
 from tilth.replay.simulate import PACKAGED
@@ -75,16 +76,22 @@ def run_demo(
     display: Display | None = None,
     stop: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda text: None,
+    watch: Callable[[str], object] | None = None,
 ) -> Demo:
     """Drive the packaged machine for so long, in real time. Raises DemoError and MachineError.
 
-    stop: asked ten times a second; the log is finished in any case. say: told what takes its time.
+    stop: asked ten times a second; the log is finished in any case. say: told what takes its time. watch:
+    told the Zenoh endpoint before it begins.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     with Player(packaged, seed, seconds, stop, say) as player:
         text = on_loopback(packaged, player.port)
+        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
+        text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
         machine = parse_machine(text)
+        if watch is not None:
+            watch(endpoint)
         summary = run_daemon(
             machine,
             text,

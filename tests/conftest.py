@@ -1,15 +1,32 @@
-"""Options of the test run."""
+"""Options of the test run, and what it makes once for all."""
 
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
-
 import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
 import pytest
+
+# Many tests start processes, which would each compile all that they import: three times the computing.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--refresh", action="store_true", help="write the golden files anew instead of comparing"
     )
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of this checkout."""
+    folder, root = tmp_path_factory.mktemp("wheel"), Path(__file__).resolve().parents[1]
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)]
+    built = subprocess.run(build, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
+    (path,) = folder.glob("*.whl")
+    return path

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,8 +13,23 @@ import pytest
 from loopback import GROUP, Sender, free_port, numbered, until
 
 from tilth.logger.bus_opening import check_interface, open_port, why_not
-from tilth.logger.buses import ASK_NS, BATCH, EMPTY_READS, RENEW_NS, SILENT_NS, Buses, Opener, Source
+from tilth.logger.buses import (
+    ASK_NS,
+    BACK_OFF_MOST_NS,
+    BATCH,
+    EMPTY_READS,
+    HANGING,
+    RENEW_NS,
+    SILENT_NS,
+    SLOW,
+    Buses,
+    Opener,
+    Source,
+)
+from tilth.logger.can_errors import BACK_NS
 from tilth.logger.clock import OLDEST_NS, Clock
+from tilth.logger.port import LibraryPort, Port, Tally
+from tilth.logger.status import bus_status
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, MachineError
 
@@ -339,3 +355,131 @@ def test_a_server_that_dies_and_comes_back(talker: can.BusABC) -> None:
 def test_an_error_becomes_a_sentence_with_what_to_do(error: Exception, words: str) -> None:
     text = why_not(error, Bus(name="x", interface="socketcan", channel="can7"))
     assert words in text and "can7" in text and "\n" not in text
+
+
+class Hanging:
+    """A device whose driver never comes back: neither from opening it nor from closing it."""
+
+    def __init__(self) -> None:
+        self.released = threading.Event()
+        self.opened = 0
+        self.closed = 0
+
+    def open(self, config: Bus, clock: Clock, tally: Tally) -> Port:
+        if config.interface == "virtual":
+            return open_port(config, clock, tally)
+        self.opened += 1
+        self.released.wait(20)
+        port = open_port(virtual("hanging"), clock, tally)
+        end = port.close
+
+        def close() -> None:
+            self.closed += 1
+            end()
+
+        port.close = close  # type: ignore[method-assign]
+        return port
+
+
+def test_an_opening_that_hangs_is_said_and_begun_anew_and_no_other_bus_waits(
+    talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = {"WATCH_NS": 5, "SLOW_NS": 50, "GIVE_UP_NS": 100, "BACK_OFF_MOST_NS": 10}  # ms
+    for name, milliseconds in times.items():
+        monkeypatch.setattr(f"tilth.logger.buses.{name}", milliseconds * 1_000_000)
+    hanging = Hanging()
+    events: list[str] = []
+    configs = [Bus(name="hung", interface="pcan", channel="x"), virtual("v")]
+    buses = Buses(configs, Clock(), lambda kind, text: events.append(text), hanging.open)
+    hung, other = buses.sources
+    frames: list[Frame] = []
+    sent = 0
+
+    def turn() -> None:
+        nonlocal sent
+        if other.port is not None:
+            talker.send(data_frame(sent))
+            sent += 1
+        frames.extend(buses.read(0.02))
+
+    until(lambda: hung.problem == SLOW, turn)
+    assert hung.state == "failed" and hung.failures == 1
+    until(lambda: hanging.opened == HANGING and not hung.opening, turn)  # each begun beside those before
+    for _ in range(20):
+        turn()
+    assert hanging.opened == HANGING
+    hanging.released.set()  # the driver comes back: what was given up is closed, one more is used
+    until(lambda: hung.port is not None and hanging.closed == HANGING, turn)
+    until(lambda: len(frames) == sent, lambda: frames.extend(buses.read(0.02)))
+    buses.close()
+    assert hung.failures == 1 and hung.opened == 1
+    assert len([text for text in events if text.startswith(f"hung: {SLOW}")]) == 1
+
+
+def test_a_port_that_hangs_in_closing_stops_nothing(talker: can.BusABC) -> None:
+    """A serial line whose adapter is gone may wait for ever to send its last word."""
+    released = threading.Event()
+
+    class Stuck(LibraryPort):
+        def close(self) -> None:
+            released.wait(20)
+            super().close()
+
+        def take(self, frames: list[Frame], most: int) -> int:
+            raise OSError(errno.EIO, "Input/output error")
+
+    def opener(config: Bus, clock: Clock, tally: Tally) -> Port:
+        if config.name == "v":
+            return open_port(config, clock, tally)
+        return Stuck(can.Bus(interface="virtual", channel="tilth-stuck"), config, clock, tally)
+
+    listening = Listening(virtual("stuck"), virtual("v"), opener=opener)
+    stuck, _ = listening.sources
+    listening.until(lambda: stuck.state == "failed")
+    talker.send(data_frame())
+    listening.until_frames(1)
+    listening.watch(ahead_ns=BACK_OFF_MOST_NS)  # tried again although the old one is not closed yet
+    listening.until(lambda: stuck.opened == 2)
+    released.set()
+    listening.buses.close()
+
+
+def test_an_error_of_the_driver_heals_and_is_counted(talker: can.BusABC) -> None:
+    listening = Listening(virtual("v"))
+    (source,) = listening.sources
+    talker.send(data_frame(0))
+    listening.until_frames(1)
+    for failure in (1, 2):
+        assert isinstance(source.port, LibraryPort)
+        source.port.bus.shutdown()  # reading it raises from now on
+        listening.until(lambda: source.state == "failed")
+        listening.watch(ahead_ns=BACK_OFF_MOST_NS)
+        listening.settle()
+        talker.send(data_frame(failure))
+        listening.until_frames(1 + failure)
+        assert listening.events[-1].startswith("bus: v: works again after")
+        assert listening.events[-1].endswith(f"(failure {failure}, opening {failure + 1})")
+        assert f"it is tried again (failure {failure}, {failure} frames until then)" in listening.events[-2]
+    assert source.failures == 2 and source.problem == ""
+    listening.buses.close()
+
+
+def test_bus_off_is_said_shown_and_over_when_frames_come(talker: can.BusABC) -> None:
+    listening = Listening(virtual("v"))
+    (source,) = listening.sources
+    bus_off = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8))
+    talker.send(bus_off)
+    listening.until_frames(1)
+    listening.watch()
+    status = bus_status(source, listening.clock.t_ns())
+    assert (status.controller, status.error_frames) == ("bus_off", 1) and "bus-off" in status.reason
+    assert [(one.reason, one.count) for one in status.errors] == [("bus_off", 1)]
+    talker.send(data_frame())
+    listening.until_frames(2)
+    listening.watch(ahead_ns=2 * BACK_NS)
+    status = bus_status(source, listening.clock.t_ns())
+    assert status.controller == "active" and status.reason == ""
+    assert [event.split(",")[0] for event in listening.events] == [
+        "bus: v: bus-off", "bus: v: the controller is error-active again (1 times"
+    ]  # fmt: skip
+    listening.buses.close()

@@ -46,7 +46,7 @@ from tilth.schemas.machine import Machine, parse_machine
 TEXT = resources.files("tilth.deploy").joinpath(PACKAGED).read_text()
 # Without asammdf, which reads files that are not needed here and takes two seconds to import.
 START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; sys.exit(main())"
-COMMAND = [sys.executable, "-c", START, "demo"]
+COMMAND = [sys.executable, "-c", START, "demo", "--no-page"]
 # A network of its own with nothing but loopback, and no privilege, where the system allows that.
 ALONE = ["unshare", "-rn", "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
 

@@ -76,7 +76,7 @@ def test_every_byte_of_a_short_file(tmp_path: Path) -> None:
     content = write_mcap(tmp_path / "x.mcap", ROWS[:3]).read_bytes()
     path = tmp_path / "cut.mcap"
     end = chunk_ends(content)[-1]
-    for size in [*range(20), *range(end - 30, len(content))]:
+    for size in [*range(20), *range(end - 20, end + 40), *range(end + 40, len(content), 211)]:
         path.write_bytes(content[:size])
         finish(path)
         frames = checked(path)

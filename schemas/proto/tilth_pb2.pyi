@@ -249,7 +249,7 @@ class Event(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ...) -> None: ...
 
 class BusStatus(_message.Message):
-    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason", "stamp", "controller", "errors", "failures", "silences")
+    __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason", "stamp", "controller", "errors", "failures", "silences", "load")
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -264,6 +264,7 @@ class BusStatus(_message.Message):
     ERRORS_FIELD_NUMBER: _ClassVar[int]
     FAILURES_FIELD_NUMBER: _ClassVar[int]
     SILENCES_FIELD_NUMBER: _ClassVar[int]
+    LOAD_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: str
     frames: int
@@ -278,21 +279,28 @@ class BusStatus(_message.Message):
     errors: _containers.RepeatedCompositeFieldContainer[Count]
     failures: int
     silences: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ..., lost_frames: _Optional[int] = ..., reason: _Optional[str] = ..., stamp: _Optional[str] = ..., controller: _Optional[str] = ..., errors: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., failures: _Optional[int] = ..., silences: _Optional[int] = ...) -> None: ...
+    load: float
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[str] = ..., frames: _Optional[int] = ..., frames_per_s: _Optional[float] = ..., silent_s: _Optional[float] = ..., reopened: _Optional[int] = ..., error_frames: _Optional[int] = ..., lost_frames: _Optional[int] = ..., reason: _Optional[str] = ..., stamp: _Optional[str] = ..., controller: _Optional[str] = ..., errors: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., failures: _Optional[int] = ..., silences: _Optional[int] = ..., load: _Optional[float] = ...) -> None: ...
 
 class ReceiverStatus(_message.Message):
-    __slots__ = ("mount", "state", "fix", "age_s", "source")
+    __slots__ = ("mount", "state", "fix", "age_s", "source", "per_s", "fault", "fault_age_s")
     MOUNT_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     FIX_FIELD_NUMBER: _ClassVar[int]
     AGE_S_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FIELD_NUMBER: _ClassVar[int]
+    PER_S_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    FAULT_AGE_S_FIELD_NUMBER: _ClassVar[int]
     mount: str
     state: str
     fix: str
     age_s: float
     source: int
-    def __init__(self, mount: _Optional[str] = ..., state: _Optional[str] = ..., fix: _Optional[str] = ..., age_s: _Optional[float] = ..., source: _Optional[int] = ...) -> None: ...
+    per_s: float
+    fault: str
+    fault_age_s: float
+    def __init__(self, mount: _Optional[str] = ..., state: _Optional[str] = ..., fix: _Optional[str] = ..., age_s: _Optional[float] = ..., source: _Optional[int] = ..., per_s: _Optional[float] = ..., fault: _Optional[str] = ..., fault_age_s: _Optional[float] = ...) -> None: ...
 
 class Count(_message.Message):
     __slots__ = ("reason", "count")

@@ -2,21 +2,26 @@
 # can follow here. $OUT/cpu: name, ticks of CPU, frames in the log. Run in the guest.
 cpu() { awk '{print $14 + $15}' /proc/$1/stat; }
 ip link add vcan0 type vcan && ip link set vcan0 up
-cd /run
-candump -L vcan0 >candump.log &
+candump -L vcan0 >/run/candump.log &
 candump=$!
-python -m can.logger -i socketcan -c vcan0 -f library.log >/dev/null 2>&1 &
+# python -m can.logger, without the minute that asammdf would take to load here
+python -c 'import sys; sys.modules["asammdf"] = None; from can.logger import main; main()' \
+    -i socketcan -c vcan0 -f /run/library.log >$OUT/library.txt 2>&1 &
 library=$!
-python "$OLDPWD"/bench/recorder.py record $OUT/machine.toml logs >said.txt 2>&1 &
+python bench/recorder.py record $OUT/machine.toml /run/logs >$OUT/said.txt 2>&1 &
 tilth=$!
-until [ "$(grep -c vcan0 /proc/net/can/rcvlist_all)" = 3 ]; do sleep 0.2; done
+for _ in $(seq 1500); do # until all three listen
+    cat /proc/net/can/rcvlist_all >$OUT/listening.txt
+    [ "$(grep -c vcan0 $OUT/listening.txt)" -lt 3 ] || break
+    sleep 0.2
+done
 for name in candump library tilth; do eval "before_$name=$(cpu ${!name})"; done
 cangen vcan0 -g 2 -n 4000 -e -I r -L 8 -D r
 sleep 2
 for name in candump library tilth; do eval "after_$name=$(cpu ${!name})"; done
 kill -INT $tilth $library && wait $tilth $library || true
 kill $candump
-frames=$(sed -n 's/.*"frames": \([0-9]*\).*/\1/p' said.txt)
+frames=$(sed -n 's/.*"frames": \([0-9]*\).*/\1/p' $OUT/said.txt)
 echo "tilth $((after_tilth - before_tilth)) $frames" >$OUT/cpu
-echo "candump $((after_candump - before_candump)) $(wc -l <candump.log)" >>$OUT/cpu
-echo "can.logger $((after_library - before_library)) $(wc -l <library.log)" >>$OUT/cpu
+echo "candump $((after_candump - before_candump)) $(wc -l </run/candump.log)" >>$OUT/cpu
+echo "can.logger $((after_library - before_library)) $(wc -l </run/library.log)" >>$OUT/cpu

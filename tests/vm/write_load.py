@@ -2,8 +2,10 @@
 
 write_load.py FOLDER SECTOR: frames a millisecond apart, numbered, into FOLDER; times into the block
 device SECTOR, past every cache, so that the order of what reaches the drive tells when each write was made.
+write_load.py FOLDER: until a file FOLDER/../stop is there; then it says in JSON what became of the frames.
 """
 
+import json
 import mmap
 import os
 import struct
@@ -19,7 +21,7 @@ MARK = b"TilthNow"
 SPACING_NS = 1_000_000
 
 
-def main(folder: Path, sector: str) -> None:
+def main(folder: Path, sector: str = "") -> None:
     from tilth.logger.clock import Clock
     from tilth.logger.recording import Recording
     from tilth.schemas.flow import Frame
@@ -30,10 +32,12 @@ def main(folder: Path, sector: str) -> None:
     machine = parse_machine(text)
     clock = Clock()
     recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
-    threading.Thread(target=tell_time, args=(sector, clock.t_ns), daemon=True).start()
+    if sector:
+        threading.Thread(target=tell_time, args=(sector, clock.t_ns), daemon=True).start()
     next_ns = clock.t_ns()
     number = 0
-    while True:
+    said = set[str]()
+    while sector or not (folder.parent / "stop").exists():
         now_ns = clock.t_ns()
         while next_ns <= now_ns:
             data = number.to_bytes(8, "little")
@@ -41,7 +45,11 @@ def main(folder: Path, sector: str) -> None:
             next_ns += SPACING_NS
             number += 1
         recording.tick(now_ns)
+        said.add(recording.problem)
         time.sleep(0.005)
+    recording.close()
+    told = {"given": number, "recorded": recording.frames, "missed": recording.missed, "said": sorted(said)}
+    sys.stdout.write(json.dumps(told))
 
 
 def tell_time(sector: str, t_ns: Callable[[], int]) -> None:
@@ -54,4 +62,4 @@ def tell_time(sector: str, t_ns: Callable[[], int]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    main(Path(sys.argv[1]), *sys.argv[2:])

@@ -1,0 +1,64 @@
+"""`tilth monitor`: the live page."""
+
+import argparse
+from pathlib import Path
+
+from tilth.cli import WrongUse
+from tilth.client.link import ENDPOINT
+from tilth.monitor.heard import Heard
+from tilth.monitor.server import listening_socket, serve
+
+PORT = 8117
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "monitor",
+        help="show a running daemon in a browser",
+        description="Serves a page that shows what a running daemon says: sensors, recording, map, "
+        "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C.",
+    )
+    parser.add_argument(
+        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="of this computer to serve at (127.0.0.1: this computer alone; 0.0.0.0: all in its networks)",
+    )
+    parser.add_argument(
+        "--port", type=int, default=PORT, metavar="N", help=f"0 for any that is free ({PORT})"
+    )
+    parser.add_argument(
+        "--machine", default="", metavar="NAME", help="of the machine file (the one that runs)"
+    )
+    parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
+    parser.add_argument(
+        "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    if not 0 <= args.port <= 65535:
+        raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")
+    try:
+        listener = listening_socket(args.host, args.port)
+    except OSError as error:
+        where = f"cannot serve at {args.host} port {args.port}: {error.strerror or error}"
+        raise WrongUse(f"{where}; give another --port or --host") from None
+    try:
+        heard = Heard(args.connect, args.config, args.prefix, args.machine, args.replay)
+    except ValueError as error:
+        listener.close()
+        raise WrongUse(str(error)) from None
+    host, port = listener.getsockname()[:2]
+    everywhere = host in ("0.0.0.0", "::")
+    shown = "ADDRESS-OF-THIS-COMPUTER" if everywhere else f"[{host}]" if ":" in host else host
+    print(f"http://{shown}:{port}/", flush=True)
+    try:
+        serve(heard, str(args.config or args.connect), listener)
+    finally:
+        heard.close()
+    return 0

@@ -1,0 +1,60 @@
+"""`tilth offload`: copy finished runs to a stick or another folder, verified."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from tilth.cli import WrongUse
+from tilth.logger.offload import CannotCopy, offload
+from tilth.logger.runs import StoredRun, stored_runs
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "offload",
+        help="copy finished runs to a stick or another folder, verified",
+        description="Copy the files of finished runs to DEST, read each back and compare it, and note that "
+        "it has a copy: such runs may be deleted when room is needed. Interrupted, it goes on where it was.",
+    )
+    parser.add_argument("dest", type=Path, metavar="DEST", help="a folder that is there; a mounted stick")
+    parser.add_argument("--log", type=Path, default=Path("logs"), metavar="DIR", help="the log folder (logs)")
+    parser.add_argument(
+        "--run", action="append", metavar="RUN", help="only these, as `tilth logs` names them"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where something could not be copied."""
+    if not args.dest.is_dir():
+        raise WrongUse(f"{args.dest}: no such folder; mount the stick, or make the folder")
+    if args.dest.resolve() == args.log.resolve():
+        raise WrongUse(f"{args.dest}: is the log folder itself; give another")
+    runs = chosen(args.log, args.run)
+    if args.dest.stat().st_dev == args.log.stat().st_dev:
+        print(f"tilth offload: {args.dest} is on the same disk as the logs", file=sys.stderr)
+    status = 0
+    for one in runs:
+        try:
+            done = offload(one, args.dest.resolve(), lambda name: print(f"copying {name}"))
+        except (CannotCopy, ValueError) as error:
+            print(f"tilth offload: {error}", file=sys.stderr)
+            return 1
+        for why in done.left:
+            print(f"tilth offload: left: {why}", file=sys.stderr)
+            status = 1
+        print(f"{one.name}: {done.copied} files copied and compared, {done.there} were there already")
+    return status
+
+
+def chosen(folder: Path, names: list[str] | None) -> list[StoredRun]:
+    """The runs of those names, or all. Raises WrongUse."""
+    if not folder.is_dir():
+        raise WrongUse(f"{folder}: no such folder; give the log folder with --log")
+    runs = stored_runs(folder)
+    if not runs:
+        raise WrongUse(f"{folder}: no run is in it; give the log folder with --log")
+    known = {one.name: one for one in runs}
+    for name in names or ():
+        if name not in known:
+            raise WrongUse(f"{name}: no such run in {folder}; there are {', '.join(known)}")
+    return [known[name] for name in names] if names else runs

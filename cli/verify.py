@@ -1,0 +1,89 @@
+"""`tilth verify`: read logs fully, and say what is missing or wrong in them."""
+
+import argparse
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from tilth.cli import WrongUse
+from tilth.logger.clock import utc_text
+from tilth.replay.survey import Heard, Survey, survey
+
+GAPS_SHOWN = 3
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "verify",
+        help="read logs fully, and say what is missing or wrong in them",
+        description="Read Tilth's own logs fully, every checksum compared: gaps of each bus and sensor, "
+        "frames that were dropped, steps of the computer's clock, damage, missing parts. Give the files of a "
+        "run in order.",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument("--json", action="store_true", help="for programs")
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where something is damaged, missing or was dropped; a silent sensor is said, no more."""
+    try:
+        found = survey(args.logs)
+    except OSError as error:
+        raise WrongUse(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+    if args.json:
+        print(json.dumps([_plain(one) for one in found], indent=1))
+    else:
+        print("\n\n".join("\n".join(_lines(one)) for one in found))
+    return 0 if all(one.good for one in found) else 1
+
+
+def _lines(one: Survey) -> list[str]:
+    size = sum(path.stat().st_size for path in one.files) / 1e6
+    seconds = (one.last_ns - one.first_ns) * 1e-9
+    name = one.files[0].name.rpartition("_")[0] or one.files[0].name
+    if not one.run:
+        return [f"{name}: {what}" for what in one.wrong or ["no log of tilth"]]
+    lines = [f"{name}: {len(one.files)} files, {size:.1f} MB, {seconds:.1f} s from {_utc(one, one.first_ns)}"]
+    if one.note:
+        lines.append(f"  note: {one.note}")
+    lines += [f"  {_name(topic):<18} {_words(one, heard)}" for topic, heard in one.heard.items()]
+    lines += [f"  {reason}: {count}" for reason, count in one.faults.items()]
+    if one.backwards:
+        lines.append(f"  the log's time runs back {one.backwards} times")
+    for step_s in one.steps_s:
+        lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
+    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
+    moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
+    lines.append(f"  UTC {told}{moved}")
+    lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
+    lines += [f"  WRONG: {what}" for what in one.wrong]
+    lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")
+    return lines
+
+
+def _words(one: Survey, heard: Heard) -> str:
+    if not heard.count:
+        return "never heard"
+    text = f"{heard.count:>9} at {heard.per_s:.1f}/s, "
+    if not heard.gaps:
+        return text + "no gap"
+    shown = ", ".join(f"{length:.1f} s at {_utc(one, t_ns)}" for t_ns, length in heard.gaps[:GAPS_SHOWN])
+    more = f" and {len(heard.gaps) - GAPS_SHOWN} more" if len(heard.gaps) > GAPS_SHOWN else ""
+    return f"{text}{len(heard.gaps)} gaps: {shown}{more}"
+
+
+def _name(topic: str) -> str:
+    return topic.rpartition("/")[2].replace("_", " ")
+
+
+def _utc(one: Survey, t_ns: int) -> str:
+    return utc_text(t_ns + one.utc_minus_ns)
+
+
+def _plain(one: Survey) -> dict[str, Any]:
+    plain: dict[str, Any] = {each.name: getattr(one, each.name) for each in fields(one)}
+    plain["files"] = [str(path) for path in one.files]
+    plain["heard"] = {topic: asdict(heard) for topic, heard in one.heard.items()}
+    plain["events"] = [{"t_ns": e.t_ns, "kind": e.kind, "text": e.text} for e in one.events]
+    return plain | {"good": one.good}

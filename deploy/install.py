@@ -1,0 +1,365 @@
+#!/usr/bin/python3
+"""Puts Tilth on a Debian computer, whole or not at all: install, upgrade, roll back, uninstall.
+
+    sudo python3 install.py install tilth-0.1.0-py3-none-any.whl --machine machine.toml
+
+Only the standard library of Python 3.11. Each release has an environment of its own, /opt/tilth/releases/<n>;
+/opt/tilth/current says which runs, /opt/tilth/previous where `rollback` goes. Logs, keys and machine file are
+never touched by any of them. See README.md beside this file.
+"""
+
+import argparse
+import os
+import pwd
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+SERVICE = "tilth.service"
+# File of deploy/system in the release → its place on the computer.
+PLACES = (
+    ("tilth.service", "etc/systemd/system/tilth.service"),
+    ("tilth-can@.service", "etc/systemd/system/tilth-can@.service"),
+    ("80-tilth-can.rules", "etc/udev/rules.d/80-tilth-can.rules"),
+    ("tilth.sysusers", "etc/sysusers.d/tilth.conf"),
+    ("tilth.sysctl", "etc/sysctl.d/60-tilth.conf"),
+    ("tilth.timesyncd", "etc/systemd/timesyncd.conf.d/tilth.conf"),
+)
+SETUP = "usr/local/sbin/tilth-setup"  # this program, for later
+COMMAND = "usr/local/bin/tilth"
+KEYS = "daemon.json"
+KEPT = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
+
+
+class Failed(Exception):
+    """What is wrong and what to do, in one sentence. Nothing has changed."""
+
+
+class Box:
+    """A computer, or a folder that stands for one: there, nothing is started and no user is made."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.real = root == Path("/")
+
+    def at(self, place: str) -> Path:
+        return self.root / place
+
+    @property
+    def releases(self) -> Path:
+        return self.at("opt/tilth/releases")
+
+    def release(self, link: str) -> Path | None:
+        """Where opt/tilth/current or previous points, None where it is not there."""
+        path = self.at(f"opt/tilth/{link}")
+        target = self.releases / path.readlink().name if path.is_symlink() else None
+        return target if target is not None and target.is_dir() else None
+
+    def point(self, link: str, release: Path) -> None:
+        """At once: a power cut leaves the old or the new."""
+        beside = self.at(f"opt/tilth/.{link}")
+        beside.unlink(missing_ok=True)
+        beside.symlink_to(Path("releases") / release.name)
+        beside.replace(self.at(f"opt/tilth/{link}"))
+
+    def run(self, *words: str, fail: bool = True) -> bool:
+        """Something that only a real computer has."""
+        if not self.real:
+            return True
+        done = subprocess.run(words, check=False)
+        if fail and done.returncode:
+            raise Failed(f"{' '.join(words)}: exit status {done.returncode}")
+        return done.returncode == 0
+
+
+def install(box: Box, args: argparse.Namespace) -> None:
+    machine = box.at("etc/tilth/machine.toml")
+    if not machine.exists() and args.machine is None:
+        raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
+    release = _new_release(box, args.source, args.wheels)
+    try:
+        _check_machine(release, args.machine or machine)
+    except Failed:
+        shutil.rmtree(release)
+        raise
+    if args.machine is not None:
+        _put_machine(args.machine, machine)
+    if args.keys is not None:
+        _put(args.keys, machine.with_name(KEYS), 0o640)
+        if tomllib.loads(machine.read_text(encoding="utf-8")).get("zenoh", {}).get("config") != KEYS:
+            print(f'the keys are not used until {machine} says: [zenoh] config = "{KEYS}"')
+    _switch(box, release)
+
+
+def _put_machine(source: Path, target: Path) -> None:
+    """With the DBC file that it names, if any."""
+    dbc = tomllib.loads(source.read_text(encoding="utf-8")).get("wheel_angle", {}).get("dbc")
+    if dbc is not None and not Path(dbc).is_absolute():
+        _put(source.parent / dbc, target.parent / dbc)
+    _put(source, target)
+
+
+def upgrade(box: Box, args: argparse.Namespace) -> None:
+    if box.release("current") is None:
+        raise Failed("nothing is installed yet; say install, with --machine")
+    args.machine = args.keys = None
+    install(box, args)
+
+
+def rollback(box: Box, args: argparse.Namespace) -> None:
+    previous = box.release("previous")
+    if previous is None:
+        raise Failed("there is no earlier release to go back to")
+    _check_machine(previous, box.at("etc/tilth/machine.toml"))
+    _switch(box, previous)
+
+
+def uninstall(box: Box, args: argparse.Namespace) -> None:
+    box.run("systemctl", "disable", "--now", SERVICE, fail=False)
+    for _, place in PLACES:
+        box.at(place).unlink(missing_ok=True)
+    for place in (SETUP, COMMAND):
+        box.at(place).unlink(missing_ok=True)
+    shutil.rmtree(box.at("opt/tilth"), ignore_errors=True)
+    box.run("systemctl", "daemon-reload", fail=False)
+    box.run("udevadm", "control", "--reload", fail=False)
+    print(f"removed; kept: {', '.join(str(box.at(place)) for place in KEPT)}")
+
+
+def status(box: Box, args: argparse.Namespace) -> None:
+    for link in ("current", "previous"):
+        release = box.release(link)
+        print(f"{link:9} {'none' if release is None else f'{release.name}: tilth {_version(release)}'}")
+    box.run("systemctl", "--no-pager", "status", SERVICE, fail=False)
+
+
+def adapter(box: Box, args: argparse.Namespace) -> None:
+    """A name that a USB adapter keeps, whatever the order in which they are found."""
+    if not args.name.replace("_", "").isalnum() or len(args.name) > 15:
+        raise Failed(f'"{args.name}": give up to 15 letters, digits and underscores, such as can_tractor')
+    if args.name.removeprefix("can").isdigit():
+        raise Failed(f'"{args.name}": the kernel gives such names itself; give one such as can_tractor')
+    device = Path("/sys/class/net") / args.interface
+    if not device.exists():
+        raise Failed(f"{args.interface}: no such interface; plug it in and see `ip link`")
+    told = subprocess.run(
+        ["udevadm", "info", "--query=property", f"--path={device}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout
+    properties = dict(line.split("=", 1) for line in told.splitlines() if "=" in line)
+    port = (device / "dev_port").read_text().strip()
+    path = box.at(f"etc/udev/rules.d/76-tilth-{args.name}.rules")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(adapter_rule(properties, port, args.name))
+    box.run("udevadm", "control", "--reload")
+    print(f"wrote {path}; plug the adapter in anew, it is {args.name} from then on")
+
+
+def adapter_rule(properties: dict[str, str], port: str, name: str) -> str:
+    """By its serial number where it has one, else by the socket it is plugged into. Raises Failed."""
+    for key in ("ID_SERIAL_SHORT", "ID_PATH"):
+        if value := properties.get(key):
+            return (
+                f"# The adapter that `tilth-setup adapter` was told of. {key}: {value}\n"
+                f'ACTION=="add", SUBSYSTEM=="net", ENV{{{key}}}=="{value}", ATTR{{dev_port}}=="{port}", '
+                f'NAME="{name}"\n'
+            )
+    raise Failed("udev knows neither serial number nor path of this interface; it keeps its own name")
+
+
+def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
+    """An environment with the software of a wheel, a folder of wheels or a checkout. Raises Failed."""
+    wheel, offline = _wheel_of(source, wheels)
+    used = [int(path.name) for path in box.releases.glob("*") if path.name.isdigit()]
+    release = box.releases / str(max(used, default=0) + 1)
+    release.mkdir(parents=True)
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        str(release / "bin/python"),
+        "--disable-pip-version-check",
+    ]
+    try:
+        _do([sys.executable, "-m", "venv", "--without-pip", str(release)], "apt-get install python3")
+        constraints = _constraints(wheel, release / "constraints.txt")
+        flags = [] if offline is None else ["--no-index", "--find-links", str(offline)]
+        pip += ["install", "--quiet", "--constraint", str(constraints), *flags, str(wheel)]
+        _do(pip, "see above; it takes python3-pip, and a network or --wheels FOLDER")
+    except BaseException:
+        shutil.rmtree(release)
+        raise
+    return release
+
+
+def _wheel_of(source: Path, wheels: Path | None) -> tuple[Path, Path | None]:
+    """What pip installs, and the folder with all else where there is no network."""
+    if source.is_file() and source.suffix == ".whl":
+        return source, wheels
+    if (source / "pyproject.toml").is_file():
+        return source.resolve(), wheels
+    found = sorted(source.glob("tilth-*.whl")) if source.is_dir() else []
+    if len(found) != 1:
+        raise Failed(
+            f"{source}: give a wheel of Tilth, a folder with exactly one and what it needs, or a checkout"
+        )
+    return found[0], source
+
+
+def _constraints(wheel: Path, path: Path) -> Path:
+    """The versions that were tested together, out of the wheel or the checkout."""
+    if wheel.is_dir():
+        path.write_bytes((wheel / "deploy/constraints.txt").read_bytes())
+        return path
+    try:
+        with zipfile.ZipFile(wheel) as content:
+            path.write_bytes(content.read("tilth/deploy/constraints.txt"))
+    except (zipfile.BadZipFile, KeyError):
+        raise Failed(f"{wheel}: no wheel of Tilth, or a damaged one; copy it anew") from None
+    return path
+
+
+_READ = """
+import sys
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.machine import MachineError
+try:
+    read_machine(sys.argv[1])
+except MachineError as error:
+    sys.exit(str(error))
+"""
+
+
+def _check_machine(release: Path, machine: Path) -> None:
+    """Whether this release understands the machine file. Raises Failed."""
+    done = subprocess.run(
+        [str(release / "bin/python"), "-P", "-c", _READ, str(machine)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
+        raise Failed(f"tilth {_version(release)} does not take the machine file: {last[0]}")
+
+
+def _switch(box: Box, release: Path) -> None:
+    """Let this release run; where it does not, the one before goes on. Raises Failed."""
+    before, older = box.release("current"), box.release("previous")
+    _activate(box, release)
+    if before is not None and before != release:
+        box.point("previous", before)
+    if not _start(box):
+        if before is None:
+            raise Failed(f"it does not start; see journalctl -u {SERVICE}. Nothing was removed")
+        _activate(box, before)
+        box.point("previous", older or before)
+        _start(box)
+        raise Failed(f"{release.name} does not start, {before.name} runs again; see journalctl -u {SERVICE}")
+    for path in box.releases.iterdir():
+        if path not in (release, before):
+            shutil.rmtree(path)
+    print(f"tilth {_version(release)} (release {release.name}) is current")
+
+
+def _activate(box: Box, release: Path) -> None:
+    system = next(release.glob("lib/python3*/site-packages/tilth/deploy"))
+    for name, place in PLACES:
+        _put(system / "system" / name, box.at(place))
+    _put(system / "install.py", box.at(SETUP), 0o755)
+    command = box.at(COMMAND)
+    command.parent.mkdir(parents=True, exist_ok=True)
+    command.unlink(missing_ok=True)
+    command.symlink_to("/opt/tilth/current/bin/tilth")
+    box.point("current", release)
+
+
+def _start(box: Box) -> bool:
+    """Have systemd run what is current; it is up when the recorder itself says so."""
+    box.run("systemd-sysusers", "/etc/sysusers.d/tilth.conf")
+    keys = box.at("etc/tilth") / KEYS
+    if box.real and keys.exists():
+        shutil.chown(keys, "root", pwd.getpwnam("tilth").pw_gid)
+    box.run("sysctl", "--quiet", "--load", "/etc/sysctl.d/60-tilth.conf", fail=False)
+    box.run("systemctl", "daemon-reload")
+    box.run("udevadm", "control", "--reload", fail=False)
+    box.run("udevadm", "trigger", "--action=add", "--subsystem-match=net", fail=False)
+    box.run("systemctl", "enable", "--quiet", SERVICE)
+    return box.run("systemctl", "restart", SERVICE, fail=False)
+
+
+def _put(source: Path, target: Path, mode: int = 0o644) -> None:
+    """Whole or not at all, and on the disk."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    beside = target.with_name(f".{target.name}.new")
+    beside.unlink(missing_ok=True)
+    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+        stream.write(source.read_bytes())
+        os.fsync(stream.fileno())
+    beside.chmod(mode)
+    beside.replace(target)
+
+
+def _do(words: Sequence[str], remedy: str) -> None:
+    done = subprocess.run(words, check=False)
+    if done.returncode:
+        raise Failed(f"{' '.join(words[:4])} … failed: {remedy}")
+
+
+def _version(release: Path) -> str:
+    """From the name that pip gave its record."""
+    found = next(release.glob("lib/python3*/site-packages/tilth-*.dist-info"), None)
+    return "?" if found is None else found.name.removeprefix("tilth-").removesuffix(".dist-info")
+
+
+COMMANDS: tuple[tuple[str, Callable[[Box, argparse.Namespace], None], str], ...] = (
+    ("install", install, "put it on this computer and start it, now and at each ignition"),
+    ("upgrade", upgrade, "run another release; the one before stays for rollback"),
+    ("rollback", rollback, "run the release before this one"),
+    ("uninstall", uninstall, "remove it; logs, keys and machine file stay"),
+    ("status", status, "say what is installed and whether it runs"),
+    ("adapter", adapter, "give a CAN adapter a name that it keeps"),
+)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """0 done, 1 failed with nothing changed, 2 wrong use."""
+    parser = argparse.ArgumentParser(prog="tilth-setup", description="Tilth on this computer.")
+    parser.add_argument("--root", type=Path, default=Path("/"), help="a folder instead of this computer")
+    subparsers = parser.add_subparsers(dest="command", required=True)
+    for name, _, text in COMMANDS:
+        one = subparsers.add_parser(name, help=text)
+        if name in ("install", "upgrade"):
+            one.add_argument("source", type=Path, help="a wheel, a folder of wheels, or a checkout")
+            one.add_argument("--wheels", type=Path, help="folder with all that it needs: no network then")
+        if name == "install":
+            one.add_argument("--machine", type=Path, help="the machine file, in place of one that is there")
+            one.add_argument("--keys", type=Path, help="daemon.json of `tilth keys`, for a shared network")
+        if name == "adapter":
+            one.add_argument("interface", help="as it is called now, such as can0")
+            one.add_argument("name", help="as it is to be called, such as can_tractor")
+    args = parser.parse_args(words)
+    box = Box(args.root.absolute())
+    if box.real and os.geteuid() != 0:
+        print("tilth-setup: this takes root: sudo", file=sys.stderr)
+        return 2
+    try:
+        next(run for name, run, _ in COMMANDS if name == args.command)(box, args)
+    except Failed as error:
+        print(f"tilth-setup: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"tilth-setup: {error.filename}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

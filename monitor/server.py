@@ -1,0 +1,245 @@
+"""Serves the page: one HTML, its own scripts and styles, a stream of JSON, and the mark. All else is 404.
+
+Read only but for the mark. What comes from the daemon is data to the browser, never markup: the policy in
+every answer's header lets no script run but the page's own.
+"""
+
+import asyncio
+import contextlib
+import ipaddress
+import json
+import signal
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from importlib import resources
+from typing import Final
+from urllib.parse import urlsplit
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from tilth.monitor.heard import Heard, Mark
+from tilth.monitor.view import View
+
+TURN_S: Final = 0.1
+IDLE_S: Final = 1.0  # where nothing is new: ages grow
+WAITING: Final = 50  # messages for a browser that does not take them: five seconds, then it has to come anew
+VIEWERS: Final = 16
+MARK_BYTES: Final = 1024  # as the daemon allows
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS: Final = (
+    ("content-security-policy", POLICY),
+    ("x-content-type-options", "nosniff"),
+    ("referrer-policy", "no-referrer"),
+    ("cross-origin-opener-policy", "same-origin"),
+    ("cache-control", "no-cache"),
+)
+FILES: Final = (  # path, file below monitor/page, type
+    ("/", "index.html", "text/html"),
+    ("/page.css", "page.css", "text/css"),
+    ("/main.js", "main.js", "text/javascript"),
+    ("/words.js", "words.js", "text/javascript"),
+    ("/tiles.js", "tiles.js", "text/javascript"),
+    ("/map.js", "map.js", "text/javascript"),
+    ("/traces.js", "traces.js", "text/javascript"),
+    ("/icon.svg", "icon.svg", "image/svg+xml"),
+    ("/uplot/uPlot.iife.min.js", "uplot/uPlot.iife.min.js", "text/javascript"),
+    ("/uplot/uPlot.min.css", "uplot/uPlot.min.css", "text/css"),
+    ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
+)
+
+
+class Viewers:
+    """The browsers that are there, each with what it has not yet taken."""
+
+    def __init__(self, view: View, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._view = view
+        self._now_s = now_s
+        self._queues: set[asyncio.Queue[str | None]] = set()
+
+    async def run(self) -> None:
+        """Turn by turn, until cancelled."""
+        said_s = 0.0
+        while True:
+            now_s = self._now_s()
+            turn = self._view.turn(now_s)
+            if turn.news or turn.anew or now_s - said_s >= IDLE_S:
+                said_s = now_s
+                self._say(self._view.whole(now_s) if turn.anew else turn.text)
+            await asyncio.sleep(TURN_S)
+
+    def _say(self, text: str) -> None:
+        for queue in list(self._queues):
+            try:
+                queue.put_nowait(text)
+            except asyncio.QueueFull:
+                self._queues.discard(queue)
+                while not queue.empty():
+                    queue.get_nowait()
+                queue.put_nowait(None)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One browser, until it goes or is too slow."""
+        if len(self._queues) >= VIEWERS:
+            await socket.close(1013, f"{VIEWERS} pages are open already: close one")
+            return
+        await socket.accept()
+        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        queue.put_nowait(self._view.whole(self._now_s()))
+        self._queues.add(queue)
+        sending = asyncio.create_task(_send(socket, queue))
+        try:
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                pass  # a page has nothing to say here
+        finally:
+            self._queues.discard(queue)
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sending
+
+
+async def _send(socket: WebSocket, queue: "asyncio.Queue[str | None]") -> None:
+    while (text := await queue.get()) is not None:
+        await socket.send_text(text)
+    await socket.close(1013, "too slow")
+
+
+class Guard:
+    """Adds the headers to every answer, and hears no page of another origin: not one that points its own name
+    at this computer, and not one that sends from the same browser."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def headed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] += [(name.encode(), value.encode()) for name, value in HEADERS]
+            await send(message)
+
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+        elif why := _foreign(HTTPConnection(scope)):
+            if scope["type"] == "websocket":
+                await WebSocket(scope, receive, send).close(1008, why)
+            else:
+                await PlainTextResponse(f"{why}\n", 403)(scope, receive, headed)
+        else:
+            await self._app(scope, receive, headed)
+
+
+def _foreign(asked: HTTPConnection) -> str:
+    """Why this is not for us, or ""."""
+    host = asked.headers.get("host", "")
+    name = (urlsplit(f"//{host}").hostname or "").lower()
+    own = socket.gethostname().lower()
+    if name not in ("localhost", own, f"{own}.local") and not _is_address(name):
+        return "open the page by this computer's address or name"
+    origin = asked.headers.get("origin")
+    if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+        return "asked by a page from elsewhere"
+    return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def application(heard: Heard, view: View) -> ASGIApp:
+    viewers = Viewers(view)
+    folder = resources.files("tilth.monitor") / "page"
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        turning = asyncio.create_task(viewers.run())
+        yield
+        turning.cancel()
+
+    async def mark(request: Request) -> Response:
+        try:
+            asked = await _asked(request)
+        except ValueError as error:
+            return _answer(Mark(False, str(error)), 400)
+        return _answer(await run_in_threadpool(heard.mark, asked), 200)
+
+    routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
+    routes += [Route("/mark", mark, methods=["POST"])]
+    app = Starlette(routes=[*routes, WebSocketRoute("/live", viewers.serve)], lifespan=lifespan)
+    return Guard(app)
+
+
+def _file(path: str, data: bytes, kind: str) -> Route:
+    async def answer(request: Request) -> Response:
+        return Response(data, media_type=kind)
+
+    return Route(path, answer)
+
+
+def _answer(mark: Mark, status: int) -> Response:
+    return JSONResponse({"noted": mark.noted, "text": mark.text}, status)
+
+
+async def _asked(request: Request) -> str:
+    """The text of a mark. Raises ValueError."""
+    if request.headers.get("content-type") != "application/json":  # what a form of another page cannot send
+        raise ValueError("a mark is sent as JSON")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > 8 * MARK_BYTES:  # as JSON writes its worst characters, and some
+            raise ValueError(f"this mark is too long; {MARK_BYTES} bytes are the most")
+    try:
+        text = json.loads(body)["text"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ValueError("a mark is sent as JSON with its text") from None
+    if not isinstance(text, str) or not text.strip():
+        raise ValueError("write something first")
+    size = len(text.encode(errors="replace"))
+    if size > MARK_BYTES:
+        raise ValueError(f"this mark has {size} bytes; {MARK_BYTES} are the most")
+    return " ".join(text.split())
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Raises OSError where the port is taken or the address is not of this computer."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen()  # from now on a browser is served, if not at once
+    except OSError:
+        listener.close()
+        raise
+    return listener
+
+
+def serve(heard: Heard, endpoint: str, listener: socket.socket) -> None:
+    """Until SIGINT or SIGTERM: both are how it is meant to end."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    config = uvicorn.Config(
+        application(heard, View(heard, endpoint)),
+        ws="websockets-sansio",
+        ws_max_size=4096,
+        ws_per_message_deflate=False,  # the way is short: no core is spent on packing
+        log_level="error",
+        server_header=False,
+        access_log=False,
+        timeout_graceful_shutdown=1,
+    )
+    with contextlib.suppress(KeyboardInterrupt):  # uvicorn ends in order, then hands the signal on
+        uvicorn.Server(config).run([listener])

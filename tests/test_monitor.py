@@ -1,0 +1,258 @@
+"""The page's server as browsers and strangers meet it, over real sockets. In a browser: test_page.py."""
+
+import json
+import math
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from itertools import pairwise
+from typing import Any
+
+import pytest
+import zenoh
+from client_daemon import until
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loopback import free_port, session
+from stage import Monitor, Stage
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection
+
+from tilth.cli import main
+from tilth.monitor.history import MOST, RECENT_S, History
+from tilth.monitor.plain import plain
+from tilth.monitor.server import FILES, VIEWERS
+from tilth.schemas.proto import tilth_pb2 as pb
+
+BASE = "tilth/jd7930-parker500/replay"
+Fields = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[Stage]:
+    with Stage() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def monitor(stage: Stage) -> Iterator[Monitor]:
+    with closing(Monitor("--connect", stage.endpoint)) as one:
+        yield one
+
+
+def hear(live: ClientConnection, wanted: Callable[[Fields], bool], known: Fields | None = None) -> Fields:
+    """What a page would know as soon as that is so."""
+    state: Fields = known or {}
+    for _ in range(200):
+        message = json.loads(live.recv(timeout=10))
+        if "whole" in message:
+            state.clear()
+        events = state.get("events", []) + (message.get("new") or message["whole"]).pop("events", [])
+        state |= message.get("new") or message["whole"]
+        state["events"] = events
+        if wanted(state):
+            return state
+    raise AssertionError(f"waited in vain; heard {sorted(state)}, {state.get('notes')}")
+
+
+def test_a_page_that_opens_has_all_and_hears_what_is_new(stage: Stage, monitor: Monitor) -> None:
+    with monitor.live() as live:
+        state = hear(live, lambda s: {"rig", "pose", "status", "soil_tire"} <= set(s))
+        assert state["machine"] == "jd7930-parker500" and state["simulated"] and state["alive"]
+        assert state["notes"] == [] and state["age_s"]["pose"] < 1.0
+        assert state["rig"]["d"] == 3.62 and len(state["rig"]["antennas"]) == 4
+        stage.order(event="mark", text="<img src=x onerror=alert(1)>\n")
+        state = hear(live, lambda s: bool(s["events"]))
+        assert state["events"][-1]["text"] == "<img src=x onerror=alert(1)> "
+    with monitor.live() as live:  # a later one has what was before it
+        state = hear(live, lambda s: True)
+        assert state["events"] and len(state["track"]["t"]) == len(state["track"]["tractor"]) > 0
+        assert set(map(len, state["estimates"].values())) == {len(state["estimates"]["t"])}
+
+
+@pytest.mark.parametrize(("path", "file", "kind"), FILES)
+def test_every_file_is_there_and_lets_nothing_in(monitor: Monitor, path: str, file: str, kind: str) -> None:
+    status, body, headers = monitor.ask(path)
+    assert status == 200 and body and headers["content-type"].startswith(kind)
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "unsafe" not in policy
+    assert "http://" not in body.replace("http://www.w3.org/2000/svg", "")
+    if kind == "text/html":
+        assert "<script>" not in body and "style=" not in body and " on" not in body.split("<body>")[0]
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        ("/nothing", {}, 404),
+        ("/../server.py", {}, 404),
+        ("/uplot/..%2f..%2fserver.py", {}, 404),
+        ("/live", {}, 404),
+        ("/mark", {}, 405),
+        ("/", {"host": "evil.example"}, 403),
+        ("/", {"origin": "http://evil.example"}, 403),
+        ("/", {"host": ""}, 403),
+    ],
+)
+def test_what_is_not_for_a_page_of_ours(
+    monitor: Monitor, path: str, headers: dict[str, str], status: int
+) -> None:
+    assert monitor.ask(path, None, **headers)[0] == status
+
+
+def test_a_page_from_elsewhere_hears_nothing_and_marks_nothing(monitor: Monitor) -> None:
+    with pytest.raises(InvalidStatus, match="403"), monitor.live(origin="http://evil.example"):
+        pass
+    assert monitor.ask("/mark", b"{}", origin="null", content_type="application/json")[0] == 403
+
+
+def test_a_mark_is_confirmed_by_the_daemon_or_not_there(stage: Stage, monitor: Monitor) -> None:
+    with monitor.live() as live:
+        assert monitor.mark("wet  spot\nbegins ü") == {"noted": True, "text": "in the log"}
+        state = hear(live, lambda s: bool(s["events"]) and "wet" in s["events"][-1]["text"])
+        assert state["events"][-1]["kind"] == "mark"
+        assert state["events"][-1]["text"] == "wet spot begins ü"
+        stage.order(refusal="the disk is full")
+        until(lambda: monitor.mark("again") == {"noted": False, "text": "the disk is full"})
+        stage.order(refusal="")
+    for text, words in (("", "write something"), (" \n", "write something"), (7, "write something"),
+                        ("ü" * 513, "1026 bytes"), ("x" * 10_000, "too long")):  # fmt: skip
+        told = monitor.mark(text)
+        assert not told["noted"] and words in told["text"]
+    for data in (b"", b"[]", b"{", b"[" * 5000, b"\xff"):
+        assert monitor.ask("/mark", data, content_type="application/json")[0] == 400
+    assert "as JSON" in monitor.mark("x", content_type="text/plain")["text"]
+
+
+def test_a_mark_of_ten_megabytes_is_not_even_read(monitor: Monitor) -> None:
+    host, _, port = monitor.address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=10) as raw:
+        head = f"POST /mark HTTP/1.1\r\nHost: {monitor.address}\r\nContent-Type: application/json\r\n"
+        raw.sendall(f"{head}Content-Length: 10000000\r\n\r\n".encode())
+        raw.sendall(b'{"text":"' + b"x" * 100_000)
+        assert b"400" in raw.recv(100)
+    assert monitor.ask("/")[0] == 200
+
+
+def test_browsers_that_go_in_mid_stream_and_those_too_many(monitor: Monitor) -> None:
+    for _ in range(5):
+        with monitor.live() as live:
+            live.recv()
+            live.socket.shutdown(socket.SHUT_RDWR)
+    with ExitStack() as several:
+        for _ in range(VIEWERS):
+            assert "whole" in json.loads(several.enter_context(monitor.live()).recv(timeout=10))
+        with pytest.raises(InvalidStatus, match="403"), monitor.live():
+            pass
+    with monitor.live() as live:
+        live.send("anything")
+        hear(live, lambda s: True)
+
+
+def test_hostile_payloads_are_counted_and_said(stage: Stage, monitor: Monitor) -> None:
+    broken = pb.Pose(t_ns=1, origin_latitude_deg=math.nan)
+    broken.tractor.x = math.inf
+    pose = zenoh.Encoding("application/protobuf;tilth.Pose")
+    with session([stage.endpoint]) as stranger, monitor.live() as live:
+        state = hear(live, lambda s: True)
+        for key, data, encoding, words in (
+            (f"{BASE}/status", b"<script>", zenoh.Encoding("text/html"), "encoding is 'text/html'"),
+            (f"{BASE}/<script>alert(1)<!script>", b"x", pose, "where nothing is expected"),
+            (f"{BASE}/*", b"x" * 1000, pose, "where nothing is expected"),
+            (f"{BASE}/event", b"x" * 1_000_000, pose, "bytes are too many"),
+        ):
+
+            def said(
+                s: Fields, key: str = key, data: bytes = data, e: Any = encoding, w: str = words
+            ) -> bool:
+                stranger.put(key, data, encoding=e, congestion_control=zenoh.CongestionControl.BLOCK)
+                return any(w in note for note in s["notes"])
+
+            state = hear(live, said, state)
+        stranger.put(f"{BASE}/pose", broken.SerializeToString(), encoding=pose)
+        stage.order(event="mark", text="after")
+        hear(live, lambda s: any(event["text"] == "after" for event in s["events"]), state)
+        assert monitor.process.poll() is None
+
+
+def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_version() -> None:
+    port = free_port(socket.SOCK_STREAM)
+    with closing(Monitor("--connect", f"tcp/127.0.0.1:{port}")) as monitor, monitor.live() as live:
+        state = hear(live, lambda s: bool(s["notes"]))
+        assert "No daemon is heard" in state["notes"][0] and state["machine"] == ""
+        assert monitor.mark("x")["text"].startswith("no daemon has been heard yet")
+        with Stage(port) as first:
+            state = hear(live, lambda s: s["alive"] and "pose" in s, state)
+            first.kill()
+        state = hear(live, lambda s: not s["alive"], state)
+        assert "does not answer" in state["notes"][0]
+        with Stage(port) as second:
+            second.order(version="9.9.9")
+            state = hear(live, lambda s: s["alive"] and any("9.9.9" in note for note in s["notes"]), state)
+        assert monitor.process.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--connect", "nonsense"], "an endpoint looks like"),
+        (["--port", "99999"], "from 0 to 65535"),
+        (["--host", "203.0.113.9"], "give another --port or --host"),
+        (["--machine", "**"], "its name in the machine file"),
+        (["--prefix", "a/*"], "the prefix in the machine file"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["monitor", "--port", "0", *words]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+
+
+def test_a_port_that_is_taken(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["monitor", "--port", monitor.address.rpartition(":")[2]]) == 2
+    assert "give another --port" in capsys.readouterr().err
+
+
+def test_it_ends_as_it_is_meant_to(stage: Stage) -> None:
+    one = Monitor("--connect", stage.endpoint)
+    with one.live() as live:
+        live.recv(timeout=10)
+        one.process.send_signal(signal.SIGINT)
+        assert one.process.wait(10) == 0
+    one.process.communicate()
+
+
+def test_eight_hours_stay_few_rows_the_last_minutes_whole() -> None:
+    history, thinned = History(), 0
+    for second in range(8 * 3600):
+        thinned += history.add((float(second), second))
+        assert len(history.rows) <= MOST
+    times = [row[0] for row in history.rows]
+    assert times == sorted(times) and times[0] == 0.0 and thinned < 60
+    assert times[-int(RECENT_S) :] == [float(s) for s in range(8 * 3600 - int(RECENT_S), 8 * 3600)]
+    gaps = [b - a for a, b in pairwise(times)]
+    assert max(gaps) <= 2 * history.every_s <= 64
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(st.lists(st.floats(0, 1e4), max_size=60))
+def test_rows_are_in_order_whatever_comes_and_the_last_is_there(times: list[float]) -> None:
+    history = History(most=8, recent_s=5.0)
+    for at in times:
+        history.add((at,))
+        held = [row[0] for row in history.rows]
+        assert held == sorted(held) and held[-1] == at and len(held) <= 8
+
+
+def test_a_message_becomes_what_json_can_hold() -> None:
+    status = pb.Status(version="1\n\x1b[2J", uptime_s=math.nan, problems=["x" * 9999] * 100)
+    status.wheel_angle.state = "alive"
+    told = plain(status)
+    json.dumps(told, allow_nan=False)
+    assert told["version"] == "1  [2J" and told["uptime_s"] is None and told["wheel_angle"]["per_s"] == 0.0
+    assert len(told["problems"]) == 64 and len(told["problems"][0]) == 500
+    assert "disk_free_bytes" not in told
+    assert plain(pb.Pose())["flags"] == []

@@ -1,0 +1,307 @@
+"""The page in a real browser: what a person sees, touches and types, with a real daemon behind it.
+
+`pytest -m browser --refresh` writes the pictures of docs/pictures anew.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from importlib import resources
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from client_daemon import until
+from field_rig import FieldRig
+from PIL import Image
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
+from stage import Monitor, Stage
+
+CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
+PICTURES = Path(__file__).resolve().parents[1] / "docs/pictures"
+SIZES: dict[str, dict[str, Any]] = {
+    "desktop": {"viewport": {"width": 1440, "height": 900}},
+    "tablet": {"viewport": {"width": 1024, "height": 768}, "has_touch": True},
+    "phone": {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True},
+}
+MOUNTS = ("Tractor front", "Tractor rear", "Implement front", "Implement rear", "Wheel angle")
+SOON_MS = 20_000
+COLOURS_OF_THE_MAP = """(() => {
+    const map = document.querySelector("#map"), seen = new Set();
+    const dots = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
+    for (let i = 0; i < dots.length; i += 4) seen.add(dots.slice(i, i + 3).join());
+    return seen.size;
+})()"""
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        one = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield one
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[tuple[Stage, Monitor]]:
+    with Stage(rate=10.0) as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        yield stage, monitor
+
+
+class Faults:
+    """Whatever a page complains of, and whatever it asks elsewhere."""
+
+    def __init__(self, context: BrowserContext, address: str) -> None:
+        self.told: list[str] = []
+        context.on("weberror", lambda fault: self.told.append(str(fault.error)))
+        context.on("console", self._said)
+        context.on("request", lambda asked: self._asked(asked.url, address))
+
+    def _said(self, line: ConsoleMessage) -> None:
+        if line.type == "error":
+            self.told.append(line.text)
+
+    def _asked(self, url: str, address: str) -> None:
+        if not re.match(rf"(http|ws)://{re.escape(address)}/|data:|blob:", url):
+            self.told.append(f"asked elsewhere: {url}")
+
+
+def opened(browser: Browser, monitor: Monitor, size: str = "desktop", **options: Any) -> tuple[Page, Faults]:
+    context = browser.new_context(**(SIZES[size] | options))
+    faults = Faults(context, monitor.address)
+    page = context.new_page()
+    page.goto(monitor.url)
+    return page, faults
+
+
+def state_of(page: Page, name: str) -> Any:
+    return page.locator(".tile", has=page.get_by_role("heading", name=name, exact=True))
+
+
+def expect_run(page: Page, words: str, state: str) -> None:
+    expect(page.locator("#run-word")).to_have_text(re.compile(words), timeout=SOON_MS)
+    expect(page.locator("#run")).to_have_attribute("data-state", state)
+
+
+def picture(request: pytest.FixtureRequest, page: Page, name: str) -> None:
+    if request.config.getoption("--refresh"):
+        PICTURES.mkdir(exist_ok=True)
+        shot = Image.open(BytesIO(page.screenshot(full_page=True)))
+        shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+            PICTURES / f"{name}.png", optimize=True
+        )
+
+
+def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """One daemon, one page that is never reloaded: nothing, all well, a receiver lost and back, recording
+    stopped and again, the daemon killed and again, the page's server killed and again."""
+    with closing(FieldRig(tmp_path, 240.0)) as rig:
+        monitor = Monitor("--connect", rig.endpoint)
+        page, faults = opened(browser, monitor)
+        expect_run(page, "NO DAEMON", "bad")
+        expect(page.locator("#problems")).to_contain_text("No daemon is heard")
+        picture(request, page, "page-no-daemon")
+
+        rig.start()
+        expect_run(page, "RECORDING", "good")
+        for name in MOUNTS:
+            expect(state_of(page, name)).to_have_attribute("data-state", "good", timeout=SOON_MS)
+        expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
+        assert not faults.told
+
+        rig.unplug("implement_rear")
+        lost = state_of(page, "Implement rear")
+        expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
+        expect(lost).to_contain_text("LOST")
+        expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
+        expect(page.locator("#events")).to_contain_text("implement_rear")
+        picture(request, page, "page-receiver-lost")
+        rig.unplug()
+        expect(lost).to_have_attribute("data-state", "good", timeout=SOON_MS)
+        expect(lost).to_contain_text("was lost until")
+
+        rig.let_it_write(False)
+        expect_run(page, "NOT RECORDING", "bad")
+        assert page.title().endswith("NOT RECORDING")
+        picture(request, page, "page-not-recording")
+        rig.let_it_write(True)
+
+        expect_run(page, "● RECORDING", "good")
+
+        page.keyboard.press("m")
+        page.keyboard.type("wet spot begins")
+        page.keyboard.press("Enter")
+        expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.", timeout=SOON_MS)
+        expect(page.locator("#events")).to_contain_text("wet spot begins")
+        page.keyboard.press("Escape")
+
+        rig.kill()
+        expect_run(page, "DAEMON GONE", "bad")
+        expect(state_of(page, "Tractor front")).to_have_attribute("data-state", "unknown")
+        rig.start()
+        expect_run(page, "● RECORDING", "good")
+
+        monitor.close()
+        expect_run(page, "NO CONNECTION", "bad")
+        with closing(Monitor("--connect", rig.endpoint, port=int(monitor.address.rpartition(":")[2]))):
+            expect_run(page, "● RECORDING", "good")
+            page.context.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_checker_of_accessibility_finds_nothing_serious(
+    browser: Browser, stage: tuple[Stage, Monitor], size: str, scheme: str
+) -> None:
+    page, _ = opened(browser, stage[1], size, color_scheme=scheme)
+    expect_run(page, "RECORDING", "good")
+    stage[0].order(lost="implement_rear", event="lost", text="implement_rear gives no usable position")
+    expect(state_of(page, "Implement rear")).to_have_attribute("data-state", "bad", timeout=SOON_MS)
+    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
+    found = [_serious(page, axe)]
+    page.locator("#mark").click()
+    found.append(_serious(page, axe))
+    stage[0].order(lost="")
+    page.context.close()
+    assert found == [[], []]
+
+
+def _serious(page: Page, axe: str) -> list[str]:
+    page.evaluate(f"() => {{ {axe} }}")
+    violations = page.evaluate("axe.run().then((found) => found.violations)")
+    return [
+        f"{one['id']}: {node['target']} {node['failureSummary']}"
+        for one in violations
+        if one["impact"] in ("serious", "critical")
+        for node in one["nodes"]
+    ]
+
+
+def test_a_mark_by_keyboard_and_by_touch(browser: Browser, stage: tuple[Stage, Monitor]) -> None:
+    for size in ("desktop", "phone"):
+        page, _ = opened(browser, stage[1], size)
+        expect_run(page, "RECORDING", "good")
+        if size == "phone":
+            page.locator("#mark").tap()
+            page.locator("#mark-text").fill(f"wet spot {size}")
+            page.locator("#mark-send").tap()
+        else:
+            page.keyboard.press("m")
+            page.keyboard.type(f"wet spot {size}")
+            page.keyboard.press("Enter")
+        expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.")
+        page.keyboard.press("Escape")
+        expect(page.locator("dialog")).to_be_hidden()
+        expect(page.locator("#events")).to_contain_text(f"wet spot {size}")
+        page.keyboard.press("m")
+        page.locator("#mark-text").fill("ü" * 600)
+        page.keyboard.press("Enter")
+        expect(page.locator("#mark-told")).to_have_text("✘ This note has 1200 bytes; 1024 are the most.")
+        page.context.close()
+
+
+def test_the_map_by_mouse_and_keyboard(browser: Browser, stage: tuple[Stage, Monitor]) -> None:
+    page, faults = opened(browser, stage[1])
+    expect(page.locator("#map-words")).to_contain_text("receivers", timeout=SOON_MS)
+    follow, canvas = page.locator("#follow"), page.locator("#map")
+    expect(follow).to_have_attribute("aria-pressed", "true")
+    box = canvas.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 130)
+    page.mouse.up()
+    expect(follow).to_have_attribute("aria-pressed", "false")
+    canvas.focus()
+    page.keyboard.press("f")
+    expect(follow).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("ArrowLeft")
+    expect(follow).to_have_attribute("aria-pressed", "false")
+    page.mouse.wheel(0, -400)
+    for button in ("#zoom-in", "#zoom-out", "#fit", "#follow"):
+        page.locator(button).click()
+    expect(follow).to_have_attribute("aria-pressed", "true")
+    ink = page.evaluate(COLOURS_OF_THE_MAP)
+    assert ink > 20
+    page.context.close()
+    assert not faults.told
+
+
+def test_the_demo_opens_with_the_address_of_its_page(browser: Browser, tmp_path: Path) -> None:
+    start = [sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main())"]
+    words = [*start, "demo", "--seconds", "60", "--log", str(tmp_path)]
+    with subprocess.Popen(
+        [*start, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as demo:
+        assert demo.stderr is not None
+        found = next(filter(None, (re.search(r"http://127\.0\.0\.1:\d+/", line) for line in demo.stderr)))
+        page = browser.new_page()
+        page.goto(found[0])
+        expect_run(page, "● RECORDING", "good")
+        expect(page.locator("#simulated")).to_be_visible()
+        expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
+        demo.send_signal(signal.SIGINT)
+        demo.stderr.read()
+        assert demo.wait(30) in (0, 1)  # lost frames are this computer's business, not the page's
+        expect_run(page, "NO CONNECTION", "bad")
+        page.close()
+
+
+def test_a_change_of_soil(
+    browser: Browser, stage: tuple[Stage, Monitor], request: pytest.FixtureRequest
+) -> None:
+    sizes = {size: opened(browser, stage[1], size) for size in SIZES}
+    pages = {size: page for size, (page, _) in sizes.items()}
+    desk = pages["desktop"]
+    front = desk.locator(".trace", has=desk.get_by_role("heading", name="Front tyres", exact=True))
+    expect(front.locator(".trace-status")).to_have_text("estimated", timeout=SOON_MS)
+    desk.wait_for_function("uPlot && document.querySelectorAll('.trace').length === 6")
+    until(lambda: abs(_number(front) - 215) < 15, 30.0)
+    stage[0].order(scale=0.6)
+    for page in pages.values():
+        expect(page.locator("#events")).to_contain_text("soil change", timeout=SOON_MS)
+    until(lambda: abs(_number(front) - 129) < 12, 30.0)
+    expect(desk.locator("#known")).to_contain_text("C_af: known to ±5.0 %", timeout=60_000)
+    expect(desk.locator("#advice")).to_have_text(
+        "sigma_r is not determined; 10 s of a chirp of 5° would bring it to ±12 %."
+    )
+    for size, page in pages.items():
+        narrow = page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert narrow, f"{size}: it has to be moved sideways"
+        picture(request, page, f"page-{size}")
+        page.context.close()
+    dark, _ = opened(browser, stage[1], "tablet", color_scheme="dark")
+    expect_run(dark, "RECORDING", "good")
+    dark.wait_for_timeout(500)
+    picture(request, dark, "page-dark")
+    dark.context.close()
+    stage[0].order(scale=1.0)
+    assert not [fault for _, faults in sizes.values() for fault in faults.told]
+
+
+def _number(trace: Any) -> float:
+    found = re.match(r"[\d.]+", trace.locator(".trace-value").inner_text())
+    return float(found[0]) if found else 0.0
+
+
+def test_what_is_hostile_is_shown_as_the_text_it_is(browser: Browser, stage: tuple[Stage, Monitor]) -> None:
+    page, faults = opened(browser, stage[1])
+    expect_run(page, "RECORDING", "good")
+    evil = "<img src=x onerror='window.hit=1'><script>window.hit=1</script>"
+    stage[0].order(event=evil, text=evil, problem=evil, version=evil)
+    expect(page.locator("#events")).to_contain_text(evil, timeout=SOON_MS)
+    expect(page.locator("#problems")).to_contain_text(evil, timeout=SOON_MS)
+    assert page.evaluate("window.hit") is None and page.locator("main img").count() == 0
+    stage[0].order(problem="", version="")
+    page.context.close()
+    assert not faults.told
