@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from tilth.estimator import pem, steady_state, two_step, unknowns
+from tilth.estimator import pem, steady_state, tracker, two_step, unknowns
 from tilth.estimator.record import Stretch
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
@@ -52,6 +52,7 @@ class Estimator:
     fitting: Fitting | None = None
     memory: Memory | None = None
     asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
+    prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -64,6 +65,17 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.clock_stepped,
         steady_state.events,
         memory=Memory(steady_state.STATES, "x", "p", ("slow_t", "slow_i"), ("steady_s", "sideslip_s")),
+    ),
+    Estimator(
+        tracker.METHOD,
+        tracker.TrackerState,
+        tracker.initial,
+        tracker.take,
+        tracker.estimate,
+        tracker.clock_stepped,
+        tracker.events,
+        memory=Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("window_s", "distance")),
+        prepare=tracker.prepare,
     ),
     Estimator(
         pem.METHOD,

@@ -42,6 +42,8 @@ AT: Final = {name: k for k, name in enumerate(NAMES)}
 SIX: Final = slice(0, 6)
 NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
+_SHAPE: Final = AT["a"]
+_CG: Final = AT["cg_t"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
@@ -77,12 +79,14 @@ def prior(machine: Machine) -> tuple[Array, Array]:
 
 
 def geometry(base: Array, point: Array) -> Array:
-    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`."""
-    shape = point[SHAPE]
-    changed: Array = base * np.exp(shape)
-    changed[4] = base[4] + shape[4]
-    cg_t, cg_i = point[AT["cg_t"]], point[AT["cg_i"]]
-    changed[:5] += np.array([-cg_t, cg_t, cg_t, -cg_i, cg_i])
+    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. May be compiled."""
+    changed: Array = base * np.exp(point[_SHAPE : _SHAPE + 9])
+    changed[4] = base[4] + point[_SHAPE + 4]
+    changed[0] -= point[_CG]
+    changed[1] += point[_CG]
+    changed[2] += point[_CG]
+    changed[3] -= point[_CG + 1]
+    changed[4] += point[_CG + 1]
     return changed
 
 

@@ -16,6 +16,7 @@ from typing import Protocol
 
 from zenoh import ZError
 
+from tilth.estimator.estimators import rows_for
 from tilth.estimator.fold import RECOMMENDED
 from tilth.logger import warm_start
 from tilth.logger.bus_opening import open_port
@@ -111,6 +112,8 @@ class Daemon:
         self._events: deque[tuple[str, str]] = deque()
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
+        for row in rows_for(machine):  # what compiles for seconds must not do so while frames come in
+            row.prepare(machine)
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
@@ -238,7 +241,7 @@ class Daemon:
             if refusal:
                 self._report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
         if used:
-            names, hours = " and ".join(used), found[1] / 3600.0
+            names, hours = ", ".join(used), found[1] / 3600.0
             self._report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
         return bool(used)
 

@@ -191,6 +191,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/pose", pb.Pose, _encode_pose, key="pose"),
     Channel("/soil_tire", pb.SoilTireEstimate, _encode_estimate, key="soil_tire"),
     Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
+    Channel("/soil_tire/tracker", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/tracker"),
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),

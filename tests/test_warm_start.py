@@ -12,7 +12,7 @@ import pytest
 from logs import MACHINE, MACHINE_TEXT
 from loopback import rig
 
-from tilth.estimator import fold, pem, steady_state, unknowns
+from tilth.estimator import fold, pem, steady_state, tracker, unknowns
 from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.fold import go_on, keep
 from tilth.estimator.warm import DOUBLES_S
@@ -34,10 +34,11 @@ VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-warm"
 
 
 def teach(state: fold.State, informed_ns: int) -> None:
-    """As if both methods had learned something by then."""
+    """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
     for method, mean, covariance, scale in (
         (pem.METHOD, "mean", "covariance", 0.1),
+        (tracker.METHOD, "mean", "covariance", 0.1),
         (steady_state.METHOD, "x", "p", 0.1),
     ):
         own: Any = state.estimators[method]
@@ -257,7 +258,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
     second, told = a_run(tmp_path, second_rig, keep=True)
-    assert [text[:34] for text in told.of_warm_start()] == ["steady_state and pem go on from wh"]
+    assert [text[:38] for text in told.of_warm_start()] == ["steady_state, tracker, pem go on from "]
     assert second._fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)

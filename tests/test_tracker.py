@@ -1,0 +1,390 @@
+"""The recursive estimate of all six: its equations, its intervals, another soil, what must not teach it."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from logs import MACHINE
+from numpy.typing import NDArray
+
+from tilth.estimator import fold, likelihood, recorder, soil_change, tracker, unknowns
+from tilth.estimator.models import nonlinear
+from tilth.estimator.predictor import DT, PAIRED, PLACED, PUSHED, rig_at
+from tilth.estimator.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
+from tilth.estimator.soil_change import Mark
+from tilth.estimator.tracker import TrackerState
+from tilth.estimator.tracker_kernel import BAD, GATED, USED, seen, tracked
+from tilth.estimator.tracker_model import N_X
+from tilth.estimator.unknowns import AT, SIX
+from tilth.replay.scenario import Change, Ground, Manoeuvre, Scenario, Soil
+from tilth.replay.tractor import drive
+from tilth.replay.traffic import traffic
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
+
+Array = NDArray[np.float64]
+Given = list[tuple[Pose, Stretch | None]]
+
+TICKS = 10  # of a stretch
+FIELD = Soil(grip=0.7, rolling=0.06)
+ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
+RANDOM = Scenario(seconds=30.0, steering=Manoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False)
+TOLD = likelihood.rigging(MACHINE)
+ACTIVE = np.flatnonzero(np.diag(tracker.initial(MACHINE).covariance) > 0.0)
+KINDS = (
+    (YAW_RATE, 1),
+    (VELOCITY, 1),
+    (VELOCITY, 2),
+    (NORTH, 0),
+    (NORTH, 3),
+    (EAST, 1),
+    (EAST, 2),
+    (HEADING, 0),
+)
+
+
+# The filter's equations
+
+
+MOVED = [*range(8), PLACED, PLACED + 1]
+READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
+
+
+def somewhere(seed: int) -> tuple[Array, Array]:
+    """(x, point): in a turn, all unknowns off their means."""
+    rng = np.random.default_rng(seed)
+    mean, sd = unknowns.prior(MACHINE)
+    point = mean.copy()
+    point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
+    x = np.zeros(N_X)
+    x[MOVED] = simulated(x, point, np.full(150, READINGS[20]))
+    x[PLACED : PLACED + 2] = 30.0, -20.0
+    x[PUSHED:PLACED] = rng.normal(size=3) * [0.01, 0.01, 0.005]
+    x[PAIRED:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
+    return x, point
+
+
+def simulated(x: Array, point: Array, readings: Array) -> Array:
+    """x[MOVED] after as many ticks, less one, by the nonlinear model."""
+    geometry = unknowns.geometry(TOLD.geometry, point)
+    rig = rig_at.plain()(TOLD.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
+    inputs = nonlinear.inputs_of(
+        len(readings),
+        delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
+        speed=4.5,
+        gravity_t=rig.g * math.sin(0.02),
+        gravity_i=rig.g * math.sin(-0.01),
+    )
+    start = nonlinear.running(4.5)
+    start[:4], start[5:11] = x[[PLACED, PLACED + 1, 6, 7]], x[:6]
+    states = nonlinear.simulate(rig, inputs, start, DT, soil=np.exp(point[SIX]), linear=True)
+    return np.asarray(states[-1, [5, 6, 7, 8, 9, 10, 2, 3, 0, 1]], np.float64)
+
+
+def half_a_stretch(x: Array, point: Array, covariance: Array, own: Array) -> tuple[Array, Array, Array]:
+    """(x, its covariance, that with the unknowns) after five ticks of turning without a measurement."""
+    ticks = np.zeros((30, 8))
+    ticks[:, 0], ticks[:, 1] = READINGS, 4.5
+    ticks[:, 6], ticks[:, 7] = 0.02, -0.01
+    x, point, own = x.copy(), point.copy(), own.copy()
+    between = np.zeros((N_X, len(point)))
+    tracked(
+        ticks, 20, 5, np.zeros((0, 6)), np.zeros(N_X + len(ACTIVE)), point, covariance, x, own, between,
+        ACTIVE, TOLD.geometry, TOLD.rig, TOLD.levers, TOLD.middles, np.zeros(3),
+        np.array([0.0, 0.0, 0.0, 0.25, 0.0]), np.zeros(3), np.zeros((6, 2)),
+    )  # fmt: skip
+    return x, own, between
+
+
+def test_the_mean_moves_as_the_nonlinear_model_does() -> None:
+    x, point = somewhere(1)
+    x[PUSHED:PLACED] = 0.0
+    after, _, _ = half_a_stretch(x, point, np.zeros((len(point), len(point))), np.zeros((N_X, N_X)))
+    late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
+    true = simulated(x, point, READINGS[20:26] - late)
+    assert np.max(np.abs(true - x[MOVED])) > 0.01
+    np.testing.assert_allclose(after[:8], true[:8], atol=2e-4)
+    np.testing.assert_allclose(after[PLACED : PLACED + 2], true[8:], atol=2e-3)
+
+
+def test_the_covariance_moves_as_small_changes_do() -> None:
+    x, point = somewhere(2)
+    n = len(point)
+    covariance = np.zeros((n, n))
+    covariance[ACTIVE, ACTIVE] = 1.0
+    after, own, between = half_a_stretch(x, point, covariance, np.eye(N_X))
+    nothing = np.zeros((n, n)), np.zeros((N_X, N_X))
+    by_x, by_point = np.zeros((N_X, N_X)), np.zeros((N_X, n))
+    for j in range(N_X):
+        nudge = 1e-6 * np.eye(N_X)[j]
+        by_x[:, j] = (half_a_stretch(x + nudge, point, *nothing)[0] - after) / 1e-6
+    for k in ACTIVE:
+        nudge = 1e-6 * np.eye(n)[k]
+        by_point[:, k] = (half_a_stretch(x, point + nudge, *nothing)[0] - after) / 1e-6
+    scale = np.abs(by_point).max(axis=0) + 1e-3
+    # One set of slopes serves five ticks: what relaxation lengths do while slip grows is right to an eighth.
+    np.testing.assert_allclose(between / scale, by_point / scale, atol=0.12)
+    whole = by_x @ by_x.T + by_point @ by_point.T
+    sd = np.sqrt(np.diag(whole))
+    np.testing.assert_allclose(own / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
+
+
+@pytest.mark.parametrize(("kind", "place"), KINDS)
+def test_slopes_of_a_measurement_are_those_of_differences(kind: float, place: int) -> None:
+    x, point = somewhere(3)
+    run = seen.plain()
+
+    def at(x: Array, point: Array) -> tuple[float, Array]:
+        geometry, h = unknowns.geometry(TOLD.geometry, point), np.zeros(N_X + len(ACTIVE))
+        shapes = np.zeros((len(ACTIVE), 9))
+        for j, name in enumerate(ACTIVE):
+            nudged = unknowns.geometry(TOLD.geometry, point + 1e-7 * np.eye(len(point))[name])
+            shapes[j] = (nudged - geometry) / 1e-7
+        value = run(x, kind, place, 4.5, 0.3, geometry, point, ACTIVE, shapes, TOLD.levers, TOLD.middles, h)
+        return value, h
+
+    value, h = at(x, point)
+    steps = 1e-6 * np.eye(N_X)
+    found = [(at(x + step, point)[0] - value) / 1e-6 for step in steps]
+    found += [(at(x, point + 1e-6 * np.eye(len(point))[k])[0] - value) / 1e-6 for k in ACTIVE]
+    np.testing.assert_allclose(h, found, atol=2e-3)
+
+
+# On frames of the virtual tractor
+
+
+@cache
+def driven(
+    scenario: Scenario, seed: int
+) -> tuple[fold.State, list[tuple[Pose, Stretch | None]], list[Event], Array]:
+    """(the fold at the end, what the tracker was given, soil changes, true logarithms before any change)."""
+    truth = drive(MACHINE, seed, scenario.seconds, scenario)
+    state, recording = fold.initial(MACHINE), recorder.initial(MACHINE)
+    given: Given = []
+    said: list[Event] = []
+    for frame in traffic(MACHINE, truth):
+        for publication in fold.step(state, frame):
+            value = publication.value
+            if isinstance(value, Pose):
+                given.append((value, recorder.observe(recording, state.aligner, value)))
+            elif isinstance(value, Event) and value.kind == "soil_change":
+                said.append(value)
+    return state, given, said, np.log([truth.parameters[name] for name in PARAMETERS])
+
+
+def learned(given: Given) -> TrackerState:
+    state = tracker.initial(MACHINE)
+    for pose, stretch in given:
+        tracker.take(state, MACHINE, pose, stretch)
+    return state
+
+
+def last(state: fold.State) -> Estimate:
+    return state.estimates[tracker.METHOD]
+
+
+def sds(estimate: Estimate) -> Array:
+    return np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
+
+
+def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
+    """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that nobody told."""
+    scores = []
+    for seed in range(5):
+        state, _, said, truth = driven(RANDOM, seed)
+        estimate = last(state)
+        assert [p.status for p in estimate.parameters] == [Status.ESTIMATED] * 6
+        assert estimate.rank == 6
+        assert said == []
+        scores.append((np.log([p.value or 1.0 for p in estimate.parameters]) - truth) / sds(estimate))
+        assert np.all(sds(estimate) < 0.2)
+    z = np.array(scores)
+    assert np.mean(np.abs(z) < 1.96) > 0.8  # of 30; 97 % of many
+    assert np.all(np.abs(z) < 3.5)
+    assert np.sqrt(np.mean(z**2)) > 0.3
+
+
+def test_the_fold_and_its_stretches_give_the_same() -> None:
+    state, given, _, _ = driven(RANDOM, 0)
+    own = learned(given)
+    assert own.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
+
+
+# Another soil
+
+CHANGED = replace(
+    RANDOM,
+    seconds=62.0,
+    steering=((40.0, None), (5.0, 0.0), (30.0, None)),
+    soil=replace(FIELD, changes=(Change(at_s=42.0, C_af=0.7, C_ar=0.7, C_ai=0.7),)),
+)
+TURNS_AGAIN_S = 45.0
+
+
+def test_another_soil_is_noticed_within_seconds_and_learned() -> None:
+    state, given, said, truth = driven(CHANGED, 1)
+    assert len(said) == 1
+    after_s = (said[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
+    assert 0.0 < after_s < 3.0
+    assert said[0].latitude_deg is not None
+    assert "given up" in said[0].text
+    estimate = last(state)
+    now = truth + np.log([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
+    off = np.log([p.value or 1.0 for p in estimate.parameters]) - now
+    assert np.all(np.abs(off) < 3.0 * sds(estimate))
+    assert np.all(np.abs(off[:2]) < 0.15)
+    assert estimate.excitation["soil_changes"] == 1.0
+
+
+@pytest.mark.parametrize("change", [0.0, -0.6])
+def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
+    """A filter of six constants, of which one sample in each step shows a sum with random weights."""
+    rng = np.random.default_rng(4)
+    largest = []
+    for _ in range(20):
+        truth, mean, covariance = np.zeros(6), 0.7 * rng.normal(size=6), 0.49 * np.eye(6)
+        marks: list[Mark] = []
+        found = 0.0
+        for k in range(120):
+            if k == 100:
+                truth = truth + change * np.array([1, 1, 1, 0, 0, 0])
+            h = rng.normal(size=6)
+            gain = covariance @ h / (h @ covariance @ h + 0.3**2)
+            mean = mean + gain * (h @ (truth - mean) + 0.3 * rng.normal())
+            covariance = covariance - np.outer(gain, h @ covariance)
+            told = soil_change.likeliest(marks, mean, covariance)
+            found = max(found, told.ratio if told and k >= 100 else 0.0)
+            marks = [*marks, Mark(mean, covariance)][-soil_change.MARKS :]
+        largest.append(found)
+    assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
+
+
+# What must teach nothing
+
+
+def straight(seconds: float, seed: int) -> list[Stretch]:
+    """A straight row to the north, steered by small corrections, over ground that pushes."""
+    rng = np.random.default_rng(seed)
+    n, start_ns = TICKS, 10**15
+    stretches = []
+    for k in range(round(seconds / 0.2)):
+        ticks = np.zeros((n, 8))
+        ticks[:, 1] = 4.5
+        ticks[:, 0] = math.radians(0.4) * math.sin(0.9 * k) + 1e-3 * rng.normal(size=n)
+        rows = []
+        for tick in range(0, n, 5):
+            for place, ahead in enumerate(TOLD.levers[:, 0]):
+                body = place // 2
+                back = 0.0 if body == 0 else -TOLD.geometry[2] - TOLD.geometry[3]
+                north = 4.5 * (k * 0.2 + tick * 0.02) + ahead + back
+                east = TOLD.levers[place, 1]
+                rows += [
+                    (tick, 0.0, YAW_RATE, body, 0.004 * rng.normal(), 0.01),
+                    (tick, 0.0, VELOCITY, place, 0.02 * rng.normal(), 0.03),
+                    (tick, 0.0, NORTH, place, north + 0.01 * rng.normal(), 0.025),
+                    (tick, 0.0, EAST, place, east + 0.01 * rng.normal(), 0.025),
+                ]
+        stretches.append(Stretch(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
+    return stretches
+
+
+def follow(state: TrackerState, stretches: list[Stretch]) -> None:
+    for stretch in stretches:
+        state.seen_ns = stretch.record.end_ns
+        tracker._take(state, MACHINE, stretch)
+
+
+def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
+    state = learned(driven(RANDOM, 1)[1])
+    mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
+    zero = state.covariance[AT["wheel_zero"], AT["wheel_zero"]]
+    follow(state, straight(400.0, 5))
+    assert np.all(np.abs(state.mean[SIX] - mean) < 0.2 * sd)
+    assert np.all(np.sqrt(np.diag(state.covariance)[SIX]) >= sd)
+    assert state.covariance[AT["wheel_zero"], AT["wheel_zero"]] < zero
+    assert state.refused["too little steering"] > 1900
+    assert state.changes == 0
+    assert np.all(np.linalg.eigvalsh(state.covariance[np.ix_(ACTIVE, ACTIVE)]) > 0.0)
+    assert np.all(np.diag(state.own)[:8] < 1.0)
+
+
+@pytest.mark.parametrize("column", [4, 5, 1])
+def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
+    given = driven(RANDOM, 1)[1]
+    k = next(k for k, (_, s) in enumerate(given) if s is not None and not s.reason) + 60
+    pose, stretch = given[k]
+    assert stretch is not None
+    rows = stretch.record.rows.copy()
+    rows[5, column] = math.nan
+    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    clean, state = learned(given), learned([*given[:k], (pose, spoilt), *given[k + 1 :]])
+    assert clean.counts[BAD] == 0.0 and state.counts[BAD] == 1.0
+    assert state.counts[USED] + 1.0 == pytest.approx(clean.counts[USED], abs=3.0)
+    assert np.all(np.abs(state.mean - clean.mean)[SIX] < 0.3 * np.sqrt(np.diag(clean.covariance)[SIX]))
+
+
+def test_an_input_that_is_no_number_costs_one_stretch() -> None:
+    given = driven(RANDOM, 1)[1]
+    pose, stretch = given[80]
+    assert stretch is not None
+    ticks = stretch.record.ticks.copy()
+    ticks[3, 0] = math.inf
+    spoilt = Stretch(Record(stretch.record.t_ns, ticks, stretch.record.rows), stretch.follows, "")
+    state = learned([*given[:80], (pose, spoilt), *given[81:]])
+    assert state.refused["inputs are no numbers"] == 1
+    assert state.restarts == 2
+    assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.own))
+
+
+def test_a_position_beyond_belief_is_left_out() -> None:
+    given = driven(RANDOM, 1)[1]
+    pose, stretch = given[80]
+    assert stretch is not None
+    rows = stretch.record.rows.copy()
+    rows[np.flatnonzero(rows[:, 2] == EAST)[0], 4] += 2.0
+    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    clean, state = learned(given), learned([*given[:80], (pose, spoilt), *given[81:]])
+    assert state.counts[GATED] == clean.counts[GATED] + 1.0
+    assert np.all(np.abs(state.mean - clean.mean)[SIX] < 0.3 * np.sqrt(np.diag(clean.covariance)[SIX]))
+
+
+def test_after_a_gap_nothing_jumps() -> None:
+    given = driven(RANDOM, 1)[1]
+    gap = [
+        (pose, replace(stretch, reason="no RTK fix") if stretch else None) for pose, stretch in given[60:80]
+    ]
+    state = learned([*given[:60], *gap])
+    mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
+    pose, stretch = given[80]
+    assert stretch is not None
+    tracker.take(state, MACHINE, pose, replace(stretch, follows=False))
+    largest = 0.0
+    for pose, stretch in given[81:]:
+        tracker.take(state, MACHINE, pose, stretch)
+        largest = max(largest, float(np.max(np.abs(state.mean[SIX] - mean) / sd)))
+        mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
+    assert state.refused["no RTK fix"] == 20
+    assert state.refused["filter settling"] == 2 * tracker.SETTLES
+    assert largest < 1.0
+
+
+# What is said
+
+
+def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
+    state, _, _, _ = driven(RANDOM, 2)
+    own = state.estimators[tracker.METHOD]
+    fresh = tracker.initial(MACHINE)
+    assert {p.status for p in tracker.estimate(fresh, MACHINE, 5).parameters} == {Status.UNESTIMATED}
+    late = tracker.estimate(own, MACHINE, own.informed_ns + 301 * 10**9)
+    assert {p.status for p in late.parameters} == {Status.STALE}
+    assert all("nothing was learned" in p.reason for p in late.parameters)
+    own.covariance[SIX, SIX] = (0.5 * own.prior_sd[0]) ** 2 * np.eye(6)  # is said as 0.58 of the prior's
+    own.given[0] = True
+    first = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    assert first.status is Status.ESTIMATED  # not yet beyond LOST
+    own.given[0] = False
+    again = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    assert again.status is Status.UNESTIMATED and "more steering" in again.reason
+    assert again.value is None
