@@ -1,7 +1,7 @@
-"""In the guest: a recording under load. Beside it a sector of the drive says again and again what time it is.
+"""In the guest: a recording under load. Beside it a sector of the drive says how many frames there were.
 
-write_load.py FOLDER SECTOR: frames a millisecond apart, numbered, into FOLDER; times into the block
-device SECTOR, past every cache, so that the order of what reaches the drive tells when each write was made.
+write_load.py FOLDER SECTOR: frames a millisecond apart, numbered, into FOLDER; their count into the block
+device SECTOR, past every cache, so that the order of what reaches the drive tells when a write was made.
 write_load.py FOLDER: until a file FOLDER/../stop is there; then it says in JSON what became of the frames.
 """
 
@@ -16,9 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-NOW = struct.Struct("<8sQ")  # MARK, t_ns
+NOW = struct.Struct("<8sQ")  # MARK, frames so far
 MARK = b"TilthNow"
 SPACING_NS = 1_000_000
+BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames
 
 
 def main(folder: Path, sector: str = "") -> None:
@@ -31,14 +32,15 @@ def main(folder: Path, sector: str = "") -> None:
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.1\nkeep_free_megabytes = 1\nchunk_kilobytes = 16")
     machine = parse_machine(text)
     clock = Clock()
+    number = 0
     recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
     if sector:
-        threading.Thread(target=tell_time, args=(sector, clock.t_ns), daemon=True).start()
+        threading.Thread(target=tell, args=(sector, lambda: number), daemon=True).start()
     next_ns = clock.t_ns()
-    number = 0
     said = set[str]()
     while sector or not (folder.parent / "stop").exists():
         now_ns = clock.t_ns()
+        next_ns = max(next_ns, now_ns - BEHIND_NS)
         while next_ns <= now_ns:
             data = number.to_bytes(8, "little")
             recording.frame(Frame(next_ns, next_ns, "can0", 0x18FF0001, True, False, data))
@@ -52,11 +54,11 @@ def main(folder: Path, sector: str = "") -> None:
     sys.stdout.write(json.dumps(told))
 
 
-def tell_time(sector: str, t_ns: Callable[[], int]) -> None:
+def tell(sector: str, count: Callable[[], int]) -> None:
     block = mmap.mmap(-1, mmap.PAGESIZE)  # O_DIRECT wants it aligned
     device = os.open(sector, os.O_WRONLY | os.O_DIRECT)
     while True:
-        block[: NOW.size] = NOW.pack(MARK, t_ns())
+        block[: NOW.size] = NOW.pack(MARK, count())
         os.pwrite(device, memoryview(block)[:512], 0)
         time.sleep(0.005)
 
