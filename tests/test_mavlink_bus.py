@@ -69,8 +69,9 @@ class Way:
         self._loses = loses
         self._peer: tuple[str, int] | None = None
         self.dropped: list[int] = []  # number of a frame of bus 2, or -1
-        threading.Thread(target=self._out, daemon=True).start()
-        threading.Thread(target=self._back, daemon=True).start()
+        self._threads = [threading.Thread(target=job, daemon=True) for job in (self._out, self._back)]
+        for thread in self._threads:
+            thread.start()
 
     def _out(self) -> None:
         codec = common.MAVLink(None)
@@ -93,15 +94,18 @@ class Way:
                 packed = self._far.recv(2048)
             except ConnectionRefusedError:
                 continue
-            except OSError:
-                return
+            if not packed:
+                return  # closed
             if self._peer is not None:
                 self._near.sendto(packed, self._peer)
 
     def close(self) -> None:
         for end in (self._near, self._far):
             with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
+                end.shutdown(socket.SHUT_RDWR)  # wakes who reads it
+        for thread in self._threads:
+            thread.join(10.0)
+        for end in (self._near, self._far):
             end.close()
 
 
