@@ -4,8 +4,10 @@ cpu() { awk '{print $14 + $15}' /proc/$1/stat; }
 ip link add vcan0 type vcan && ip link set vcan0 up
 candump -L vcan0 >/run/candump.log &
 candump=$!
-# python -m can.logger, without the minute that asammdf would take to load here
-python -c 'import sys; sys.modules["asammdf"] = None; from can.logger import main; main()' \
+# python -m can.logger, without the minute that asammdf would take to load here, and with the SIGINT that bash takes
+# from what it starts in the background
+python -c 'import signal, sys; sys.modules["asammdf"] = None; from can.logger import main
+signal.signal(signal.SIGINT, signal.default_int_handler); main()' \
     -i socketcan -c vcan0 -f /run/library.log >$OUT/library.txt 2>&1 &
 library=$!
 python bench/recorder.py record $OUT/machine.toml /run/logs >$OUT/said.txt 2>&1 &
