@@ -217,6 +217,8 @@ def main() -> None:
     orders = dict(ORDERS)
 
     def mark(query: zenoh.Query) -> None:
+        if "*" in str(query.key_expr):
+            return
         if orders["refusal"]:
             query.reply_err(orders["refusal"])
             return

@@ -46,7 +46,7 @@ function take(message) {
   if (whole || said.events.length) showEvents(events);
   if (whole || said.soil_tire) showKnown();
   if (said.pose) showPose(said.pose);
-  show();
+  if (whole || said.status) show(); // else soon enough by the clock
 }
 
 function show() {
@@ -153,8 +153,8 @@ let wait_ms = 250;
 function connect() {
   const stream = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   stream.onmessage = (event) => {
-    connected = true;
     wait_ms = 250;
+    connected = true;
     take(JSON.parse(event.data));
   };
   stream.onclose = () => {
@@ -217,7 +217,7 @@ function prepareTheme() {
   const apply = () => {
     document.documentElement.dataset.theme = chosen || (dark.matches ? "dark" : "light");
     traces.recolour();
-    map.draw();
+    map.recolour();
   };
   byId("theme").addEventListener("click", () => {
     chosen = document.documentElement.dataset.theme === "dark" ? "light" : "dark";

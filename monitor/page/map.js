@@ -2,6 +2,7 @@
 
 import { known } from "./words.js";
 
+const COLOURS = ["panel", "ink", "grid", "bad", "tractor", "implement", "q0", "q1", "q2"];
 const CLOSEST = 120, FARTHEST = 0.02; // pixels per metre
 // Lengths are those of the machine file. It tells no widths: these are usual ones.
 const TRACK = 1.9, REAR_WHEEL = [1.9, 0.6], FRONT_WHEEL = [1.4, 0.45], CART_WHEEL = [1.7, 0.6], CART_WIDTH = 2.6;
@@ -16,8 +17,15 @@ export class FieldMap {
     this.track = { t: [], tractor: [], implement: [], quality: [] };
     this.pointers = new Map();
     this.drawing = false;
+    this.recolour();
     this.#listen();
     new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  recolour() {
+    const style = getComputedStyle(document.documentElement);
+    this.colours = Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`)]));
+    this.draw();
   }
 
   setTrack(track) {
@@ -98,8 +106,7 @@ export class FieldMap {
     }
     const body = known(pose?.tractor?.x) ? pose.tractor : pose?.implement;
     if (this.following && known(body?.x) && known(body?.y)) this.centre = [body.x, body.y];
-    const style = getComputedStyle(document.documentElement);
-    const colour = (name) => style.getPropertyValue(`--${name}`);
+    const colour = (name) => this.colours[name];
     const pen = canvas.getContext("2d");
     pen.setTransform(dots, 0, 0, dots, 0, 0);
     pen.fillStyle = colour("panel");
