@@ -13,6 +13,7 @@ from types import FrameType
 from rich.console import Console
 
 from tilth.cli import WrongUse, duration
+from tilth.logger.daemon import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.replay.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
 
@@ -25,7 +26,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "publishes; at the end stands truth beside estimate. Needs no hardware and no privilege.",
     )
     parser.add_argument(
-        "--seconds", type=duration, default=90.0, metavar="N", help="of driving, in real time (90)"
+        "--seconds", type=duration, default=None, metavar="N", help="of driving, in real time (90)"
+    )
+    parser.add_argument(
+        "--guidance",
+        action="store_true",
+        help="instead: a controller keeps the implement on its line by the live estimates, over soil that "
+        "gets softer half-way; fixed gains beside it (3 minutes)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="another rig and another drive (1)")
     parser.add_argument(
@@ -39,6 +46,8 @@ def run(args: argparse.Namespace) -> int:
     """1 where frames were lost."""
     if args.seed < 0:
         raise WrongUse(f"--seed {args.seed}: give a whole number from 0 up")
+    if args.guidance and (args.seconds is not None or args.json):
+        raise WrongUse("--guidance drives a whole field: leave out --seconds and --json")
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:
@@ -51,18 +60,59 @@ def run(args: argparse.Namespace) -> int:
     display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
     with contextlib.ExitStack() as beside:
         watch = None if args.no_page else lambda endpoint: beside.callback(_page(endpoint))
+        drive = _guidance if args.guidance else _demo
         try:
-            demo = run_demo(args.seconds, args.seed, args.log, display, lambda: stopping, _say, watch)
+            tell = drive(args, display, lambda: stopping, watch)
         except DemoError as error:
             _say(str(error))
             return 1
         finally:
             display.close()
-    if args.json:
-        print(json.dumps(result(demo)))
-    else:
-        _tell(demo)
-    return 1 if demo.frames_lost or demo.summary.faults else 0
+    return tell()
+
+
+Stop = Callable[[], bool]
+Watch = Callable[[str], object] | None
+Tell = Callable[[], int]
+"""Says how it was, once the display is closed; the exit status."""
+
+
+def _demo(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
+    demo = run_demo(args.seconds or 90.0, args.seed, args.log, display, stop, _say, watch)
+
+    def tell() -> int:
+        if args.json:
+            print(json.dumps(result(demo)))
+        else:
+            _tell(demo)
+        return 1 if demo.frames_lost or demo.summary.faults else 0
+
+    return tell
+
+
+def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
+    """1 also where the steering refused commands."""
+    from tilth.adaptive_guidance.demo import run_guidance, table  # with matplotlib: only who asks pays for it
+
+    guided = run_guidance(args.seed, args.log, display, stop, _say, watch)
+
+    def tell() -> int:
+        console = Console()
+        console.print(table(guided))
+        refused = guided.commands["refused"]
+        for reason, count in refused.items():
+            console.print(f"{count} commands refused: {reason}", highlight=False)
+        if guided.commands["late"]:
+            console.print(
+                "This computer was too busy for real time: commands came late, and the errors tell."
+            )
+        if guided.figure is not None:
+            console.print(f"Figure: {guided.figure}", soft_wrap=True, highlight=False)
+        files = " ".join(str(path) for path in guided.summary.log_files)
+        console.print(f"Log:    {files}", soft_wrap=True, highlight=False)
+        return 1 if refused or guided.summary.faults else 0
+
+    return tell
 
 
 def _page(endpoint: str) -> Callable[[], None]:

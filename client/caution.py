@@ -21,11 +21,15 @@ Array = NDArray[np.float64]
 class Limits:
     """ratio: how far a parameter may be from nominal, as a factor up or down. per_s: how fast the natural
     logarithm of a parameter in force may move: 0.1 is 10 % a second. log_sd: a parameter that is less certain
-    than this (sd of its logarithm) is not followed. shadow: say what would be used, put nominal in force."""
+    than this (sd of its logarithm) is not followed. doubt_sd: leave nominal only by what the data cannot do
+    without: of the way to the estimate, so many of its own sd, all parameters together, are not gone. Three
+    keep gains that are right where they are, whatever chance does to an estimate. shadow: say what would be
+    used, put nominal in force."""
 
     ratio: float
     per_s: float
     log_sd: float = math.inf
+    doubt_sd: float = 0.0
     shadow: bool = False
 
     def __post_init__(self) -> None:
@@ -35,6 +39,8 @@ class Limits:
             raise ValueError(f"per_s = {self.per_s}: give a rate above zero, such as 0.1")
         if not self.log_sd > 0:
             raise ValueError(f"log_sd = {self.log_sd}: give a limit above zero, or math.inf")
+        if not (math.isfinite(self.doubt_sd) and self.doubt_sd >= 0):
+            raise ValueError(f"doubt_sd = {self.doubt_sd}: give 0 or more, such as 3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,17 +92,37 @@ class Cautious:
 
     def _wanted(self, latest: Latest) -> tuple[Array, list[str]]:
         """Natural logarithms to go to, and what keeps each from the estimate."""
-        wanted, notes = self._nominal.copy(), list(latest.refusals)
-        span = math.log(self.limits.ratio)
+        off, notes = np.zeros(len(PARAMETERS)), list(latest.refusals)
+        if latest.estimate is None:
+            return self._nominal.copy(), notes
+        covariance = np.reshape(latest.estimate.log_covariance, (-1, len(PARAMETERS)))
         for i, value in enumerate(latest.theta(np.exp(self._nominal)).tolist()):
-            if notes[i] or latest.estimate is None:
+            if notes[i]:
                 continue
-            sd = math.sqrt(latest.estimate.log_covariance[i * len(PARAMETERS) + i])
+            sd = math.sqrt(covariance[i, i])
             if sd > self.limits.log_sd:
                 notes[i] = f"too uncertain: {sd:.0%} where {self.limits.log_sd:.0%} is allowed"
                 continue
-            asked = math.log(value)
-            wanted[i] = min(max(asked, self._nominal[i] - span), self._nominal[i] + span)
-            if wanted[i] != asked:
-                notes[i] = f"held at {math.exp(wanted[i]):.4g}: {value:.4g} is beyond the bounds of nominal"
-        return wanted, notes
+            off[i] = math.log(value) - self._nominal[i]
+        share, told = self._undoubted(off, covariance)
+        span = math.log(self.limits.ratio)
+        for i in np.flatnonzero(off).tolist():
+            asked = share * off[i]
+            off[i] = min(max(asked, -span), span)
+            notes[i] = told
+            if off[i] != asked:
+                value, held = np.exp(self._nominal[i] + np.array([asked, off[i]])).tolist()
+                notes[i] = f"held at {held:.4g}: {value:.4g} is beyond the bounds of nominal"
+        return self._nominal + off, notes
+
+    def _undoubted(self, off: Array, covariance: Array) -> tuple[float, str]:
+        """How much of the way from nominal to go, and why not all of it. off: of the logarithms, (6,)."""
+        used = np.flatnonzero(off)
+        if not self.limits.doubt_sd or not len(used):
+            return 1.0, ""
+        block = covariance[np.ix_(used, used)]
+        distance = math.sqrt(max(float(off[used] @ np.linalg.pinv(block, hermitian=True) @ off[used]), 0.0))
+        share = max(0.0, 1.0 - self.limits.doubt_sd / distance) if distance else 0.0
+        if share == 0.0:
+            return share, f"nominal explains the data: the estimate is {distance:.1f} sd from it"
+        return share, f"{share:.0%} of the way: the estimate is {distance:.0f} sd from nominal"

@@ -69,6 +69,12 @@ class LiveDriver:
         self._recent: deque[Array] = deque(maxlen=3)  # states, HOLD samples apart
         self._way = 0.0  # m, at the first of them
 
+    def implement(self) -> tuple[float, float]:
+        """North and east of its CG on the ground, m."""
+        x = self._recent[-1] if self._recent else self.start()
+        ((north, east, _, _),) = nonlinear.implement(self._setting.rig, x[None]).tolist()
+        return north, east
+
     def start(self) -> Array:
         return nonlinear.running(float(self._speed[0]))
 

@@ -84,8 +84,7 @@ def star_fire_like(receiver: Receiver) -> bool:
 
 
 class Receiving:
-    """One receiver of a run: what is wrong with it is drawn beforehand, what it reports is asked for in
-    order.
+    """One receiver of a run: its errors are drawn beforehand, its reports are asked for in order.
 
     So a run that is steered while it goes on measures just what one does that was driven to its end before.
     """

@@ -287,6 +287,16 @@ def parse_scenario(text: str) -> Scenario:
         raise ScenarioError(sentence(error, raw, Scenario)) from None
 
 
+def as_json(scenario: Scenario) -> str:
+    """For another process; `from_json` reads it."""
+    return _SCENARIO.dump_json(scenario).decode()
+
+
+def from_json(text: str) -> Scenario:
+    """Raises pydantic.ValidationError."""
+    return _SCENARIO.validate_json(text)
+
+
 def check_mounts(scenario: Scenario, mounts: Collection[Mount]) -> None:
     """Raises ScenarioError where it names a receiver that the machine does not have."""
     named = [("faults", fault.mount) for fault in scenario.faults]

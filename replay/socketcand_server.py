@@ -25,6 +25,8 @@ from tilth.schemas.machine import Machine, parse_machine
 TICK_S: Final = 0.001  # frames that are due are sent this often
 SETTLE_S: Final = 0.05  # python-can wants the answer to "rawmode" alone in one packet
 SEND_TIMEOUT_S: Final = 10.0
+LONGEST: Final = 4096  # bytes of a client's words; who never ends one is dropped
+MOST_WAITING: Final = 1000  # frames of clients that nobody has taken yet
 START_DELAY_NS: Final = 300_000_000  # in which the first ten seconds of traffic are made
 
 
@@ -35,12 +37,24 @@ class Client:
     listens_from: float | None = None  # monotonic s
 
 
+@dataclass(frozen=True, slots=True)
+class Sending:
+    """What a client puts on the bus."""
+
+    can_id: int
+    extended: bool
+    data: bytes
+    by: Client
+
+
 @dataclass(slots=True)
 class Server:
     """Clients of one bus. All calls come from one thread."""
 
     listener: socket.socket
     clients: list[Client] = field(default_factory=list)
+    heard: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
+    refused: int = 0  # words of clients that are no frame
 
     @property
     def port(self) -> int:
@@ -66,12 +80,14 @@ class Server:
         now = time.monotonic()
         return [c for c in self.clients if c.listens_from is not None and c.listens_from <= now]
 
-    def send(self, frames: list[Frame]) -> None:
-        """Send frames to every client that listens; one that has gone, or stands still, is dropped."""
+    def send(self, frames: list[Frame], by: Client | None = None) -> None:
+        """Send frames to every client that listens, but to the one that sent them; one that has gone, or
+        stands still, is dropped."""
         if frames:
             text = b"".join(map(_told, frames))
             for client in self.listening():
-                self._say(client, text)
+                if client is not by:
+                    self._say(client, text)
 
     def close(self) -> None:
         for client in list(self.clients):
@@ -87,12 +103,34 @@ class Server:
             self._drop(client)
             return
         *commands, client.received = (client.received + received).split(b">")
+        if len(client.received) > LONGEST:
+            self._drop(client)
+            return
         for command in commands:
             words = command.replace(b"<", b" ").split()
-            if words[:1] in ([b"open"], [b"rawmode"]):  # "send" and all else is ignored: nobody else is here
+            if words[:1] in ([b"open"], [b"rawmode"]):
                 self._say(client, b"< ok >")
+            if words[:1] == [b"send"]:
+                self._take(client, words[1:])
             if words[:1] == [b"rawmode"]:
                 client.listens_from = time.monotonic() + SETTLE_S
+
+    def _take(self, client: Client, words: list[bytes]) -> None:
+        """A frame in socketcand's words: identifier, length, and its bytes, all but the length in
+        hexadecimal."""
+        try:
+            identifier, length, *values = words
+            can_id, data = int(identifier, 16), bytes(int(value, 16) for value in values)
+            extended = len(identifier) > 3
+            if len(data) != int(length) or len(data) > 8 or not 0 <= can_id < (1 << (29 if extended else 11)):
+                raise ValueError
+        except ValueError:
+            self.refused += 1
+            return
+        if len(self.heard) < MOST_WAITING:
+            self.heard.append(Sending(can_id, extended, data, client))
+        else:
+            self.refused += 1
 
     def _say(self, client: Client, text: bytes) -> None:
         try:

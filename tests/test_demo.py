@@ -185,7 +185,14 @@ def _keys_published(said: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "words", [["--seconds", "0"], ["--seconds", "nan"], ["--seed", "-1"], ["--second", "x"]]
+    "words",
+    [
+        ["--guidance", "--seconds", "5"],
+        ["--seconds", "0"],
+        ["--seconds", "nan"],
+        ["--seed", "-1"],
+        ["--second", "x"],
+    ],
 )
 def test_wrong_use(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     try:

@@ -9,13 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("schemas", "estimator", "logger", "replay", "client", "monitor", "adaptive_guidance", "cli")
 HEARS_ZENOH_ONLY = ("client", "monitor")  # they can crash or lag without touching the recorder
-CONTROLLER = (
-    "plan",
-    "law",
-    "follower",
-    "controller",
-    "__main__",
-)  # of adaptive_guidance: it hears Zenoh only
+CONTROLLER = ("plan", "law", "follower", "controller", "wires", "__main__")  # they hear Zenoh only
 PURE = ("schemas", "estimator")
 IMPURE = {
     "asyncio", "can", "concurrent", "datetime.datetime.now", "io", "logging", "mcap", "multiprocessing", "os",

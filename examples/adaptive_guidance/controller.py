@@ -24,7 +24,7 @@ COMMAND: Final = 44288
 ADDRESS: Final = 0x80  # source address of this controller; a rig's own would claim one
 STEERING: Final = 0xF0  # address of the steering ECU
 STALE: Final = Staleness(silence_s=3.0, data_s=300.0)
-LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3)
+LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3, doubt_sd=3.0)
 
 
 class Controller:
@@ -66,11 +66,14 @@ class Controller:
         """Frames to send now, (identifier, data): an intention to steer, or none and why in `reason`."""
         asked = self.follower.command(now)
         self.reason = asked.reason
-        words: dict[str, Word] = {"commanded_curvature_per_m": 0.0, "command_status": "not_intended"}
-        if asked.wheel_angle is not None:
-            bend = math.tan(asked.wheel_angle) / self.follower.rig.wheelbase
-            words = {"commanded_curvature_per_m": bend, "command_status": "intended"}
-        return frames_of(COMMAND, encode(COMMAND, words), ADDRESS, STEERING)
+        if asked.wheel_angle is None:
+            return self.release()
+        bend = math.tan(asked.wheel_angle) / self.follower.rig.wheelbase
+        return _frames({"commanded_curvature_per_m": bend, "command_status": "intended"})
+
+    def release(self) -> list[tuple[int, bytes]]:
+        """Frames that let go of the steering."""
+        return _frames({"commanded_curvature_per_m": 0.0, "command_status": "not_intended"})
 
     def _body(self, body: BodyPose) -> Body | None:
         x, y, heading = body.x, body.y, body.heading
@@ -79,6 +82,10 @@ class Controller:
             return None
         north, east = self._shift
         return Body(x + north, y + east, heading, v, r, body.roll or 0.0)
+
+
+def _frames(words: dict[str, Word]) -> list[tuple[int, bytes]]:
+    return frames_of(COMMAND, encode(COMMAND, words), ADDRESS, STEERING)
 
 
 def _plane(origin_deg: tuple[float, float]) -> Transformer:

@@ -64,8 +64,7 @@ class Command(NamedTuple):
 
 @dataclass(slots=True)
 class Follower:
-    """Steers the implement's CG along the plan. `theta` is set by who hears estimates; the rest is its
-    own."""
+    """Steers the implement's CG along the plan. Who hears estimates sets `theta`; the rest is its own."""
 
     plan: Plan
     rig: Rig  # as the machine file believes it: the nominal parameters are its own

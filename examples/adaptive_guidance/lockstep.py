@@ -11,7 +11,7 @@ knowing   the true parameters under the axles at each moment
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 
 from tilth.adaptive_guidance.controller import LIMITS, STALE, Controller
 from tilth.adaptive_guidance.follower import PERIOD_S
-from tilth.adaptive_guidance.plan import STEP, Plan, Work, plan
+from tilth.adaptive_guidance.plan import STEP, Along, Plan, Work, plan
 from tilth.client import Limits
 from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.logger.fitting import Fitter
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.replay.live import LiveDriver
 from tilth.replay.receivers import ORIGIN_DEG
 from tilth.replay.scenario import STEP_S, Scenario
 from tilth.replay.tractor import Setting, Truth, drive
-from tilth.schemas.flow import Estimate, Frame, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -38,8 +37,8 @@ Array = NDArray[np.float64]
 FIRST_S: Final = 1.0  # of a run: poses come by then
 EVERY: Final = 10  # samples between two of an error
 
-Change = Callable[[Estimate], Estimate]
-"""What becomes of a recommended estimate on its way to the controller."""
+Told = list[tuple[float, Estimate]]
+"""(s of the run, recommended estimate)"""
 
 
 class NoFits:
@@ -59,7 +58,7 @@ class NoFits:
 class Heard:
     """What one run leaves behind besides the truth."""
 
-    estimates: list[tuple[float, Estimate]] = field(default_factory=list)  # (s, recommended)
+    estimates: Told = field(default_factory=list)
     theta: list[Array] = field(default_factory=list)  # (6,) in force at each command
     taken: int = 0  # commands
     refused: dict[str, int] = field(default_factory=dict)
@@ -73,9 +72,9 @@ class Loop:
     controller: Controller
     fold: GuardedFold
     mode: str
-    truth: Callable[[float], Array]  # parameters at a time, (6,)
+    truth: Callable[[float], Array]  # parameters at a time, as far as they are to be known, (6,)
     zero_ns: int  # of the run, on the frames' clock
-    alter: Change
+    told: Told  # instead of what the fold says
     heard: Heard = field(default_factory=Heard)
     _next: float = FIRST_S
     _last: tuple[float, Estimate] | None = None
@@ -87,8 +86,10 @@ class Loop:
                 if isinstance(value, Pose):
                     self.controller.pose(value, (value.t_ns - self.zero_ns) * 1e-9)
                 elif isinstance(value, Estimate) and publication.topic == "/soil_tire":
-                    self._last = now, self.alter(value)
+                    self._last = now, value
                     self.heard.estimates.append(self._last)
+        while self.told and self.told[0][0] <= now:
+            self._last = self.told.pop(0)
         if now < self._next - STEP_S / 2:
             return []
         self._next += PERIOD_S
@@ -109,10 +110,14 @@ def run(
     mode: str,
     *,
     limits: Limits = LIMITS,
-    alter: Change = lambda estimate: estimate,
-    fitter: Fitter | None = None,
+    known: Collection[str] = PARAMETERS,
+    told: Told | None = None,
 ) -> tuple[Plan, Truth, Heard]:
-    """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing."""
+    """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
+
+    known: what of the parameters who knows does know; he takes the rest for nominal. told: what is said to
+    who adapts, instead of what the fold finds.
+    """
     nominal = rig_of(machine)
     line = plan(work, nominal)
     assert isinstance(scenario.speed, float)
@@ -123,9 +128,9 @@ def run(
 
     def driver(setting: Setting) -> LiveDriver:
         controller = Controller(line, nominal, ORIGIN_DEG, limits)
-        fold = GuardedFold(machine, fitter=fitter if mode == "adapting" else NoFits())
-        soil = _soil(setting, controller, nominal)
-        loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, alter))
+        fold = GuardedFold(machine, fitter=None if mode == "adapting" and told is None else NoFits())
+        soil = _soil(setting, controller, nominal, known)
+        loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, list(told or ())))
         drivers.append(LiveDriver(machine, setting, loops[0]))
         return drivers[0]
 
@@ -136,28 +141,23 @@ def run(
     return line, truth, heard
 
 
-def _soil(setting: Setting, controller: Controller, nominal: Rig) -> Callable[[float], Array]:
+def _soil(
+    setting: Setting, controller: Controller, nominal: Rig, known: Collection[str]
+) -> Callable[[float], Array]:
     """The true parameters where the plan's tractor is: its CG's place counts for all axles."""
 
     def at(now: float) -> Array:
         follower = controller.follower
         x = np.zeros(13)
         x[:2] = follower.plan.tractor[min(round(follower.station), len(follower.plan.row) - 1), :2]
-        return np.asarray(setting.soil.at(now, x))
+        return np.where([name in known for name in PARAMETERS], setting.soil.at(now, x), nominal.theta)
 
     return at
 
 
 def cross_track(line: Plan, truth: Truth) -> tuple[Array, NDArray[np.int64]]:
     """(error of the implement's CG to the right of its line, m; sample of the plan), each EVERY samples."""
-    way = np.gradient(line.implement[:, :2], axis=0)
-    way /= np.hypot(way[:, 0], way[:, 1])[:, None]
-    k, errors, at = 0, [], []
-    for x, y in zip(truth.implement.x[::EVERY].tolist(), truth.implement.y[::EVERY].tolist(), strict=True):
-        first = max(k - 20, 0)
-        off = np.array([x, y]) - line.implement[first : k + 60, :2]
-        k = first + int(np.argmin(np.hypot(off[:, 0], off[:, 1])))
-        north, east = np.array([x, y]) - line.implement[k, :2]
-        errors.append(east * way[k, 0] - north * way[k, 1])
-        at.append(k)
+    along, track = Along(line), truth.implement
+    found = [along.error(x, y) for x, y in zip(track.x[::EVERY], track.y[::EVERY], strict=True)]
+    errors, at = zip(*found, strict=True)
     return np.array(errors), np.array(at)

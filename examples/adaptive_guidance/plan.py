@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 STEP: Final = 0.1  # m along the rear axle's path
 RAMP: Final = 8.0  # m over which the curvature of a turn comes and goes
+BACK, AHEAD = 20, 60  # samples of the plan in which an implement is looked for
 RUN_IN: Final = 15.0  # m of the next row in which the implement still swings into line: part of the turn
 
 
@@ -42,6 +43,25 @@ class Plan:
     wheel_angle: Array
     force: Array  # (n, 3): see `_forces`
     row: NDArray[np.int64]  # number of the row, from 0; -1 - k in the turn after row k
+
+
+class Along:
+    """Where an implement is along its line, asked for in the order of its way."""
+
+    def __init__(self, line: Plan) -> None:
+        self._line = line.implement[:, :2]
+        way = np.gradient(self._line, axis=0)
+        self._way = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+        self._at = 0
+
+    def error(self, x: float, y: float) -> tuple[float, int]:
+        """(how far its CG is to the right of the line, m; the nearest sample)."""
+        first = max(self._at - BACK, 0)
+        off = np.array([x, y]) - self._line[first : self._at + AHEAD]
+        nearest = int(np.argmin(np.hypot(off[:, 0], off[:, 1])))
+        self._at = first + nearest
+        north, east = self._way[self._at]
+        return float(off[nearest, 1] * north - off[nearest, 0] * east), self._at
 
 
 def plan(work: Work, rig: Rig) -> Plan:

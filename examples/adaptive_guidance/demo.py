@@ -1,0 +1,281 @@
+"""`tilth demo --guidance`: a controller that adapts, on the wires of a real rig, beside one that does not.
+
+virtual tractor ─CAN─► daemon ─Zenoh─► controller ─CAN─► the tractor's steering
+
+Three processes and two kinds of wires. The same field with fixed gains has been driven before, in lockstep;
+the implement's error of both is told row by row, as events, and drawn at the end.
+"""
+
+import contextlib
+import json
+import logging
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from tilth.adaptive_guidance.plan import STEP, Along, Plan, Work, plan
+from tilth.adaptive_guidance.study import (
+    PARTS,
+    SETTLED_S,
+    SPEED,
+    Driven,
+    draw,
+    driven,
+    middle,
+    packaged,
+    rms,
+    scenario_of,
+)
+from tilth.client.link import base_key, open_session
+from tilth.estimator.models.parameters import rig_of
+from tilth.logger.daemon import Display, Summary, run_daemon
+from tilth.logger.zenoh_session import free_endpoint
+from tilth.replay.demo import SIMULATED, DemoError, on_loopback
+from tilth.replay.receivers import ORIGIN_DEG
+from tilth.replay.scenario import as_json
+from tilth.replay.simulate import PACKAGED
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Event
+from tilth.schemas.machine import Machine, parse_machine
+
+WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
+STARTING_S: Final = 180.0
+TICK_S: Final = 0.1
+ENDING_S: Final = 30.0
+FIGURE: Final = "guidance.svg"
+
+
+@dataclass(frozen=True, slots=True)
+class Guided:
+    """What the demo gave."""
+
+    summary: Summary
+    fixed: Driven
+    adapting: Driven
+    commands: dict[str, Any]  # what became of them, as the tractor tells it
+    figure: Path | None
+
+
+def run_guidance(
+    seed: int,
+    log_folder: Path,
+    display: Display | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda text: None,
+    watch: Callable[[str], object] | None = None,
+    work: Work = WORK,
+) -> Guided:
+    """Drive the field in real time. Raises DemoError.
+
+    stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint.
+    """
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
+    say("driving the field with nominal gains first, faster than real time")
+    fixed = driven(packaged(), seed, "fixed", work)
+    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    with ExitStack() as ends:
+        rig = _Process("tilth.replay.live_rig")
+        ends.callback(rig.close)
+        text = on_loopback(text, _started(rig, text, seed, work, stop))
+        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
+        text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
+        machine = parse_machine(text)
+        if watch is not None:
+            watch(endpoint)
+        controller = _Process("tilth.adaptive_guidance", *_controller_arguments(machine, endpoint, work))
+        ends.callback(controller.close)
+        _first_fact(controller, stop, "the controller")
+        session = open_session(endpoint)
+        ends.callback(session.close)
+        base = base_key(machine.name, machine.zenoh.prefix, True)
+
+        def tell(event: Event) -> None:
+            if display is not None:
+                display.event(event)
+            channel = CHANNEL["/event"]
+            session.put(f"{base}/{channel.key}", channel.encode(event), encoding=channel.encoding)
+
+        watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, tell)
+        summary = run_daemon(
+            machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, status=display,
+            stop=lambda: watching.over(stop()),
+        )  # fmt: skip
+    if not watching.end:
+        files = " ".join(str(path) for path in summary.log_files)
+        raise DemoError(f"the tractor ended before its run; what came until then is in {files}")
+    figure = None
+    adapting = watching.driven()
+    if len(adapting.time) and summary.log_files:
+        figure = summary.log_files[0].with_name(FIGURE)
+        draw({"fixed": fixed, "adapting": adapting}, figure)
+    return Guided(summary, fixed, adapting, watching.end, figure)
+
+
+class _Process:
+    """A second process that tells lines of JSON. Ctrl-C in the terminal is not for it."""
+
+    def __init__(self, module: str, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
+        assert self._process.stdout is not None
+        os.set_blocking(self._process.stdout.fileno(), False)
+        self._heard = b""
+
+    @property
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def order(self, fact: dict[str, Any]) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(fact).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def facts(self) -> list[dict[str, Any]]:
+        """What it has told since the last call."""
+        assert self._process.stdout is not None
+        self._heard += self._process.stdout.read() or b""
+        *lines, self._heard = self._heard.split(b"\n")
+        return [json.loads(line) for line in lines]
+
+    def close(self) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
+        self._process.terminate()
+        self._process.stdout.close()
+        self._process.wait(ENDING_S)
+
+
+def _started(rig: _Process, text: str, seed: int, work: Work, stop: Callable[[], bool]) -> int:
+    """The port of its bus."""
+    machine = packaged()
+    line = plan(work, rig_of(machine))
+    scenario = replace(scenario_of(machine, work), other_traffic=False)
+    rig.order(
+        {"machine_text": text, "seed": seed, "seconds": len(line.row) * STEP / SPEED + 3.0,
+         "scenario": as_json(scenario), "listeners": 2}
+    )  # fmt: skip
+    return int(_first_fact(rig, stop, "the tractor")["port"])
+
+
+def _first_fact(process: _Process, stop: Callable[[], bool], name: str) -> dict[str, Any]:
+    """Waits for it. Raises DemoError."""
+    for _ in range(round(STARTING_S / TICK_S)):
+        told = process.facts()
+        if told:
+            return told[0]
+        if stop():
+            raise DemoError("stopped before it began")
+        if not process.alive:
+            break
+        time.sleep(TICK_S)
+    raise DemoError(f"{name} did not start; what it said stands above")
+
+
+def _controller_arguments(machine: Machine, endpoint: str, work: Work) -> list[str]:
+    server = machine.bus[0].options
+    origin = [str(degrees) for degrees in ORIGIN_DEG]
+    return [
+        "--machine", machine.name, "--prefix", machine.zenoh.prefix, "--connect", endpoint, "--replay",
+        "--interface", "socketcand", "--host", str(server["host"]), "--port", str(server["port"]),
+        "--origin", *origin, "--rows", str(work.rows), "--length", str(work.length),
+        "--spacing", str(work.spacing), "--radius", str(work.radius),
+    ]  # fmt: skip
+
+
+@dataclass(slots=True)
+class _Watching:
+    """Reads what tractor and controller tell, ten times a second, and says how each row went."""
+
+    rig: _Process
+    controller: _Process
+    line: Plan
+    middle: float
+    fixed: Driven
+    tell: Callable[[Event], None]
+    end: dict[str, Any] = field(default_factory=dict)  # the tractor's last words
+    _rows: list[tuple[float, float, int, bool]] = field(default_factory=list)
+    _along: Along = field(init=False)
+    _told_to_stop: bool = False
+    _silent: bool = False
+    _reason: str = ""
+
+    def __post_init__(self) -> None:
+        self._along = Along(self.line)
+
+    def over(self, early: bool) -> bool:
+        """Whether the run has ended; early: end it."""
+        if self.end or not self.rig.alive:
+            return True
+        if early and not self._told_to_stop:
+            self._told_to_stop = True
+            self.rig.order({"stop": True})
+        for fact in self.rig.facts():
+            if "sent" in fact:
+                self.end = fact
+            elif "implement" in fact:
+                self._take(fact["at_s"], *fact["implement"])
+        self._hear_controller()
+        return False  # once more round: what was sent last is still to be read
+
+    def driven(self) -> Driven:
+        columns = list(zip(*self._rows, strict=True)) or [(), (), (), ()]
+        time, error, row, after = columns
+        return Driven(np.array(time), np.array(error), np.array(row, np.int64), np.array(after, bool), [])
+
+    def _take(self, at_s: float, x: float, y: float) -> None:
+        error, sample = self._along.error(x, y)
+        row = int(self.line.row[sample])
+        if self._rows and row != self._rows[-1][2]:
+            self._say_how(self._rows[-1][2])
+        self._rows.append((at_s, error, row, y > self.middle))
+
+    def _say_how(self, row: int) -> None:
+        ours = [error for at, error, of, _ in self._rows if of == row and at > SETTLED_S]
+        theirs = self.fixed.error[(self.fixed.row == row) & (self.fixed.time > SETTLED_S)]
+        if ours and len(theirs):
+            where = f"row {row + 1}" if row >= 0 else f"turn after row {-row}"
+            mine, other = (100 * math.sqrt(np.mean(np.square(values))) for values in (ours, theirs))
+            self._event(f"{where}: implement off by {mine:.1f} cm RMS, {other:.1f} cm with fixed gains")
+
+    def _hear_controller(self) -> None:
+        if not self.controller.alive and not self._silent and not self.end:
+            self._silent = True
+            self._event("the controller has ended: the wheels stay, the driver brakes")
+        for fact in self.controller.facts():
+            if fact["reason"] != self._reason:
+                self._reason = fact["reason"]
+                why = f"does not steer: {self._reason}" if self._reason else "steers"
+                self._event(f"the controller {why}")
+
+    def _event(self, text: str) -> None:
+        self.tell(Event(time.time_ns(), "guidance", text))
+
+
+def table(guided: Guided) -> Table:
+    """Both controllers' errors, for a terminal."""
+    shown = Table(title="Implement off its line, RMS, cm", title_justify="left")
+    shown.add_column("gains")
+    for after, turn in PARTS:
+        where = f"{'turns' if turn else 'rows'}, {'soft soil' if after else 'as planned'}"
+        shown.add_column(where, justify="right")
+    for name, one in (("fixed", guided.fixed), ("adapting", guided.adapting)):
+        errors = [rms([one], *part) for part in PARTS]
+        shown.add_row(name, *("" if math.isnan(error) else f"{100 * error:.1f}" for error in errors))
+    return shown

@@ -1,0 +1,198 @@
+"""What live parameters are worth to guidance: `uv run python -m tilth.adaptive_guidance.study`.
+
+A field is driven in lockstep by controllers that differ only in what they know of the soil, which is as the
+machine file has it on the first half and 40 % softer on the second. Everything is from fixed seeds. Prints
+the tables of docs/guidance.md and writes its figure.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tilth.adaptive_guidance.lockstep import EVERY, Told, cross_track, run
+from tilth.adaptive_guidance.plan import Work
+from tilth.estimator.models.parameters import rig_of
+from tilth.replay.scenario import STEP_S, Change, Ground, Scenario, Soil
+from tilth.schemas.flow import PARAMETERS, Estimate, Status
+from tilth.schemas.machine import Machine, parse_machine
+
+Array = NDArray[np.float64]
+
+SEEDS: Final = (1, 2, 3)
+WORK: Final = Work(rows=8, length=120.0, spacing=54.0, radius=20.0)
+SPEED: Final = 4.5  # m/s
+SOFTER: Final = 0.6
+SETTLED_S: Final = 10.0  # of the start that do not count
+WRONG_SD: Final = 3.0
+KNOWN: Final = {
+    "fixed": (),
+    "stiffness of the tractor's front axle": ("C_af",),
+    "of its rear axle": ("C_ar",),
+    "of both": ("C_af", "C_ar"),
+    "of the implement": ("C_ai",),
+}
+MODES: Final = ("fixed", "adapting", "knowing")
+COLOURS: Final = {"fixed": "#c0392b", "adapting": "#2471a3", "knowing": "#7f8c8d"}
+
+
+class Driven(NamedTuple):
+    """One run: the implement's error over time."""
+
+    time: Array  # s, (n,)
+    error: Array  # m, (n,)
+    row: NDArray[np.int64]  # of the plan there, below zero in a turn
+    after: NDArray[np.bool_]  # whether the implement is on the soft half
+    estimates: Told
+
+
+def packaged() -> Machine:
+    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
+    return parse_machine(file.read_text(encoding="utf-8"))
+
+
+def scenario_of(machine: Machine, work: Work) -> Scenario:
+    """Nominal soil, from half of the field on softer; ground that rolls and pushes."""
+    nominal = dict(zip(PARAMETERS, rig_of(machine).theta.tolist(), strict=True))
+    soft = Change(
+        north=0.0, east=middle(work), towards_deg=90.0, C_af=SOFTER, C_ar=SOFTER, C_ai=SOFTER
+    )  # fmt: skip
+    soil = Soil(parameters=nominal, changes=(soft,))  # type: ignore[arg-type]
+    return Scenario(speed=SPEED, soil=soil, ground=Ground(roll_sd_deg=0.5, force_sd=0.01))
+
+
+def middle(work: Work) -> float:
+    """Where the soil changes: half-way between two rows, m east."""
+    return (work.rows - 1) / 2 * work.spacing
+
+
+def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> Driven:
+    """options: of lockstep.run. Raises RuntimeError where a run did not come to its end."""
+    line, truth, heard = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
+    if heard.refused or heard.ended != "the plan is done":
+        raise RuntimeError(f"the steering refused {heard.refused}; the run ended: {heard.ended}")
+    error, at = cross_track(line, truth)
+    east = truth.implement.y[::EVERY]
+    return Driven(truth.time[::EVERY], error, line.row[at], east > middle(work), heard.estimates)
+
+
+def rms(runs: Iterable[Driven], after: bool, turn: bool) -> float:
+    """Of all samples of runs, m; not a number where there are none."""
+    squares = [
+        r.error[(r.time > SETTLED_S) & (r.after == after) & ((r.row < 0) == turn)] ** 2 for r in runs
+    ]  # fmt: skip
+    every = np.concatenate(squares)
+    return float(np.sqrt(np.mean(every))) if len(every) else np.nan
+
+
+PARTS: Final = ((False, False), (False, True), (True, False), (True, True))
+"""(after, turn)"""
+
+
+def wrong(told: Told, machine: Machine, changed_s: float, direction: int, sign: float) -> Told:
+    """Estimates that are off the truth by WRONG_SD along a principal direction of their own covariance.
+
+    changed_s: from when on they speak of the soft soil.
+    """
+    nominal = np.log(rig_of(machine).theta)
+    moved = []
+    for at, estimate in told:
+        if estimate.log_covariance and all(p.status is Status.ESTIMATED for p in estimate.parameters):
+            truth = nominal + (np.log([SOFTER] * 3 + [1.0] * 3) if at > changed_s else 0.0)
+            variances, axes = np.linalg.eigh(np.reshape(estimate.log_covariance, (6, 6)))
+            off = sign * WRONG_SD * np.sqrt(variances[direction]) * axes[:, direction]
+            estimate = _with(estimate, np.exp(truth + off))
+        moved.append((at, estimate))
+    return moved
+
+
+def _with(estimate: Estimate, values: Array) -> Estimate:
+    rows = zip(estimate.parameters, values.tolist(), strict=True)
+    return replace(estimate, parameters=tuple(replace(p, value=v) for p, v in rows))
+
+
+def learned_s(told: Told, machine: Machine) -> float:
+    """When an estimate first spoke of the soft soil: its C_af and C_ar below the middle of both soils."""
+    half = np.sqrt(SOFTER) * rig_of(machine).theta
+    for at, estimate in told:
+        values = [p.value for p in estimate.parameters[:2]]
+        if all(v is not None and v < h for v, h in zip(values, half, strict=False)):
+            return at
+    return np.inf
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--figure", type=Path, help="write the figure here")
+    parser.add_argument("--part", choices=("main", "known", "wrong"), help="only this table")
+    told = parser.parse_args()
+    machine = packaged()
+    runs: dict[str, list[Driven]] = {mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]}
+    _say("| RMS of the implement's error, cm | rows before | turns before | rows after | turns after |")
+    _say("|---|---|---|---|---|")
+    for name in MODES[::2]:
+        _line(name, runs[name])
+    if told.part in (None, "main", "wrong"):
+        runs["adapting"] = [driven(machine, s, "adapting") for s in SEEDS]
+        _line("adapting", runs["adapting"])
+    if told.part in (None, "known"):
+        for name, known in KNOWN.items():
+            if known:
+                _line(f"knows only the {name}", [driven(machine, s, "knowing", known=known) for s in SEEDS])
+    if told.part in (None, "wrong"):
+        _wrong_table(machine, runs)
+    if told.figure and "adapting" in runs:
+        draw({mode: runs[mode][0] for mode in MODES}, told.figure)
+
+
+def _wrong_table(machine: Machine, runs: dict[str, list[Driven]]) -> None:
+    heard, fixed = runs["adapting"][0].estimates, [runs["fixed"][0]]
+    changed = learned_s(heard, machine)
+    _say(f"\nEstimates off by {WRONG_SD:g} sd, seed {SEEDS[0]}; error over that with nominal gains:\n")
+    _say("| direction | rows before | turns before | rows after | turns after |\n|---|---|---|---|---|")
+    for direction in range(6):
+        for sign in (1.0, -1.0):
+            told = wrong(heard, machine, changed, direction, sign)
+            made = [driven(machine, SEEDS[0], "adapting", told=told)]
+            ratios = [rms(made, *part) / rms(fixed, *part) for part in PARTS]
+            cells = " | ".join(f"{ratio:.2f}" for ratio in ratios)
+            _say(f"| {direction + 1}{'+' if sign > 0 else '-'} | {cells} |")
+
+
+def _line(name: str, runs: list[Driven]) -> None:
+    _say(f"| {name} | " + " | ".join(f"{100 * rms(runs, *part):.1f}" for part in PARTS) + " |")
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def draw(runs: dict[str, Driven], path: Path) -> None:
+    """The implement's error over time, one line for each controller; turns are shaded."""
+    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for name, one in runs.items():
+        axes.plot(one.time, 100 * one.error, color=COLOURS[name], label=name, linewidth=1.0)
+    first = next(iter(runs.values()))
+    turn = np.concatenate([[0], (first.row < 0).astype(int), [0]])
+    for begin, end in zip(np.flatnonzero(np.diff(turn) > 0), np.flatnonzero(np.diff(turn) < 0), strict=True):
+        axes.axvspan(begin * EVERY * STEP_S, end * EVERY * STEP_S, color="#eeeeee", linewidth=0)
+    changed = float(first.time[np.argmax(first.after)])
+    axes.axvline(changed, color="black", linewidth=0.8, linestyle="--")
+    axes.annotate(" soil 40 % softer", (changed, axes.get_ylim()[1]), va="top")
+    axes.set(xlabel="time, s (turns shaded)", ylabel="implement off its line, cm")
+    axes.margins(x=0.0)
+    axes.legend(loc="upper left", frameon=False, ncols=3)
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""The controller's wires: poses and estimates from a daemon over Zenoh, commands to a CAN bus."""
+
+import math
+import queue
+import time
+from collections import Counter
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Final, Self
+
+import can
+import zenoh
+
+from tilth.adaptive_guidance.controller import STALE
+from tilth.client import Client, HeardRig, Latest
+from tilth.client.link import base_key, open_session
+from tilth.client.received import Refused, parse
+from tilth.schemas.flow import BodyPose, Pose
+from tilth.schemas.proto import tilth_pb2 as pb
+
+WAITING: Final = 32  # poses that may wait for the loop; older ones are dropped
+_BODY: Final = tuple(BodyPose.__dataclass_fields__)
+
+
+def pose_of(data: bytes, encoding: str) -> Pose:
+    """What came as a pose; numbers that are none are left out. Raises Refused."""
+    message = parse(pb.Pose, data, encoding)
+    origin = message.origin_latitude_deg, message.origin_longitude_deg
+    if message.t_ns == 0 or not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0):
+        raise Refused("a pose without a time or a place")
+    return Pose(
+        message.t_ns, *origin, _body(message.tractor), _body(message.implement),
+        _number(message, "articulation"), _number(message, "sd_articulation"),
+        _number(message, "wheel_angle"), _number(message, "sd_wheel_angle"),
+        message.direction, None, message.sd_time, message.receivers, tuple(message.flags),
+    )  # fmt: skip
+
+
+def _body(message: pb.BodyPose) -> BodyPose:
+    return BodyPose(*(_number(message, name) for name in _BODY))
+
+
+def _number(message: pb.Pose | pb.BodyPose, name: str) -> float | None:
+    if not message.HasField(name):
+        return None
+    value = float(getattr(message, name))
+    return value if math.isfinite(value) else None
+
+
+class Wires:
+    """One daemon and one bus. `now` is the daemon's clock where it runs on the same computer, or where both
+    computers' clocks are set alike when they start."""
+
+    def __init__(self, machine: str, *, endpoint: str, prefix: str = "tilth", replay: bool = False) -> None:
+        """Raises ValueError in a person's words."""
+        self._base = base_key(machine, prefix, replay)
+        self._bus: can.BusABC | None = None
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._poses: queue.Queue[Pose] = queue.Queue(WAITING)
+        self._refused: Counter[str] = Counter()
+        self._session = open_session(endpoint)
+        self._client = Client(self._session, self._base, "", STALE)
+        self._session.declare_subscriber(f"{self._base}/pose", self._take)
+
+    @property
+    def rig(self) -> HeardRig | None:
+        """What the daemon says of the machine; None until it has been heard."""
+        return self._client.rig
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """What came and could not be used, and commands that the bus did not take."""
+        return dict(self._refused + Counter(self._client.refused))
+
+    def now(self) -> float:
+        """s, on the clock of the poses."""
+        return (time.monotonic_ns() + self._offset_ns) * 1e-9
+
+    def latest(self) -> Latest:
+        return self._client.latest()
+
+    def poses(self) -> Iterable[Pose]:
+        """Those that came since the last call."""
+        while not self._poses.empty():
+            yield self._poses.get()
+
+    def command_on(self, bus: can.BusABC) -> None:
+        """Send commands there from now on; it is shut down with the wires."""
+        self._bus = bus
+
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> None:
+        """What the bus does not take is counted; the steering lets go when nothing comes."""
+        if self._bus is None:
+            return
+        for can_id, data in frames:
+            try:
+                self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=True), 0.05)
+            except can.CanError as error:
+                self._refused[f"a command was not sent: {error}"[:120]] += 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
+        if self._bus is not None:
+            self._bus.shutdown()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """In a thread of Zenoh's."""
+        try:
+            if str(sample.key_expr) != f"{self._base}/pose" or sample.kind != zenoh.SampleKind.PUT:
+                raise Refused("not sent to this machine's pose alone")
+            pose = pose_of(sample.payload.to_bytes(), str(sample.encoding))
+        except Refused as error:
+            self._refused[str(error)] += 1
+            return
+        if self._poses.full():
+            self._poses.get()
+        self._poses.put(pose)

@@ -1,0 +1,124 @@
+"""The virtual tractor in real time on a bus: real processes, a real socket, good commands and bad ones."""
+
+import json
+import math
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from tilth.adaptive_guidance.demo import run_guidance, table
+from tilth.adaptive_guidance.plan import Work
+from tilth.logger.daemon import NoDisplay
+from tilth.replay.readers import frames
+from tilth.replay.scenario import Scenario, as_json, from_json
+from tilth.replay.steering import COMMAND, REFUSALS
+from tilth.schemas.can_id import split
+from tilth.schemas.decode import encode, frames_of
+from tilth.schemas.flow import Event, Word
+
+QUIET = Scenario(speed=3.0, other_traffic=False, speed_sd=0.0)
+
+
+def packaged() -> str:
+    return resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text("utf-8")
+
+
+def test_a_scenario_goes_to_another_process_and_comes_back() -> None:
+    assert from_json(as_json(QUIET)) == QUIET
+
+
+@pytest.fixture
+def rig() -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tilth.replay.live_rig"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(20.0) == 0
+
+
+def order(rig: subprocess.Popen[bytes], seconds: float) -> int:
+    fact = {
+        "machine_text": packaged(),
+        "seed": 1,
+        "seconds": seconds,
+        "scenario": as_json(QUIET),
+        "listeners": 1,
+    }
+    assert rig.stdin is not None
+    rig.stdin.write(json.dumps(fact).encode() + b"\n")
+    rig.stdin.flush()
+    return int(told(rig)["port"])
+
+
+def told(rig: subprocess.Popen[bytes]) -> dict[str, Any]:
+    assert rig.stdout is not None
+    return dict(json.loads(rig.stdout.readline()))
+
+
+def command(angle_deg: float, source: int) -> can.Message:
+    bend = math.tan(math.radians(angle_deg)) / 2.9
+    words: dict[str, Word] = {"commanded_curvature_per_m": bend, "command_status": "intended"}
+    ((can_id, data),) = frames_of(COMMAND, encode(COMMAND, words), source, 0xF0)
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=True)
+
+
+def test_it_obeys_one_of_two_controllers_refuses_what_it_cannot_do_and_outlives_rubbish(
+    rig: subprocess.Popen[bytes],
+) -> None:
+    port = order(rig, 2.5)
+    with (
+        can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0") as bus,
+        socket.create_connection(("127.0.0.1", port)) as rubbish,
+        socket.create_connection(("127.0.0.1", port)) as endless,
+    ):
+        assert bus.recv(10.0) is not None
+        rubbish.sendall(
+            b"< send >< send zz 1 0 >< send 1F 9 0 >< send 1CADF01C 2 fff 0 >< send FFFFFFFF 0 >>><"
+        )
+        endless.sendall(b"x" * 10_000)
+        for sent in (command(2.0, 0x1C), command(50.0, 0x1C), command(1.0, 0x2A), command(30.0, 0x1C)):
+            bus.send(sent)
+        bus.send(can.Message(arbitration_id=command(0.0, 0x1C).arbitration_id, data=b"", is_extended_id=True))
+        places = []
+        while "sent" not in (fact := told(rig)):
+            places.append(fact["implement"])
+    wanted = ("beyond_limit", "another_controller", "too_fast", "short_frame")
+    assert fact["refused"] == {REFUSALS[name]: 1 for name in wanted}
+    assert (fact["commands"], fact["let_go"], fact["no_frame"], fact["stopped"]) == (1, 1, 5, False)
+    assert len(places) == 25
+    assert 2.0 < places[-1][0] - places[0][0] < 7.0
+
+
+class Heard(NoDisplay):
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def event(self, event: Event) -> None:
+        self.told.append(event.text)
+
+
+def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(tmp_path: Path) -> None:
+    display = Heard()
+    guided = run_guidance(1, tmp_path, display, work=Work(rows=1, length=20.0))
+    assert guided.commands["refused"] == {}
+    assert guided.commands["commands"] >= 5  # a busy computer is late
+    assert "the controller steers" in display.told
+    assert np.abs(guided.adapting.error).max() < 0.3
+    assert guided.figure is not None and guided.figure.exists()
+    assert table(guided).row_count == 2
+    (log,) = guided.summary.log_files
+    read = list(frames(log))
+    assert len(read) == guided.summary.recorded
+    wishes = [frame for frame in read if frame.extended and split(frame.can_id).pgn == COMMAND]
+    assert len(wishes) >= guided.commands["commands"]
