@@ -30,7 +30,7 @@ SIZES: dict[str, dict[str, Any]] = {
     "phone": {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True},
 }
 MOUNTS = ("Tractor front", "Tractor rear", "Implement front", "Implement rear", "Wheel angle")
-SOON_MS = 20_000
+SOON_MS = 60_000  # a busy computer takes its time; a quiet one does not wait
 COLOURS_OF_THE_MAP = """(() => {
     const map = document.querySelector("#map"), seen = new Set();
     const dots = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
