@@ -1,0 +1,226 @@
+"""One run of each row of estimation.py: functions of a seed, for processes of their own."""
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import plain_filterpy
+import plain_least_squares
+import plain_statsmodels
+from numpy.typing import NDArray
+
+from tilth.estimator import likelihood, pem, unknowns
+from tilth.estimator.estimators import ROW
+from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.record import Stretch
+from tilth.estimator.unknowns import AT, NOISE, SIX
+from tilth.estimator.windows import WINDOW
+from tilth.logger.fitting import ONE_THREAD
+from tilth.replay.simulate import PACKAGED
+from tilth.replay.studies import estimation, linear_plant
+from tilth.replay.studies.estimation import Case, Fitted, Followed
+from tilth.schemas.flow import Pose
+from tilth.schemas.machine import Machine, parse_machine
+
+Array = NDArray[np.float64]
+
+ROW_WINDOWS = 6
+ROW_DEGREES = 1.8  # 0.4 degrees root mean square
+ROUNDS = 7
+
+COLD = """
+import pickle, sys, time
+began = time.perf_counter()
+from tilth.estimator import pem
+machine, job = pickle.load(open(sys.argv[1], "rb"))
+imported = time.perf_counter()
+pem.fit(machine, job)
+print(imported - began, time.perf_counter() - imported)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A fit of one record of the linear plant; logarithms, shapes (6,)."""
+
+    error: Array
+    sd: Array
+    bound: Array
+    steps: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """What one way of estimating gave of one record."""
+
+    error: Array
+    sd: Array
+    seconds: float
+
+
+@cache
+def machine() -> Machine:
+    """The packaged one."""
+    return parse_machine(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
+
+
+def linear(kind: str, seconds: float, seed: int) -> Linear:
+    run = linear_plant.plant(rig_of(machine()), seed, kind, seconds)
+    mean, covariance = linear_plant.prior(machine())
+    found = likelihood.find(linear_plant.record_of(run), linear_plant.rigging(machine()), mean, covariance)
+    return Linear(
+        found.mean[SIX] - np.log(run.rig.theta),
+        np.sqrt(np.diag(found.covariance)[SIX]),
+        np.sqrt(np.diag(linear_plant.bound(run, covariance))),
+        found.iterations,
+        found.converged,
+    )
+
+
+def merged_rows(seconds: float, seed: int) -> Linear:
+    """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
+    first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
+    told, (mean, before) = linear_plant.rigging(machine()), linear_plant.prior(machine())
+    noise, covariance = before[NOISE, NOISE], before
+    chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
+    whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
+    for k in range(ROW_WINDOWS):
+        again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
+        run = again._replace(rig=first.rig, zero=first.zero)
+        found = likelihood.find(linear_plant.record_of(run), told, mean, covariance)
+        mean, covariance = found.mean, found.covariance.copy()
+        last = covariance
+        covariance[NOISE, :] = covariance[:, NOISE] = 0.0
+        covariance[NOISE, NOISE] = noise
+        mean[NOISE] = linear_plant.prior(machine())[0][NOISE]
+        whole = whole + linear_plant.information(run)
+        steps, converged = steps + found.iterations, converged and found.converged
+    bound = np.sqrt(np.diag(np.linalg.inv(whole))[SIX])
+    sd = np.sqrt(np.diag(last)[SIX])
+    return Linear(mean[SIX] - np.log(first.rig.theta), sd, bound, steps, converged)
+
+
+def window(case: Case, count: int, length: int, seed: int) -> Fitted | None:
+    return estimation.window_of(machine(), case, seed, count, length)
+
+
+def mean_bound(case: Case, made: list[Fitted]) -> Array:
+    """Of the mean information of the runs, (6,)."""
+    information = np.mean([m.information for m in made], axis=0)
+    return estimation.bound_of(information, case.believed(machine()))
+
+
+def trajectory(case: Case, length: int, seed: int) -> tuple[float, ...] | None:
+    return estimation.trajectory_error(machine(), case, seed, length)
+
+
+def follow(case: Case, seed: int) -> Followed:
+    return estimation.followed(estimation.driven(machine(), case, seed))
+
+
+# Plain alternatives, on the same record.
+
+
+def plain(seconds: float, seed: int) -> dict[str, Plain]:
+    """Each way on one record of the linear plant, random steering."""
+    run = linear_plant.plant(rig_of(machine()), seed, "random", seconds)
+    record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(machine())
+    told, sd = linear_plant.rigging(machine()), np.sqrt(np.diag(covariance))
+    y, wheel = record.rows[:, 4].reshape(-1, 4), record.ticks[:, 0]
+    sds = np.repeat(linear_plant.SDS, 2)
+    white = linear_plant.white(rig_of(machine()))
+    noise_mean = [*np.log(white), *np.log(linear_plant.SDS)]
+    noise_sd = [*sd[NOISE][:3], sd[AT["s_yaw_rate"]], sd[AT["s_position"]]]
+    data = (y, wheel, told.geometry, linear_plant.SPEED)
+
+    def own() -> tuple[Array, Array]:
+        found = likelihood.find(record, told, mean, covariance)
+        return found.mean[SIX], np.sqrt(np.diag(found.covariance)[SIX])
+
+    ways: dict[str, Callable[[], tuple[Array, Array]]] = {
+        "tilth": own,
+        "scipy least_squares, output error": lambda: plain_least_squares.fit(*data, mean[:7], sd[:7], sds),
+        "statsmodels MLEModel": lambda: plain_statsmodels.fit(
+            *data, np.append(mean[:7], noise_mean), np.append(sd[:7], noise_sd)
+        ),
+        "filterpy EKF, noise levels known": lambda: plain_filterpy.track(
+            *data, (mean[:7], sd[:7]), (white, sds)
+        ),
+    }
+    own()  # compiled
+    truth, made = np.log(run.rig.theta), {}
+    for name, way in ways.items():
+        began = time.perf_counter()
+        logs, sd_logs = way()
+        made[name] = Plain(logs - truth, sd_logs, time.perf_counter() - began)
+    return made
+
+
+# Times.
+
+
+def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, ...]]]:
+    """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
+    case, length = estimation.HELD_OUT, round(WINDOW * scale)
+    run = estimation.driven(machine(), case, 1, max(40.0 * scale, 12.0))
+    given = estimation.poses_and_stretches(run)
+    record = estimation.windows([stretch for _, stretch in given if stretch is not None], length)[0]
+    mean, sd = unknowns.prior(machine())
+    job = pem.Job(0, 0, record, mean, np.diag(sd**2))
+    pem.fit(machine(), job)
+    fit = best(lambda: pem.fit(machine(), job))
+    linear_run = linear_plant.plant(rig_of(machine()), 1, "random", 30.0 * scale)
+    own, first = linear_plant.record_of(linear_run), linear_plant.prior(machine())
+    known = best(lambda: likelihood.find(own, linear_plant.rigging(machine()), *first))
+    imported, cold = _cold(job)
+    rows = [
+        ("fit of a window at 50 Hz, all nuisances", f"{1e3 * fit:.0f} ms", "≤ 150 ms", fit <= 0.15, (fit,)),
+        ("fit of the linear plant, 12 unknowns", f"{1e3 * known:.0f} ms", "", None, (known,)),
+        ("first fit of a new process, code kept on disk", f"{cold:.2f} s (import {imported:.2f} s)", "≤ 2 s",
+         cold + imported <= 2.0, (cold, imported)),
+    ]  # fmt: skip
+    if "tracker" in ROW:
+        update = best(lambda: _track(given)) / (10 * len(given))
+        rows.append(("tracker, per update of 20 ms", f"{1e6 * update:.1f} µs", "≤ 15 µs", update <= 15e-6,
+                     (update,)))  # fmt: skip
+    return rows
+
+
+def _track(given: list[tuple[Pose, Stretch | None]]) -> None:
+    row = ROW["tracker"]
+    state = row.initial(machine())
+    for pose, stretch in given:
+        row.take(state, machine(), pose, stretch)
+
+
+def best(way: Callable[[], object]) -> float:
+    """Seconds, the least of ROUNDS."""
+    times = []
+    for _ in range(ROUNDS):
+        began = time.perf_counter()
+        way()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def _cold(job: pem.Job) -> tuple[float, float]:
+    """(import, fit) of a new process, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "job"
+        path.write_bytes(pickle.dumps((machine(), job)))
+        made = subprocess.run(
+            [sys.executable, "-c", COLD, str(path)],
+            env={**os.environ, **ONE_THREAD}, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    imported, first = map(float, made.stdout.split())
+    return imported, first
