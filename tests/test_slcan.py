@@ -135,8 +135,10 @@ def test_an_adapters_stamps_are_used_over_their_wrap(adapter: Adapter, line: Ope
 def test_the_adapters_flags_are_errors(adapter: Adapter, line: Open) -> None:
     for flags in (b"F00\r", b"F09\r", b"F24\r", b"F04\r", b"F00\r"):
         adapter.say(flags)
-    line.take()
     health = line.tally.health
+    until = time.monotonic() + 5.0
+    while health.counts.get("recovered", 0) == 0 and time.monotonic() < until:
+        line.take()
     assert health.counts == {"overrun": 1, "passive": 1, "warning": 1, "recovered": 1}
     assert health.state == "active" and health.problem == ""
 

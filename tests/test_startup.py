@@ -261,7 +261,8 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     state = fold.initial(MACHINE)
     fold.go_on(state, learned_before(), 0.0, rows[0].t_ns)
     out = [p.value for row in rows for p in fold.step(state, row)]
-    events = [value for value in out if isinstance(value, Event)]
+    # Until it is found, one method or another may well disagree.
+    events = [value for value in out if isinstance(value, Event) and value.kind != "disagreement"]
     assert [(e.kind, who(e.text)) for e in events] == [(startup.SMOOTHED, m.value) for m in IMPLEMENT]
     assert all(e.latitude_deg is not None and "turn its smoothing off" in e.text for e in events)
     found = out.index(events[0])
