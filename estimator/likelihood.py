@@ -151,7 +151,9 @@ def errors(search: Search, points: Array, modes: Array) -> tuple[Array, Array]:
 
 def _cost(search: Search, point: Array, e: Array, s: Array) -> float:
     off = (point - search.prior_mean)[search.active]
-    return float(0.5 * np.sum(e * e / s + np.log(s)) + 0.5 * off @ search.prior_information @ off)
+    with np.errstate(all="ignore"):  # a step too far is no number, and is not taken
+        fit = 0.5 * np.sum(e * e / s + np.log(s))
+        return float(fit + 0.5 * off @ search.prior_information @ off)
 
 
 def search_of(record: Record, rigging: Rigging, mean: Array, covariance: Array) -> Search:

@@ -15,6 +15,14 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile once, before two processes and what they start would each do it."""
+    if getattr(session.config.option, "numprocesses", None):
+        command = "from logs import MACHINE; from tilth.estimator import pem, tracker; "
+        command += "tracker.prepare(MACHINE); pem.rehearse(MACHINE)"
+        subprocess.run([sys.executable, "-c", command], cwd=Path(__file__).parent, check=True)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--refresh", action="store_true", help="write the golden files anew instead of comparing"

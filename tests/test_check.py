@@ -187,5 +187,7 @@ def test_a_reader_that_leaves_does_not_change_the_exit_status(tmp_path: Path) ->
     code = 'import sys; sys.modules["asammdf"] = None; from tilth.cli import main; raise SystemExit(main())'
     words = [sys.executable, "-c", code, "run", str(file), "--no-zenoh", "--seconds", "0.2"]
     with os.fdopen(writing, "wb") as gone:
-        ended = subprocess.run(words, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=120, check=False)
+        ended = subprocess.run(
+            words, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+        )
     assert (ended.returncode, ended.stderr) == (1, "")

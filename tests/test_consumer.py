@@ -21,7 +21,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def consumer() -> Path:
     """CARGO_TARGET_DIR, where it is set, keeps what was built for the next time."""
-    command = ["cargo", "build", "--release", "--locked", "--message-format=json"]
+    command = ["cargo", "build", "--locked", "--message-format=json"]
     built = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr[-3000:]
     (last,) = (line for line in built.stdout.splitlines() if '"executable":"' in line)
