@@ -405,7 +405,7 @@ def main() -> None:
     unknown = set(args.row) - {row.name for row in ROWS}
     if unknown or (args.runs or 1) < 1 or args.processes < 1:
         parser.error(f"no such row: {', '.join(sorted(unknown))}" if unknown else "give numbers above zero")
-    os.environ.update(ONE_THREAD)  # of the processes that are started below
+    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
     console = Console(width=None if Console().is_terminal else 150)
     console.print(f"{os.cpu_count()} cores, {args.processes} processes, Python {platform.python_version()}")
     told = []

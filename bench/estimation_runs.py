@@ -91,22 +91,21 @@ def merged_rows(seconds: float, seed: int) -> Linear:
     """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
     first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
     told, (mean, before) = linear_plant.rigging(machine()), linear_plant.prior(machine())
-    noise, covariance = before[NOISE, NOISE], before
+    noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
     for k in range(ROW_WINDOWS):
         again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
         found = likelihood.find(linear_plant.record_of(run), told, mean, covariance)
-        mean, covariance = found.mean, found.covariance.copy()
-        last = covariance
+        mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
         mean[NOISE] = linear_plant.prior(machine())[0][NOISE]
         whole = whole + linear_plant.information(run)
         steps, converged = steps + found.iterations, converged and found.converged
     bound = np.sqrt(np.diag(np.linalg.inv(whole))[SIX])
-    sd = np.sqrt(np.diag(last)[SIX])
+    sd = np.sqrt(np.diag(covariance)[SIX])
     return Linear(mean[SIX] - np.log(first.rig.theta), sd, bound, steps, converged)
 
 

@@ -23,7 +23,7 @@ def discrete(theta: Array, geometry: Array, speed: float) -> tuple[Array, Array]
     whole = np.zeros((9, 9))
     whole[:8, :8] = system_matrix(speed, geometry, theta)[np.ix_(KEPT, KEPT)]
     whole[:8, 8] = input_matrix(speed, geometry, theta)[KEPT, 0]
-    exact = expm(whole * DT)
+    exact: Array = np.asarray(expm(whole * DT), np.float64)
     return exact[:8, :8], exact[:8, 8]
 
 

@@ -1,5 +1,9 @@
 """The same linear model as a statsmodels state space, fitted by maximum likelihood."""
 
+# What statsmodels says of its types is not what its manual shows.
+# pyright: reportIncompatibleMethodOverride=false, reportArgumentType=false, reportAttributeAccessIssue=false
+# pyright: reportAssignmentType=false
+
 import numpy as np
 import statsmodels.api as sm
 from numpy.typing import NDArray
