@@ -20,10 +20,10 @@ from tilth.logger.zenoh_sink import ZenohSink
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.compare import Comparison
 from tilth.replay.driver import Outputs, Pace, Summary, replay
-from tilth.replay.readers import MCAP, frames, open_log
+from tilth.replay.readers import MCAP, open_log
 from tilth.replay.readers_log import EmptyLog, LogError
 from tilth.replay.readers_rig import bus_names, machine_in
-from tilth.schemas.flow import PARAMETERS, Estimate
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame
 from tilth.schemas.machine import Machine
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
@@ -147,7 +147,9 @@ def _first_ns(logs: Sequence[Path]) -> int:
     """t_ns of the first frame; 0 where there is none."""
     for path in logs:
         try:
-            return next((frame.t_ns for frame in frames(path)), 0)
+            log = open_log(path)
+            with log.file:
+                return next((record.t_ns for record in log.records if isinstance(record, Frame)), 0)
         except EmptyLog:
             continue
     return 0
