@@ -240,9 +240,7 @@ def test_the_map_by_mouse_and_keyboard(browser: Browser, stage: tuple[Stage, Mon
 def test_the_demo_opens_with_the_address_of_its_page(browser: Browser, tmp_path: Path) -> None:
     start = [sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main())"]
     words = [*start, "demo", "--seconds", "60", "--log", str(tmp_path)]
-    with subprocess.Popen(
-        [*start, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    ) as demo:
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as demo:
         assert demo.stderr is not None
         found = next(filter(None, (re.search(r"http://127\.0\.0\.1:\d+/", line) for line in demo.stderr)))
         page = browser.new_page()
