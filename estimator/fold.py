@@ -11,6 +11,7 @@ from typing import Any
 
 from tilth.estimator import aligner, recorder, startup, warm
 from tilth.estimator.aligner import SILENCE_NS, Aligner
+from tilth.estimator.drawing import body_frames, drawing
 from tilth.estimator.estimators import ROW, rows_for
 from tilth.estimator.geometry import to_degrees
 from tilth.estimator.plain import from_plain, to_plain
@@ -26,6 +27,7 @@ from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Positi
 from tilth.schemas.machine import Machine
 
 REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
+DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
 
 _FLAG_TEXT = {
     "lost": "gives no usable position",
@@ -159,6 +161,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     if found := startup.flags(state.checks):
         pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
+    _draw(state, t_ns, pose, out)
     for flag in pose.flags:
         kind, _, who = flag.partition(":")
         if flag not in state.flags and kind in _FLAG_TEXT:
@@ -184,6 +187,15 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
             _event(state, t_ns, kind, text, out)
     if given:
         _estimates(state, t_ns, given, out)
+
+
+def _draw(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
+    """For viewers: both bodies at this pose, and now and then what they look like."""
+    frames = body_frames(state.machine, pose)
+    if frames is not None:
+        out.append(Publication(t_ns, "/drawing/frames", frames))
+    if state.poses % DRAWN_EACH == 1:
+        out.append(Publication(t_ns, "/drawing/bodies", drawing(state.machine, t_ns)))
 
 
 def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:

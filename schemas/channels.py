@@ -8,12 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import Descriptor, FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message as ProtoMessage
 
 from tilth.schemas import flow
+from tilth.schemas.drawing import encode_drawing, encode_frames
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -187,8 +190,13 @@ FIT_TOPIC = "/fit"
 
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
-    *(Channel(f"/gnss/{mount.value}", LocationFix, _encode_fix) for mount in flow.Mount),
+    *(
+        Channel(f"/gnss/{mount.value}", LocationFix, _encode_fix, key=f"gnss/{mount.value}")
+        for mount in flow.Mount
+    ),
     Channel("/pose", pb.Pose, _encode_pose, key="pose"),
+    Channel("/drawing/frames", FrameTransforms, encode_frames, key="drawing/frames"),
+    Channel("/drawing/bodies", SceneUpdate, encode_drawing, key="drawing/bodies"),
     Channel("/soil_tire", pb.SoilTireEstimate, _encode_estimate, key="soil_tire"),
     Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
     Channel("/soil_tire/tracker", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/tracker"),
@@ -218,6 +226,8 @@ TOLERANCES: dict[str, dict[str, float]] = {
         "forward_velocity": 1e-6, "lateral_velocity": 1e-6, "sd_velocity": 1e-6, "sd_lateral_velocity": 1e-6,
         "yaw_rate": 1e-9, "sd_yaw_rate": 1e-9, "roll": 1e-9, "sd_roll": 1e-9,
     },
+    "Vector3": {"x": 1e-6, "y": 1e-6, "z": 1e-9},
+    "Quaternion": {"x": 1e-7, "y": 1e-7, "z": 1e-7, "w": 1e-7},
     "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6, "bound": 1e-4},
     "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
     "Nuisance": {"value": 1e-7, "sd": 1e-7},

@@ -228,6 +228,45 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
+class Transform:
+    """Where a frame stands in its parent. Frames of a drawing are as viewers of 3D scenes have them:
+    right-handed with z up; x east and y north in the world, x forward and y left on a body."""
+
+    parent: str
+    child: str
+    translation: tuple[float, float, float]  # of the child's origin, m
+    rotation: tuple[float, float, float, float]  # quaternion x, y, z, w
+
+
+@dataclass(frozen=True, slots=True)
+class BodyFrames:
+    """Where both bodies stand at the instant of a pose, for viewers."""
+
+    t_ns: int
+    transforms: tuple[Transform, ...]  # a frame that is not known at this instant is not among them
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """One part of a drawing, at rest in a frame of BodyFrames."""
+
+    name: str
+    frame: str
+    centre: tuple[float, float, float]  # m
+    size: tuple[float, float, float]  # along x, y, z, m
+    colour: tuple[float, float, float]  # red, green, blue, 0 to 1
+    wheel: bool = False  # a cylinder about y; else a box
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """What both bodies look like: lengths of the machine file, usual ones where it tells none."""
+
+    t_ns: int
+    solids: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterEstimate:
     """One of PARAMETERS. `value` and `sd` are None unless the data support them."""
 
@@ -280,7 +319,7 @@ class FitOutcome:
     adopted: bool  # False: it was not ready in time and was dropped
 
 
-Payload = Measurement | Pose | Estimate | Event | FitOutcome
+Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome
 
 
 @dataclass(frozen=True, slots=True)

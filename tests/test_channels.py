@@ -4,6 +4,8 @@ from dataclasses import fields
 from typing import Any
 
 import pytest
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from tilth.estimator.estimators import ESTIMATORS
@@ -44,7 +46,9 @@ def test_topics_and_keys_are_used_once() -> None:
     keys = [c.key for c in CHANNELS if c.key]
     assert len(set(topics)) == len(topics) and len(set(keys)) == len(keys)
     methods = {f"soil_tire/{row.method}" for row in ESTIMATORS}
-    assert set(keys) == {"pose", "soil_tire", "event", "status", "rig", *methods}
+    places = {f"gnss/{mount.value}" for mount in flow.Mount}
+    drawn = {"drawing/frames", "drawing/bodies"}
+    assert set(keys) == {"pose", "soil_tire", "event", "status", "rig", *methods, *places, *drawn}
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS, ids=lambda k: k if isinstance(k, str) else "")
@@ -62,7 +66,10 @@ def test_a_measurement_is_told_whole(name: str, kind: type[flow.Measurement]) ->
         assert wanted is None or getattr(message, f.name) == wanted
 
 
-@pytest.mark.parametrize("message", [pb.Pose, pb.BodyPose, pb.SoilTireEstimate, pb.Parameter, pb.Measurement])
+@pytest.mark.parametrize(
+    "message",
+    [pb.Pose, pb.BodyPose, pb.SoilTireEstimate, pb.Parameter, pb.Measurement, Vector3, Quaternion],
+)
 def test_every_floating_field_has_its_tolerance(message: Any) -> None:
     for field in message.DESCRIPTOR.fields:
         if field.cpp_type == field.CPPTYPE_DOUBLE:

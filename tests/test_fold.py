@@ -82,6 +82,8 @@ def test_every_publication_has_a_channel_and_a_payload_that_parses() -> None:
         "/soil_tire/steady_state",
         "/measurement/position",
         "/gnss/tractor_front",
+        "/drawing/frames",
+        "/drawing/bodies",
     } <= seen
 
 

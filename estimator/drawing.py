@@ -1,0 +1,135 @@
+"""Both bodies as viewers of 3D scenes want them: where their frames stand, and of what they are drawn.
+
+Here W is x north, y east and bodies are x forward, y right, z down. Viewers take x east, y north, z up and
+x forward, y left, z up, so that a heading is counted from the east, anticlockwise:
+
+    world ─► tractor ─► tractor_front_left, tractor_front_right (turned by the wheel angle)
+          └► implement
+
+The frame of a body is at its CG. The ground is where z = 0 in the world: it has no heights, and a body that
+leans does so about the point of it below its CG.
+"""
+
+import math
+from typing import Final
+
+from tilth.estimator.models.parameters import TABLE_5_1
+from tilth.schemas.flow import BodyFrames, BodyPose, Drawing, Mount, Pose, Solid, Transform
+from tilth.schemas.machine import Machine
+
+WORLD: Final = "world"
+_BODY: Final = {mount: mount.value.partition("_")[0] for mount in Mount}  # which a receiver sits on
+# Of wheels, m: diameter and width. The machine file tells none: usual ones, as are heights and widths below.
+_FRONT: Final = (1.4, 0.45)
+_REAR: Final = (1.9, 0.6)
+_CART: Final = (1.7, 0.6)
+_GREEN: Final = (0.17, 0.42, 0.15)
+_YELLOW: Final = (0.9, 0.75, 0.1)
+_VIOLET: Final = (0.42, 0.25, 0.6)
+_BLACK: Final = (0.12, 0.12, 0.12)
+_WHITE: Final = (0.95, 0.95, 0.95)
+
+_Vector = tuple[float, float, float]
+
+
+def body_frames(machine: Machine, pose: Pose) -> BodyFrames | None:
+    """The frames that a pose tells; None if it tells none."""
+    tractor, implement = machine.tractor, machine.implement
+    transforms = [
+        *_body("tractor", pose.tractor, tractor.cg_height.value),
+        *_body("implement", pose.implement, implement.cg_height.value),
+    ]
+    if not transforms:
+        return None
+    if pose.wheel_angle is not None and transforms[0].child == "tractor":
+        turned = _turn(-pose.wheel_angle)
+        transforms += [
+            Transform("tractor", f"tractor_front_{side}", (tractor.a.value, y, up), turned)
+            for side, y in _sides(TABLE_5_1.w_f)
+            for up in (_FRONT[0] / 2 - tractor.cg_height.value,)
+        ]
+    return BodyFrames(pose.t_ns, tuple(transforms))
+
+
+def _body(name: str, body: BodyPose, cg_height: float) -> list[Transform]:
+    if body.x is None or body.y is None or body.heading is None:
+        return []
+    roll = body.roll or 0.0
+    _, _, sin_yaw, cos_yaw = _turn(math.pi / 2 - body.heading)
+    sin_roll, cos_roll = math.sin(roll / 2), math.cos(roll / 2)
+    # Turned about z, then about the new x: right side down is the same sense about x forward in both systems.
+    turned = (cos_yaw * sin_roll, sin_yaw * sin_roll, sin_yaw * cos_roll, cos_yaw * cos_roll)
+    return [Transform(WORLD, name, (body.y, body.x, cg_height * math.cos(roll)), turned)]
+
+
+def _turn(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion of a turn about z, anticlockwise from above."""
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def _sides(width: float) -> tuple[tuple[str, float], tuple[str, float]]:
+    return ("left", width / 2), ("right", -width / 2)
+
+
+def drawing(machine: Machine, t_ns: int) -> Drawing:
+    """Of what both bodies are drawn. They reach from axle to axle and to the hitch, as the file says."""
+    return Drawing(t_ns, (*_tractor(machine), *_implement(machine), *_antennas(machine)))
+
+
+def _tractor(machine: Machine) -> list[Solid]:
+    a, b, c = (getattr(machine.tractor, name).value for name in "abc")
+    ground = -machine.tractor.cg_height.value
+
+    def box(name: str, rear: float, front: float, low: float, high: float, width: float) -> Solid:
+        return _box("tractor", name, (rear, front), (ground + low, ground + high), width, _GREEN)
+
+    return [
+        box("frame", -b, a, 0.6, 1.0, 0.5),
+        box("bonnet", 0.3, a + 0.7, 1.0, 1.8, 0.8),
+        box("cab", -b - 0.3, 0.3, 1.0, 2.7, 1.5),
+        box("drawbar", -c, -b, 0.4, 0.5, 0.1),
+        *(
+            _wheel("tractor", f"rear_{side}", (-b, y, ground + _REAR[0] / 2), _REAR, _YELLOW)
+            for side, y in _sides(TABLE_5_1.w_r)
+        ),
+        *(
+            _wheel(f"tractor_front_{side}", "wheel", (0.0, 0.0, 0.0), _FRONT, _YELLOW)
+            for side, _ in _sides(TABLE_5_1.w_f)
+        ),
+    ]
+
+
+def _implement(machine: Machine) -> list[Solid]:
+    d, e = machine.implement.d.value, machine.implement.e.value
+    ground, front = -machine.implement.cg_height.value, 0.55 * d
+    return [
+        _box("implement", "tongue", (min(-e, front), d), (ground + 0.4, ground + 0.5), 0.15, _VIOLET),
+        _box("implement", "box", (-e - front, front), (ground + 0.9, ground + 2.7), 2.4, _VIOLET),
+        *(
+            _wheel("implement", side, (-e, y, ground + _CART[0] / 2), _CART, _BLACK)
+            for side, y in _sides(TABLE_5_1.w_i)
+        ),
+    ]
+
+
+def _antennas(machine: Machine) -> list[Solid]:
+    solids = []
+    for receiver in machine.receiver:
+        forward, right, height = receiver.position
+        body = _BODY[receiver.mount]
+        up = height - getattr(machine, body).cg_height.value
+        solids.append(Solid(receiver.mount.value, body, (forward, -right, up), (0.2, 0.2, 0.1), _WHITE))
+    return solids
+
+
+def _box(
+    frame: str, name: str, along: tuple[float, float], up: tuple[float, float], width: float, colour: _Vector
+) -> Solid:
+    (rear, front), (low, high) = along, up
+    size = (front - rear, width, high - low)
+    return Solid(f"{frame}_{name}", frame, ((rear + front) / 2, 0.0, (low + high) / 2), size, colour)
+
+
+def _wheel(frame: str, name: str, centre: _Vector, size: tuple[float, float], colour: _Vector) -> Solid:
+    diameter, width = size
+    return Solid(f"{frame}_{name}", frame, centre, (diameter, width, diameter), colour, wheel=True)
