@@ -121,10 +121,11 @@ def _estimates_now(state: State) -> dict[str, Estimate]:
 def step(state: State, frame: Frame) -> list[Publication]:
     """Take one frame: change the state in place, return what is to be published, in order."""
     out: list[Publication] = []
+    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
     if frame.t_ns < state.latest_ns - REWIND_NS:
         _clock_stepped(state, frame, out)
-    elif state.latest_ns and frame.t_ns > state.latest_ns + SILENCE_NS:
-        seconds = (frame.t_ns - state.latest_ns) * 1e-9
+    elif state.latest_ns and now_ns > state.latest_ns + SILENCE_NS:  # not of frames that only waited
+        seconds = (now_ns - state.latest_ns) * 1e-9
         out.append(
             Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", f"no frame for {seconds:.1f} s"))
         )
@@ -134,7 +135,6 @@ def step(state: State, frame: Frame) -> list[Publication]:
     for measurement in state.decoder.measurements(frame):
         placed |= _take(state, frame.t_ns, measurement, out)
     due_ns = state.aligner.due_ns
-    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
     if due_ns and (placed or now_ns >= due_ns + aligner.DEADLINE_NS):
         for pose in poses(state.aligner, now_ns):
             _pose(state, frame.t_ns, pose, out)

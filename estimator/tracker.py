@@ -103,10 +103,12 @@ def initial(machine: Machine) -> TrackerState:
 
 
 def prepare(machine: Machine) -> None:
-    """Compile what `take` needs: a stretch of straight driving."""
+    """Compile what `take` needs: a stretch of straight driving, and advice upon it."""
     ticks = np.tile([0.0, 4.0, *[0.0] * 6], (10, 1))
     rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(10)], dtype=np.float64)
-    _learn(initial(machine), machine, Record(0, ticks, rows), None)
+    state = initial(machine)
+    _learn(state, machine, Record(0, ticks, rows), None)
+    advice.renew(state.advisor, machine, state.mean, state.covariance, 4.0, 0)
 
 
 def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:

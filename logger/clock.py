@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 STEP_NS = 100_000_000  # a change of (wall clock - this clock) that counts as a step, between two looks
-OLDEST_NS = 10_000_000_000  # a stamp further back is none of this frame: no buffer holds so much of a bus
+OLDEST_NS = 10_000_000_000  # a stamp further back is none of this frame: no adapter holds so much of a bus
 NEWEST_NS = -1_000_000  # nor one this far in the future; a little, because two clocks are read in turn
 LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
@@ -66,10 +66,14 @@ class Clock:
             self._ahead_most_ns = min(most_ns, self._ahead_most_ns)
         return (self._ahead_least_ns + self._ahead_most_ns) // 2
 
-    def rx_ns(self, stamp_ns: int, t_ns: int) -> int:
-        """A receive stamp on this clock, of a frame taken at t_ns; t_ns where it cannot be that, counted."""
+    def rx_ns(self, stamp_ns: int, t_ns: int, empty_ns: int) -> int:
+        """A receive stamp on this clock, of a frame taken at t_ns; t_ns where it cannot be that, counted.
+
+        empty_ns: when its port was last found empty. The frame may have waited ever since, for a loop that
+        was busy, and is no older for that.
+        """
         age_ns = t_ns - stamp_ns
-        if 0 <= age_ns <= OLDEST_NS:
+        if age_ns >= 0 and stamp_ns >= empty_ns - OLDEST_NS:
             return stamp_ns
         self.bad_stamps += not NEWEST_NS <= age_ns < 0
         return t_ns

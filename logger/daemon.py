@@ -16,9 +16,8 @@ from typing import Protocol
 
 from zenoh import ZError
 
-from tilth.estimator.estimators import rows_for
 from tilth.estimator.fold import RECOMMENDED
-from tilth.logger import warm_start
+from tilth.logger import compiling, warm_start
 from tilth.logger.bus_opening import open_port
 from tilth.logger.buses import Buses, Opener
 from tilth.logger.clock import Clock
@@ -47,6 +46,9 @@ KEEP_NS = 60_000_000_000
 class Display(Protocol):
     """Where a person looks. status_line.py has two of them."""
 
+    def starting(self, text: str) -> None:
+        """What keeps the run from beginning; before the first status."""
+
     def show(self, status: pb.Status, estimate: Estimate | None) -> None: ...
 
     def event(self, event: Event) -> None: ...
@@ -54,6 +56,9 @@ class Display(Protocol):
 
 class NoDisplay:
     """Shows nothing: for tests and for a daemon inside another program."""
+
+    def starting(self, text: str) -> None:
+        return
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         return
@@ -112,8 +117,8 @@ class Daemon:
         self._events: deque[tuple[str, str]] = deque()
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
-        for row in rows_for(machine):  # what compiles for seconds must not do so while frames come in
-            row.prepare(machine)
+        self._supervisor = Supervisor({}) if supervisor is None else supervisor
+        self._compile()  # for seconds, which it must not take while frames come in
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
@@ -140,7 +145,6 @@ class Daemon:
         self._frames = 0
         self._clock_steps = 0
         self._longest_turn_ns = 0
-        self._supervisor = Supervisor({}) if supervisor is None else supervisor
         self._next_second_ns = self._started_ns
         self._next_show_ns = self._started_ns
         self._next_keep_ns = self._started_ns + KEEP_NS
@@ -223,6 +227,19 @@ class Daemon:
         self._status = self._build_status(t_ns)
         self._put("/status", t_ns, CHANNEL["/status"].encode(self._status))
         self._supervisor.status(plain_line(self._status, self._fold.estimates[RECOMMENDED]))
+
+    def _compile(self) -> None:
+        seconds = compiling.prepare(self._machine, self._starting)
+        if seconds:
+            text = f"kernels were compiled for {seconds:.0f} s before the buses were opened"
+            self._report("compiled", text)
+
+    def _starting(self, text: str) -> None:
+        self._supervisor.starting(text)
+        try:
+            self._display.starting(text)
+        except OSError:  # the terminal is gone
+            self._display = NoDisplay()
 
     def _warmed(self) -> bool:
         """Take up what earlier runs have learned, if anything, and say what became of it."""

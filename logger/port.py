@@ -93,6 +93,7 @@ class LibraryPort:
         self._name = config.name
         self._clock = clock
         self._tally = tally
+        self._empty_ns = clock.t_ns()
         self.descriptor = _descriptor(bus)
         # A second handle on its socket, where there is one.
         self._socket = None if self.descriptor is None else receive_buffer.socket_of(self.descriptor)
@@ -105,13 +106,14 @@ class LibraryPort:
         for count in range(most):
             message = receive(0)
             if message is None:
+                self._empty_ns = clock.t_ns()
                 return count
             if message.is_remote_frame or message.is_fd:
                 tally.remote_frames += message.is_remote_frame
                 tally.fd_frames += message.is_fd and not message.is_remote_frame
                 continue
             t_ns = clock.t_ns()
-            rx_ns = clock.rx_ns(int(message.timestamp * 1e9) - ahead_ns, t_ns)
+            rx_ns = clock.rx_ns(int(message.timestamp * 1e9) - ahead_ns, t_ns, self._empty_ns)
             identifier, extended, data = message.arbitration_id, message.is_extended_id, bytes(message.data)
             error = message.is_error_frame
             if error:

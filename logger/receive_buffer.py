@@ -24,8 +24,11 @@ def enlarge(one: socket.socket) -> bool:
 def dropped(one: socket.socket) -> int:
     """Messages that the kernel threw away because nobody took them in time; 0 where it does not say.
 
-    The counter that SO_RXQ_OVFL attaches to the next message, without waiting for one.
+    The counter that SO_RXQ_OVFL attaches to the next message, without waiting for one. Of a stream it counts
+    packets that TCP has sent again since: nothing is lost.
     """
+    if one.type == socket.SOCK_STREAM:
+        return 0
     try:
         numbers = array.array("I", one.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO_BYTES))
     except OSError:

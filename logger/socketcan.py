@@ -52,6 +52,7 @@ class SocketCanPort:
         self._tally = tally
         self._config = config
         self._lost = 0
+        self._empty_ns = clock.t_ns()
         self._adapter: AdapterClock | None = None
         self.note = self.problem = ""
         self._mixed = False  # a frame came without the adapter's stamp after others with it
@@ -74,6 +75,7 @@ class SocketCanPort:
             try:
                 packed, control, _, _ = receive(_FD_BYTES, _CONTROL_BYTES)
             except BlockingIOError:
+                self._empty_ns = monotonic() + offset_ns
                 return count
             t_ns = monotonic() + offset_ns
             if len(packed) != CAN_FRAME.size:
@@ -88,7 +90,7 @@ class SocketCanPort:
             elif control:
                 rx_ns = self._told(control, t_ns, ahead_ns, flagged & ERROR != 0)
             if not 0 <= t_ns - rx_ns <= OLDEST_NS:
-                rx_ns = clock.rx_ns(rx_ns, t_ns)
+                rx_ns = clock.rx_ns(rx_ns, t_ns, self._empty_ns)
             if flagged & (ERROR | REMOTE):
                 if not flagged & ERROR:
                     tally.remote_frames += 1

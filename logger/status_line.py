@@ -34,6 +34,10 @@ class PlainDisplay:
         self._stream = stream
         self._next_ns = 0
 
+    def starting(self, text: str) -> None:
+        self._stream.write(f"{text}\n")
+        self._stream.flush()
+
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         if status.t_ns >= self._next_ns and status.t_ns:
             self._next_ns = status.t_ns + PLAIN_NS
@@ -57,6 +61,9 @@ class PanelDisplay:
         self._machine = machine
         self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
         self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+
+    def starting(self, text: str) -> None:
+        self._live.console.print(text)
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         self._live.start()  # only the first time does anything

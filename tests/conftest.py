@@ -18,9 +18,8 @@ sys.dont_write_bytecode = False
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile once, before two processes and what they start would each do it."""
     if getattr(session.config.option, "numprocesses", None):
-        command = "from logs import MACHINE; from tilth.estimator import pem, tracker; "
-        command += "tracker.prepare(MACHINE); pem.rehearse(MACHINE)"
-        subprocess.run([sys.executable, "-c", command], cwd=Path(__file__).parent, check=True)
+        machine = Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml"
+        subprocess.run([sys.executable, "-m", "tilth.logger.compiling", str(machine)], check=True)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -12,6 +12,7 @@ import can
 import pytest
 from loopback import GROUP, Sender, free_port, numbered, until
 
+from tilth.logger import clock as clock_of_a_run
 from tilth.logger.bus_opening import check_interface, open_port, why_not
 from tilth.logger.buses import (
     ASK_NS,
@@ -29,6 +30,7 @@ from tilth.logger.buses import (
 from tilth.logger.can_errors import BACK_NS
 from tilth.logger.clock import OLDEST_NS, Clock
 from tilth.logger.port import LibraryPort, Port, Tally
+from tilth.logger.receive_buffer import dropped
 from tilth.logger.status import bus_status
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, MachineError
@@ -127,6 +129,40 @@ def test_two_buses_give_every_frame_in_order_with_its_stamps(sender: Sender) -> 
         f"bus: {name}: its frames are stamped by the kernel, on arrival" for name in ("can0", "can1")
     ]
     assert listening.events == [] and [source.lost for source in listening.sources] == [0, 0]
+
+
+def test_what_waited_for_a_busy_loop_keeps_its_stamp(
+    talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clock_of_a_run, "OLDEST_NS", 20_000_000)
+    listening = Listening(virtual("v"))
+    listening.turn()
+    talker.send(data_frame())
+    sent_ns = listening.clock.t_ns()
+    until(lambda: listening.clock.t_ns() > sent_ns + 50_000_000, lambda: None)
+    listening.until_frames(1)
+    (frame,) = listening.frames
+    assert frame.rx_ns <= sent_ns < frame.t_ns - 50_000_000 and listening.clock.bad_stamps == 0
+    listening.buses.close()
+
+
+def test_a_stream_that_was_not_read_for_a_while_has_lost_nothing() -> None:
+    """TCP counts packets that it sends again where a socket counts messages that are lost."""
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        socket.create_connection(listener.getsockname()) as far,
+        listener.accept()[0] as near,
+    ):
+        near.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        far.setblocking(False)
+        far.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sent = 0
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                sent += far.send(bytes(2 if sent % 3 else 1000))
+        assert sent > 100_000 and dropped(near) == 0
+        while sent:
+            sent -= len(near.recv(65536))
 
 
 def test_what_the_kernel_drops_is_counted(sender: Sender) -> None:

@@ -106,7 +106,7 @@ def say(bus: can.BusABC, frame: Frame) -> None:
     bus.send(can.Message(arbitration_id=frame.can_id, is_extended_id=frame.extended, data=frame.data))
 
 
-class Shown:
+class Shown(NoDisplay):
     """A display that remembers."""
 
     def __init__(self) -> None:

@@ -132,6 +132,17 @@ def test_one_receiver_silent_is_flagged_at_the_sample_and_back() -> None:
     assert "implement_rear gives no usable position" in texts and "implement_rear: over" in texts
 
 
+def test_frames_that_waited_for_a_busy_loop_give_the_poses_they_would_have_given() -> None:
+    """Judged is when they came, not when they were taken."""
+    given = frames()
+    from_ns, until_ns = given[0].t_ns + 8_000_000_000, given[0].t_ns + 20_000_000_000
+    late = [replace(f, t_ns=max(f.t_ns, until_ns)) if f.t_ns > from_ns else f for f in given]
+    state, out = run(late)
+    other, in_time = run(given)
+    assert poses(out) == poses(in_time) and events(out) == events(in_time)
+    assert state.rejected == other.rejected and state.poses > 130
+
+
 def test_silence_of_everything_makes_no_poses_of_what_nobody_saw() -> None:
     given = list(frames())
     half = len(given) // 2

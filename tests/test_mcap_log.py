@@ -348,22 +348,24 @@ def test_a_step_of_the_wall_clock_is_found_once(ahead_s: list[float], found_s: l
 
 
 @pytest.mark.parametrize(
-    ("age_ns", "good"),
+    ("age_ns", "waited_ns", "good"),
     [
-        (150_000, True),
-        (OLDEST_NS - 100_000_000, True),
-        (OLDEST_NS + 100_000_000, False),  # or the wall clock was set forward meanwhile
-        (NEWEST_NS // 2, True),
-        (10 * NEWEST_NS, False),  # the wall clock was set back meanwhile
+        (150_000, 0, True),
+        (OLDEST_NS - 100_000_000, 0, True),
+        (OLDEST_NS + 100_000_000, 0, False),  # or the wall clock was set forward meanwhile
+        (OLDEST_NS + 100_000_000, 200_000_000, True),  # the loop was busy when the frame came
+        (3 * OLDEST_NS, 2 * OLDEST_NS - 100_000_000, False),
+        (NEWEST_NS // 2, 0, True),
+        (10 * NEWEST_NS, OLDEST_NS, False),  # the wall clock was set back meanwhile
     ],
 )
-def test_rx_ns_is_the_stamp_and_never_later_than_t_ns(age_ns: int, good: bool) -> None:
+def test_rx_ns_is_the_stamp_and_never_later_than_t_ns(age_ns: int, waited_ns: int, good: bool) -> None:
     clock = Clock()
     clock.offset_ns += 7_000_000_000  # as after a step of the wall clock since the start
     stamp_ns = time.time_ns() - age_ns
     ahead_ns = clock.wall_ahead_ns()
     t_ns = clock.t_ns()
-    rx_ns = clock.rx_ns(stamp_ns - ahead_ns, t_ns)
+    rx_ns = clock.rx_ns(stamp_ns - ahead_ns, t_ns, t_ns - waited_ns)
     assert rx_ns <= t_ns and clock.bad_stamps == (not good)
     assert ahead_ns == pytest.approx(-7_000_000_000, abs=100_000)
     assert rx_ns == (stamp_ns - ahead_ns if good and age_ns > 0 else t_ns)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from loopback import until
 
-from tilth.logger import can_link
+from tilth.logger import can_link, socketcan
+from tilth.logger import clock as clock_of_a_run
 from tilth.logger.clock import Clock
 from tilth.logger.port import Tally
 from tilth.logger.receive_buffer import RECEIVE_BYTES
@@ -95,6 +96,18 @@ def test_the_stamp_is_the_kernels_and_on_the_clock_of_the_run(wire: Wire) -> Non
     assert stamps == sorted(stamps) and before_ns - 1000 < stamps[0] and stamps[-1] < after_ns + 1000
     assert all(frame.rx_ns <= frame.t_ns for frame in wire.frames) and wire.frames[0].t_ns > after_ns
     assert wire.port.stamp == "kernel" and wire.clock.bad_stamps == 0
+
+
+def test_what_waited_for_a_busy_loop_keeps_its_stamp(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (clock_of_a_run, socketcan):
+        monkeypatch.setattr(module, "OLDEST_NS", 20_000_000)
+    assert wire.take() == 0
+    wire.send(1)
+    sent_ns = wire.clock.t_ns()
+    until(lambda: wire.clock.t_ns() > sent_ns + 50_000_000, lambda: None)
+    wire.take()
+    (frame,) = wire.frames
+    assert frame.rx_ns <= sent_ns < frame.t_ns - 50_000_000 and wire.clock.bad_stamps == 0
 
 
 def test_the_buffer_is_of_megabytes_and_what_it_loses_is_counted_exactly(wire: Wire) -> None:

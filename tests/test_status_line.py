@@ -32,6 +32,8 @@ def status_with(**fields: object) -> pb.Status:
 def panel_text(status: pb.Status) -> str:
     stream = io.StringIO()
     display = PanelDisplay("rig", Console(file=stream, force_terminal=True, width=110, color_system=None))
+    display.starting("compiling")
+    assert stream.getvalue().split() == ["compiling"]  # at once, and no panel that has nothing to show yet
     display.event(Event(status.t_ns, "bus", "can0: heard again"))
     display.show(status, None)
     display.close()
@@ -60,10 +62,12 @@ def test_plain_lines_say_the_same() -> None:
     display = PlainDisplay(stream)
     status = status_with()
     status.problems.extend(["disk: 5 minutes", "x"])
+    display.starting("compiling")
     display.show(status, None)
     display.show(status, None)  # one line each five seconds
     display.event(Event(status.t_ns, "bus", "can0: silent"))
-    first, second = stream.getvalue().splitlines()
+    said, first, second = stream.getvalue().splitlines()
+    assert said == "compiling"
     assert first.startswith("14:13:20Z recording, 1.5 MB, 5 frames (800/s), receivers 1/2, wheel angle alive")
     assert first.endswith("PROBLEM disk: 5 minutes (and 1 more)")
     assert second == "14:13:20Z bus: can0: silent"
