@@ -7,6 +7,7 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse
+from tilth.client.link import Alive, living
 from tilth.client.refusal import holder_of, try_key
 from tilth.logger.clock import utc_text
 from tilth.logger.machine_file import read_machine
@@ -39,7 +40,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where no daemon answers or it refuses."""
-    prefix, name, endpoints = Zenoh().prefix, "*", Zenoh().listen
+    prefix, name, endpoints = Zenoh().prefix, "", Zenoh().listen
     if args.machine is not None:
         machine, _ = read_machine(args.machine)
         prefix, name, endpoints = machine.zenoh.prefix, machine.name, machine.zenoh.listen
@@ -53,19 +54,7 @@ def run(args: argparse.Namespace) -> int:
         reason = why(error) if args.config is None else try_key(args.config).text
         raise WrongUse(f"no daemon can be reached: {reason}; is `tilth run` running?") from None
     with session:
-        alive = [
-            str(reply.ok.key_expr) for reply in session.liveliness().get(f"{prefix}/{name}/alive") if reply.ok
-        ]
-        if len(alive) != 1:
-            heard = ", ".join(key.split("/")[-2] for key in alive)
-            raise WrongUse(
-                f"several daemons are heard: {heard}; say with --machine which of them"
-                if alive
-                else f"no daemon is heard on {prefix}/{name}; is `tilth run` running?"
-                if args.config is None
-                else try_key(args.config).text
-            )
-        key = alive[0].removesuffix("alive") + "mark"
+        key = _heard(session, prefix, name, args.config).base(prefix) + "/mark"
         replies = list(session.get(key, payload=args.text, encoding="text/plain", timeout=WAIT_S))
     for reply in replies:
         if reply.ok:
@@ -74,6 +63,20 @@ def run(args: argparse.Namespace) -> int:
             return 0
         raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before marking again")
+
+
+def _heard(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
+    """The one daemon that is meant: on a tractor, or else in a simulation. Raises WrongUse."""
+    found = living(session, prefix, name)
+    meant = [one for one in found if one.replay == found[0].replay]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        heard = ", ".join(one.machine for one in meant)
+        raise WrongUse(f"several daemons are heard: {heard}; say with --machine which of them")
+    if key is not None:
+        raise WrongUse(try_key(key).text)
+    raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `tilth run` running?")
 
 
 def _of_key(path: Path) -> tuple[str, str]:

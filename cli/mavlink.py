@@ -5,12 +5,12 @@ import math
 import signal
 import threading
 import time
-from pathlib import Path
 
 from tilth.cli import WrongUse
+from tilth.cli.hearing import add_daemon
 from tilth.client import Client, Staleness
 from tilth.client.latest import judge
-from tilth.client.link import ENDPOINT, base_key, living, open_session
+from tilth.client.link import base_key, living, open_session
 from tilth.client.mavlink import Sender
 from tilth.schemas.mavlink import udp_address
 
@@ -34,21 +34,6 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--component", type=int, default=191, metavar="N", help="MAVLink component (191: onboard computer)"
-    )
-
-
-def add_daemon(parser: argparse.ArgumentParser) -> None:
-    """Which daemon to hear."""
-    parser.add_argument(
-        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
-    parser.add_argument(
-        "--machine", default="", metavar="NAME", help="of the machine file (the one that runs)"
-    )
-    parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
-    parser.add_argument(
-        "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
     )
 
 
@@ -77,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         while True:
             if client is None and (found := living(session, args.prefix)):
-                client = Client(session, found[0], "", RULE)
+                client = Client(session, found[0].base(args.prefix), "", RULE)
             unsent = sender.unsent
             latest = client.latest() if client else judge(None, math.inf, RULE)
             sender.send(latest, int((time.monotonic() - began_s) * 1e3))

@@ -1,10 +1,9 @@
 """`tilth monitor`: the live page."""
 
 import argparse
-from pathlib import Path
 
 from tilth.cli import WrongUse
-from tilth.client.link import ENDPOINT
+from tilth.cli.hearing import add_daemon
 from tilth.monitor.heard import Heard
 from tilth.monitor.server import listening_socket, serve
 
@@ -18,10 +17,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         description="Serves a page that shows what a running daemon says: sensors, recording, map, "
         "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C.",
     )
-    parser.add_argument(
-        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
+    add_daemon(parser)
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -30,13 +26,6 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--port", type=int, default=PORT, metavar="N", help=f"0 for any that is free ({PORT})"
-    )
-    parser.add_argument(
-        "--machine", default="", metavar="NAME", help="of the machine file (the one that runs)"
-    )
-    parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
-    parser.add_argument(
-        "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
     )
 
 

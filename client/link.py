@@ -1,9 +1,10 @@
-"""A Zenoh session that hears one daemon: it opens at once, and connects as soon and as often as it can."""
+"""A Zenoh session that hears one daemon: it opens at once, and connects as soon and as often as it can. And
+who lives at its other end."""
 
 import json
 import re
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import zenoh
 
@@ -48,8 +49,32 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
         raise ValueError(f"{what}: {why}; an endpoint looks like {ENDPOINT}") from None
 
 
-def living(session: zenoh.Session, prefix: str = "tilth") -> list[str]:
-    """What the keys begin with of the daemons that are heard now, then of replays and simulations."""
-    found = [str(reply.ok.key_expr) for reply in session.liveliness().get(f"{prefix}/**/alive") if reply.ok]
-    bases = {key.removesuffix("/alive") for key in found}
-    return sorted(bases, key=lambda base: (base.endswith("/replay"), base))
+class Alive(NamedTuple):
+    """A daemon that lives. In order, those on a tractor come before replays and simulations."""
+
+    replay: bool
+    machine: str
+
+    def base(self, prefix: str) -> str:
+        return base_key(self.machine, prefix, self.replay)
+
+
+def tokens(prefix: str, machine: str = "") -> str:
+    """The key expression of all tokens that say that a daemon lives, or of that machine's: who has a key of
+    one machine may not ask for others."""
+    return f"{prefix}/{machine}/**/alive" if machine else f"{prefix}/**/alive"
+
+
+def alive_of(token: str, prefix: str) -> Alive | None:
+    """Whose token this is; None where it is nobody's that can be followed."""
+    match token.removeprefix(f"{prefix}/").split("/"):
+        case [machine, "alive"] | [machine, "replay", "alive"] as parts if _NAME.fullmatch(machine):
+            return Alive(len(parts) == 3, machine)
+    return None
+
+
+def living(session: zenoh.Session, prefix: str, machine: str = "") -> list[Alive]:
+    """The daemons that are heard now."""
+    replies = session.liveliness().get(tokens(prefix, machine))
+    found = {alive_of(str(reply.ok.key_expr), prefix) for reply in replies if reply.ok}
+    return sorted(one for one in found if one is not None)

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import zenoh
 from google.protobuf.message import Message
 
-from tilth.client.link import base_key, open_session
+from tilth.client.link import Alive, alive_of, base_key, open_session, tokens
 from tilth.client.received import LARGEST, Refused, answered_age, estimate_of, parse, rig_of_message
 from tilth.monitor.plain import plain
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -46,32 +46,28 @@ class Heard:
         self._lock = threading.Lock()
         self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was said
         self._events: deque[tuple[bytes, str, float]] = deque(maxlen=EVENTS)
-        self._alive: set[tuple[bool, str]] = set()  # replay, machine: so that the live one sorts first
+        self._alive: set[Alive] = set()
         self._refused: Counter[str] = Counter()
-        self._followed: tuple[bool, str] | None = (replay, machine) if machine else None
+        self._followed = Alive(replay, machine) if machine else None
         self._subscriber: Any = None
         self._lived_s = float("-inf")  # when the followed one was last known to live
         self._session = open_session(endpoint, config)
         if self._followed is not None:
             self._follow(self._followed)
-        self._session.liveliness().declare_subscriber(f"{prefix}/**/alive", self._take_token, history=True)
+        self._session.liveliness().declare_subscriber(tokens(prefix), self._take_token, history=True)
 
     @property
-    def followed(self) -> tuple[str, bool] | None:
-        """The machine's name, and whether it is simulated or replayed."""
-        return None if self._followed is None else (self._followed[1], self._followed[0])
+    def followed(self) -> Alive | None:
+        return self._followed
 
     @property
     def base(self) -> str:
-        if self._followed is None:
-            return ""
-        replay, machine = self._followed
-        return base_key(machine, self._prefix, replay)
+        return "" if self._followed is None else self._followed.base(self._prefix)
 
     def alive(self) -> tuple[bool, list[str]]:
         """Whether the followed one lives, and the names of all that do."""
         with self._lock:
-            return self._followed in self._alive, [name for _, name in sorted(self._alive)]
+            return self._followed in self._alive, [one.machine for one in sorted(self._alive)]
 
     def refused(self) -> dict[str, int]:
         with self._lock:
@@ -118,7 +114,7 @@ class Heard:
     def close(self) -> None:
         self._session.close()
 
-    def _follow(self, which: tuple[bool, str]) -> None:
+    def _follow(self, which: Alive) -> None:
         if self._subscriber is not None:
             self._subscriber.undeclare()
         with self._lock:
@@ -181,11 +177,9 @@ class Heard:
                 self._new[kind] = row
 
     def _take_token(self, sample: zenoh.Sample) -> None:
-        parts = str(sample.key_expr).removeprefix(f"{self._prefix}/").split("/")
-        replay = parts[1:-1] == ["replay"]
-        if len(parts) != 2 + replay:
+        which = alive_of(str(sample.key_expr), self._prefix)
+        if which is None:
             return
-        which = (replay, parts[0])
         with self._lock:
             (self._alive.add if sample.kind == zenoh.SampleKind.PUT else self._alive.discard)(which)
             asked = which == self._followed and which in self._alive

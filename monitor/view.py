@@ -105,8 +105,8 @@ class View:
         alive, names = self._heard.alive()
         followed = self._heard.followed
         return {
-            "machine": followed[0] if followed else "",
-            "simulated": bool(followed and followed[1]),
+            "machine": followed.machine if followed else "",
+            "simulated": bool(followed and followed.replay),
             "alive": alive,
             "age_s": {kind: _finite(now_s - said_s) for kind, said_s in self._said_s.items()},
             "notes": self._notes(now_s, alive, names),
@@ -121,7 +121,7 @@ class View:
                 return []
             where = f"No daemon is heard at {self._endpoint}"
             return [f"{where}: start `tilth run` or `tilth demo`, or look at --connect."]
-        name = followed[0]
+        name = followed.machine
         found = []
         age_s = min((now_s - said_s for said_s in self._said_s.values()), default=math.inf)
         if not alive:

@@ -13,6 +13,7 @@ from loopback import TEXT
 
 from tilth.client import Cautious, Client, Limits, Staleness, linear
 from tilth.client.latest import judge
+from tilth.client.link import Alive, alive_of
 from tilth.client.received import LARGEST, Refused, estimate_of, event_of, rig_of_message
 from tilth.estimator.models import relaxation
 from tilth.estimator.models.parameters import TABLE_5_1, rig_of
@@ -226,6 +227,27 @@ def test_a_rule_must_be_chosen() -> None:
 def test_a_machine_is_one_part_of_a_key(name: str) -> None:
     with pytest.raises(ValueError, match="machine file"):
         Client.connect(name, stale=RULE)
+
+
+@pytest.mark.parametrize(
+    ("token", "whose"),
+    [
+        ("farm/7/tilth/rig/alive", Alive(False, "rig")),
+        ("farm/7/tilth/rig/replay/alive", Alive(True, "rig")),
+        ("farm/7/tilth/replay/alive", Alive(False, "replay")),
+        ("farm/7/tilth/rig/other/alive", None),
+        ("farm/7/tilth/rig/replay/replay/alive", None),
+        ("farm/7/tilth/alive", None),
+        ("farm/7/tilth/a b/alive", None),
+        ("farm/7/tilth/@x/alive", None),
+    ],
+)
+def test_a_token_says_who_lives(token: str, whose: Alive | None) -> None:
+    assert alive_of(token, "farm/7/tilth") == whose
+
+
+def test_a_simulation_comes_after_what_drives() -> None:
+    assert sorted([Alive(True, "a"), Alive(False, "z")]) == [Alive(False, "z"), Alive(True, "a")]
 
 
 @pytest.mark.parametrize("prefix", ["", "a//b", "**", "a/*", "/a"])

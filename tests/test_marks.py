@@ -126,3 +126,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         assert "2000 bytes" in capsys.readouterr().err
         assert main(["mark", "elsewhere", "--endpoint", machine.zenoh.listen[0]]) == 0
     assert noted(tmp_path / "logs", tmp_path) == ["stone", "elsewhere"]
+
+
+def test_the_command_in_a_simulation(tmp_path: Path) -> None:
+    """As `tilth demo` runs the daemon, and as the page marks there."""
+    machine, text = rig(tmp_path, udp_bus("can0", free_port()))
+    with turning(Daemon(machine, text, tmp_path / "logs", "replay", NoDisplay())):
+        assert main(["mark", "stone", "--endpoint", machine.zenoh.listen[0]]) == 0
+    assert noted(tmp_path / "logs", tmp_path) == ["stone"]
