@@ -10,21 +10,16 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
+from replay_speed import logged_drive
 
-from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.mcap_log import LogWriter, Run
 from tilth.replay.arrays import read_frames
-from tilth.replay.traffic import simulate
-from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 
 ROUNDS = 3
-MACHINE = "machines/jd7930-parker500.toml"
 
 
 def plain(path: Path) -> int:
@@ -52,17 +47,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="of driving")
     seconds = parser.parse_args().seconds
-    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
-    machine = parse_machine(text)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drive.mcap"
-        rows = list(simulate(machine, 1, seconds))
-        fold, writer = GuardedFold(machine), LogWriter(path, machine, text, Run("bench", 1, 0))
-        for frame in rows:
-            writer.frame(frame)
-            for publication, data in fold.take(frame):
-                writer.message(publication.topic, publication.t_ns, data)
-        writer.close()
+        _, _, rows = logged_drive(path, seconds)
         read_frames(path)  # compiles, once on a computer
         best = {"iter_messages": np.inf, "read_frames": np.inf}
         for _ in range(ROUNDS):

@@ -48,12 +48,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=120.0, help="of simulated driving")
     seconds = parser.parse_args().seconds
-    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
-    machine = parse_machine(text)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "demo.mcap"
-        rows = list(simulate(machine, 1, seconds))
-        record(path, machine, text, rows)
+        machine, text, rows = logged_drive(path, seconds)
         per_s = len(rows) / seconds
         size = path.stat().st_size / 1e6
         print(f"{len(rows)} frames in {seconds:g} s ({per_s:.0f}/s), {size:.1f} MB with results")
@@ -61,7 +58,11 @@ def main() -> None:
         report(times, len(rows), per_s)
 
 
-def record(path: Path, machine: Machine, text: str, rows: Iterable[Frame]) -> None:
+def logged_drive(path: Path, seconds: float) -> tuple[Machine, str, list[Frame]]:
+    """Drive the packaged machine and log it as the daemon does, with its results."""
+    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
+    machine = parse_machine(text)
+    rows = list(simulate(machine, 1, seconds))
     fold = GuardedFold(machine)
     writer = LogWriter(path, machine, text, Run("bench", 1, 0))
     for frame in rows:
@@ -69,6 +70,7 @@ def record(path: Path, machine: Machine, text: str, rows: Iterable[Frame]) -> No
         for publication, data in fold.take(frame):
             writer.message(publication.topic, publication.t_ns, data)
     writer.close()
+    return machine, text, rows
 
 
 def ways(

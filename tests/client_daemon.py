@@ -4,18 +4,16 @@
 be cut and can stall.
 """
 
-import json
 import socket
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from loopback import TEXT, free_port
+from loopback import TEXT
+from ordered import Ordered, ready, take_orders
 
 from tilth.logger.zenoh_sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
@@ -50,38 +48,11 @@ def text_on(port: int) -> str:
     return TEXT.replace('prefix = "tilth"', f'prefix = "tilth"\nlisten = ["tcp/127.0.0.1:{port}"]')
 
 
-class Publisher:
-    """Another process. Its orders: scale of the stiffnesses, an event, silence."""
+class Publisher(Ordered):
+    """Its orders: scale of the stiffnesses, an event, silence."""
 
     def __init__(self, port: int | None = None, suffix: str = "") -> None:
-        self.port = port or free_port(socket.SOCK_STREAM)
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self._process = subprocess.Popen(
-            [sys.executable, __file__, str(self.port), suffix],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "ready\n"
-
-    def order(self, **order: Any) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._process.poll() is None:
-            self._process.communicate(timeout=10)
+        super().__init__(__file__, port, suffix)
 
 
 class Way:
@@ -148,16 +119,9 @@ def main() -> None:
     port, suffix = int(sys.argv[1]), sys.argv[2]
     sink = ZenohSink(parse_machine(text_on(port)), suffix)
     orders: dict[str, Any] = {"scale": 1.0, "silent": False, "event": ""}
-    ended = threading.Event()
-
-    def read() -> None:
-        for line in sys.stdin:
-            orders.update(json.loads(line))
-        ended.set()
-
-    threading.Thread(target=read, daemon=True).start()
+    ended = take_orders(orders)
     start_ns = 1_790_000_000_000_000_000 - time.monotonic_ns()
-    print("ready", flush=True)  # noqa: T201
+    ready()
     while not ended.wait(EVERY_S):
         t_ns = start_ns + time.monotonic_ns()
         if not orders["silent"]:

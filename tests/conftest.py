@@ -3,12 +3,14 @@
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
 import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
 import pytest
+from loopback import Sender
 
 # Many tests start processes, which would each compile all that they import: three times the computing.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -37,3 +39,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
     (path,) = folder.glob("*.whl")
     return path
+
+
+@pytest.fixture(scope="module")
+def sender() -> Iterator[Sender]:
+    """Of frames, over loopback."""
+    with Sender() as process:
+        yield process

@@ -7,20 +7,17 @@ made up and obeys orders. What only a real daemon can show is tested with one; s
 import json
 import math
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from types import TracebackType
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, NamedTuple, cast
 
 import zenoh
 from client_daemon import text_on
-from loopback import free_port
+from ordered import Ordered, ready, take_orders
 from websockets.sync.client import ClientConnection, connect
 
 from tilth.logger.zenoh_sink import ZenohSink
@@ -140,39 +137,12 @@ def _version() -> str:
     return own_version()
 
 
-class Stage:
-    """The process, and orders to it."""
+class Stage(Ordered):
+    """The process."""
 
     def __init__(self, port: int | None = None, rate: float = 1.0) -> None:
         """rate: of its time to that of the world; its poses come ten times a second of the world's."""
-        self.port = port or free_port(socket.SOCK_STREAM)
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self.process = subprocess.Popen(
-            [sys.executable, __file__, str(self.port), str(rate)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        assert self.process.stdout.readline() == "ready\n"
-
-    def order(self, **orders: Any) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(orders) + "\n")
-        self.process.stdin.flush()
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.communicate()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.process.poll() is None:
-            self.process.communicate(timeout=10)
+        super().__init__(__file__, port, str(rate))
 
 
 class Monitor:
@@ -227,15 +197,8 @@ def main() -> None:
         query.reply(query.key_expr, b"")
 
     sink = ZenohSink(parse_machine(text_on(port)), "replay", mark=mark)
-    ended = threading.Event()
-
-    def read() -> None:
-        for line in sys.stdin:
-            orders.update(json.loads(line))
-        ended.set()
-
-    threading.Thread(target=read, daemon=True).start()
-    print("ready", flush=True)  # noqa: T201
+    ended = take_orders(orders)
+    ready()
     every_s, scale, changed_s, points = 0.1 * rate, 1.0, 0.0, drive(0.1)
     turn, began_s = 0, time.monotonic()
     while not ended.wait(max(0.0, began_s + 0.1 * turn - time.monotonic())):

@@ -89,12 +89,6 @@ def watched_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tilth.logger.buses.WATCH_NS", 1 << 62)
 
 
-@pytest.fixture(scope="module")
-def sender() -> Iterator[Sender]:
-    with Sender() as process:
-        yield process
-
-
 @pytest.fixture
 def talker() -> Iterator[can.BusABC]:
     """The other end of virtual("v")."""
