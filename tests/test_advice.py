@@ -179,7 +179,8 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
 
 @pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
 def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
-    """Ten seconds on a linear plant with the model's own noise, all nuisances unknown."""
+    """Ten seconds on a linear plant with the model's own noise, all nuisances unknown. 80 runs put ±0.1 on
+    the mean square."""
     known = [
         k for k in range(len(NAMES)) if SD[k] > 0 and not unknowns.NOISE.start <= k < unknowns.NOISE.stop
     ]
@@ -190,7 +191,7 @@ def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     predicted = advice.predicted(
         np.diag(held), advice.information(MACHINE, LINEAR, SPEED, chirp, planar=False)
     )
-    runs = [fitted(seed, MACHINE, chirp, known) for seed in range(40, 80)]
+    runs = [fitted(seed, MACHINE, chirp, known) for seed in range(80)]
     achieved = np.mean([sd for _, sd in runs], axis=0)
     share = predicted / achieved
     # The disturbances' own colour tells the rest, sigma_i most. Never a promise that is not kept.

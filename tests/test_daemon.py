@@ -90,12 +90,6 @@ def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[st
         command.process.communicate()
 
 
-@pytest.fixture(scope="module")
-def sender() -> Iterator[Sender]:
-    with Sender() as process:
-        yield process
-
-
 @pytest.fixture
 def talker() -> Iterator[can.BusABC]:
     with can.Bus(interface="virtual", channel="tilth-daemon") as bus:
@@ -297,8 +291,9 @@ def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
     assert "can9" in shown.events[0].text and "nosuchcan9" in shown.events[0].text
     assert any(problem.startswith("bus can9 failed") for problem in shown.status.problems)
     assert [frame.bus for frame in logged_frames(summary.log_files[0])] == ["can0"]
-    event, *_ = records_of(summary.log_files[0], "/event", pb.Event)
-    assert event.kind == "bus" and event.text == shown.events[0].text
+    told = [(event.kind, event.text) for event in records_of(summary.log_files[0], "/event", pb.Event)]
+    assert told == [(event.kind, event.text) for event in shown.events]
+    assert told[1:] == [("bus", "can0: its frames are stamped by the driver behind python-can")]
 
 
 class SteppingClock(Clock):

@@ -32,7 +32,8 @@ from tilth.schemas.proto.tilth_pb2 import FitOutcome
 TWO_STEP = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that two methods fit
 MACHINE, MACHINE_TEXT = demo_machine(**dict([TWO_STEP])), PACKAGED.replace(*TWO_STEP)
 SECOND = 1_000_000_000
-END_S = 22.0
+GAP_S = 15.0  # into the drive: there a window closes, just long enough for a fit
+END_S = GAP_S + 6.0
 METHODS = tuple(row.method for row in ESTIMATORS if row.fitting)
 LOST = "signal 9"
 
@@ -45,9 +46,9 @@ def without(rows: Iterable[Frame], after_s: float, until_s: float) -> list[Frame
 
 @cache
 def driven() -> list[Frame]:
-    """A drive with a gap, where a window closes; its fit is asked for, decided 3 s later and used."""
+    """A drive with a gap of a second; its fit is asked for, decided 3 s later and used."""
     scenario = Scenario(seconds=END_S, steering=Manoeuvre("random"), other_traffic=False)
-    return without(traffic(MACHINE, drive(MACHINE, 3, END_S, scenario)), 16.0, 17.0)
+    return without(traffic(MACHINE, drive(MACHINE, 3, END_S, scenario)), GAP_S, GAP_S + 1.0)
 
 
 class Pocket:
@@ -253,20 +254,31 @@ def outcomes(paths: Sequence[Path]) -> dict[str, bool]:
 def test_a_run_with_a_fit_gives_its_own_bytes_again(
     tmp_path: Path, worker: Worker, late: tuple[str, ...], gap: bool
 ) -> None:
-    rows = without(driven(), 17.5, 21.5) if gap else driven()  # fits are due in the gap
+    rows = without(driven(), GAP_S + 1.5, GAP_S + 5.5) if gap else driven()  # fits are due in the gap
     live = record(tmp_path, rows, Pocket(worker, late), Once())
     assert len(live.parts) == 4
     assert outcomes(live.parts) == {method: method not in late for method in METHODS}
     assert replayed(live.parts) == ("", [])
-    for part in live.parts[1:3] if not late else ():
+    for part in live.parts[1:3] if not gap else ():
         assert replayed([part]) == ("", [])
 
 
-def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(
-    tmp_path: Path, worker: Worker
-) -> None:
-    live = record(tmp_path, driven(), Pocket(worker), lambda fold: False)
-    rows = list(open_log(live.parts[0], IDENTICAL).records)
+@pytest.fixture(scope="module")
+def in_time(tmp_path_factory: pytest.TempPathFactory, worker: Worker) -> Path:
+    """A log in one file."""
+    return record(tmp_path_factory.mktemp("in"), driven(), Pocket(worker), lambda fold: False).parts[0]
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory, worker: Worker) -> Path:
+    """Of the same drive; no fit was ready."""
+    return record(
+        tmp_path_factory.mktemp("late"), driven(), Pocket(worker, METHODS), lambda fold: False
+    ).parts[0]
+
+
+def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(in_time: Path) -> None:
+    rows = list(open_log(in_time, IDENTICAL).records)
     at = next(k for k, row in enumerate(rows) if isinstance(row, Logged) and row.topic == FIT_TOPIC)
     told = rows[at]
     before = [row for row in rows[:at] if isinstance(row, Frame)][-2:]
@@ -278,18 +290,15 @@ def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(
     assert isinstance(first, Logged) and first.topic == "/soil_tire/pem"
 
 
-def test_the_same_run_twice_and_another_with_its_stamps(tmp_path: Path, worker: Worker) -> None:
-    (tmp_path / "late").mkdir()
-    late = record(tmp_path / "late", driven(), Pocket(worker, METHODS), lambda fold: False).parts[0]
-    in_time = record(tmp_path, driven(), Pocket(worker), lambda fold: False).parts[0]
+def test_the_same_run_twice_and_another_with_its_stamps(late: Path, in_time: Path) -> None:
+    assert outcomes([late]) == dict.fromkeys(METHODS, False)
     assert replayed([late, late, in_time, late])[0] == ""
 
 
-def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path, worker: Worker) -> None:
-    live = record(tmp_path, driven(), Pocket(worker, METHODS), lambda fold: False)
+def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
     silent = tmp_path / "silent.mcap"
     writer = LogWriter(silent, MACHINE, MACHINE_TEXT, Run("s", 1, 0))
-    for row in live.rows:
+    for row in driven():
         writer.frame(row)
     writer.close()
     found = replay([silent], MACHINE, MACHINE_TEXT).estimates[pem.METHOD]

@@ -266,7 +266,7 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(tmp_path: 
         run.take(frame)
     run.recording.close()
     said = ["again" if "recording again" in event else "not" for event in run.events]
-    assert said[0] == "not" and said[-1] == "again"
+    assert said and said == ["not", "again"] * (len(said) // 2)
     *_, last = run.recording.files
     assert len(records_of(last, "/snapshot", pb.Snapshot)) == 1
     tail = logged_frames(last)

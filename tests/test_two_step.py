@@ -98,10 +98,10 @@ def test_relaxation_lengths_are_found_where_the_stiffnesses_are_right() -> None:
 
 
 def test_with_a_free_gain_the_intervals_are_too_narrow() -> None:
-    """With the stiffnesses given, sensor noise alone, and 8 runs of steps."""
+    """With the stiffnesses given, sensor noise alone, and 12 runs of steps."""
     wheel = np.repeat(np.radians([0.0, 8.0, -8.0, 4.0, -6.0]), TICKS // 5)
     inside = []
-    for seed in range(8):
+    for seed in range(12):
         told = two_step_fit._outputs(window(record_of(wheel, 1.0, seed=seed), TRUTH))
         assert told is not None
         lengths, sds, within = two_step_fit._relaxation_lengths(told, unknowns.base_geometry(MACHINE), TRUTH)

@@ -262,7 +262,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert second._fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)
-    logs = second.close().log_files  # two: the computer's clock is not that of the drive
+    logs = second.close().log_files  # two where the receivers tell the time early enough
     kinds = [type(record) for record in open_log(logs[0]).records]
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
