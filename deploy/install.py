@@ -18,6 +18,7 @@ import tomllib
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 SERVICE = "tilth.service"
 # File of deploy/system in the release → its place on the computer.
@@ -32,6 +33,8 @@ PLACES = (
 SETUP = "usr/local/sbin/tilth-setup"  # this program, for later
 COMMAND = "usr/local/bin/tilth"
 KEYS = "daemon.json"
+KERNELS = "var/cache/tilth"  # what numba has compiled; NUMBA_CACHE_DIR and CacheDirectory of the unit
+MACHINE = "etc/tilth/machine.toml"
 KEPT = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
 
 
@@ -77,7 +80,7 @@ class Box:
 
 
 def install(box: Box, args: argparse.Namespace) -> None:
-    machine = box.at("etc/tilth/machine.toml")
+    machine = box.at(MACHINE)
     if not machine.exists() and args.machine is None:
         raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
     release = _new_release(box, args.source, args.wheels)
@@ -114,7 +117,7 @@ def rollback(box: Box, args: argparse.Namespace) -> None:
     previous = box.release("previous")
     if previous is None:
         raise Failed("there is no earlier release to go back to")
-    _check_machine(previous, box.at("etc/tilth/machine.toml"))
+    _check_machine(previous, box.at(MACHINE))
     _switch(box, previous)
 
 
@@ -124,7 +127,8 @@ def uninstall(box: Box, args: argparse.Namespace) -> None:
         box.at(place).unlink(missing_ok=True)
     for place in (SETUP, COMMAND):
         box.at(place).unlink(missing_ok=True)
-    shutil.rmtree(box.at("opt/tilth"), ignore_errors=True)
+    for place in ("opt/tilth", KERNELS):
+        shutil.rmtree(box.at(place), ignore_errors=True)
     box.run("systemctl", "daemon-reload", fail=False)
     box.run("udevadm", "control", "--reload", fail=False)
     print(f"removed; kept: {', '.join(str(box.at(place)) for place in KEPT)}")
@@ -292,7 +296,31 @@ def _start(box: Box) -> bool:
     box.run("udevadm", "control", "--reload", fail=False)
     box.run("udevadm", "trigger", "--action=add", "--subsystem-match=net", fail=False)
     box.run("systemctl", "enable", "--quiet", SERVICE)
+    _compile(box)
     return box.run("systemctl", "restart", SERVICE, fail=False)
+
+
+def _compile(box: Box) -> None:
+    """What the current release calls, as the recorder's user, while the release before it still records.
+
+    Nothing fails with it: the recorder compiles what it does not find, before it opens a bus.
+    """
+    release, kernels = box.release("current"), box.at(KERNELS)
+    assert release is not None
+    kernels.mkdir(parents=True, exist_ok=True)
+    user: dict[str, Any] = {}
+    if box.real:
+        user = {"user": "tilth", "group": "tilth", "extra_groups": []}
+        shutil.chown(kernels, "tilth", "tilth")
+    done = subprocess.run(
+        [str(release / "bin/python"), "-P", "-m", "tilth.logger.compiling", str(box.at(MACHINE))],
+        check=False,
+        cwd="/",
+        env={**os.environ, "NUMBA_CACHE_DIR": str(kernels), "HOME": str(kernels)},
+        **user,
+    )
+    if done.returncode:
+        print("compiling in advance failed, see above; the first start will take longer")
 
 
 def _put(source: Path, target: Path, mode: int = 0o644) -> None:

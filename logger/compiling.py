@@ -5,8 +5,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from tilth.estimator.estimators import rows_for
@@ -23,41 +22,33 @@ def prepare(machine: Machine, say: Say) -> float:
 
     say: is told TEXT as soon as the first kernel has to be compiled.
     """
+    try:
+        from numba.core import config, event
+    except (ImportError, OSError):
+        return 0.0  # kernels are interpreted
+    if getattr(config, "DISABLE_JIT", 0):  # set at run time
+        return 0.0
     began: list[float] = []
 
-    def compiling() -> None:
-        if not began:
-            began.append(time.monotonic())
-            say(TEXT)
+    class Compilations(event.Listener):
+        """numba's; loading from disk is none."""
 
-    with _heard(compiling):
-        for row in rows_for(machine):
-            row.prepare(machine)
-    return time.monotonic() - began[0] if began else 0.0
-
-
-@contextmanager
-def _heard(compiling: Callable[[], None]) -> Iterator[None]:
-    """Calls `compiling` each time that numba begins to compile something; loading from disk is none."""
-    try:
-        from numba.core import event
-    except (ImportError, OSError):  # then nothing is compiled at all
-        yield
-        return
-
-    class Listener(event.Listener):
         def on_start(self, event: object) -> None:
-            compiling()
+            if not began:
+                began.append(time.monotonic())
+                say(TEXT)
 
         def on_end(self, event: object) -> None:
             return
 
-    listener = Listener()
+    listener = Compilations()
     event.register("numba:compile", listener)
     try:
-        yield
+        for row in rows_for(machine):
+            row.prepare(machine)
     finally:
         event.unregister("numba:compile", listener)
+    return time.monotonic() - began[0] if began else 0.0
 
 
 def main(words: list[str]) -> int:

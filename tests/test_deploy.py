@@ -11,7 +11,7 @@ import pytest
 from loopback import TEXT
 
 from tilth.deploy import can_up
-from tilth.deploy.install import Failed, adapter_rule
+from tilth.deploy.install import KERNELS, Failed, adapter_rule
 
 ROOT = Path(__file__).resolve().parents[1]
 INSTALLER = ROOT / "deploy" / "install.py"
@@ -40,12 +40,14 @@ def without_tilth(target: Path) -> Path:
 class Box:
     """A folder that stands for a computer."""
 
-    def __init__(self, folder: Path, needed: Path) -> None:
+    def __init__(self, folder: Path, needed: Path, kernels: bool = False) -> None:
+        """kernels: whether they are compiled, which takes half a minute for each release."""
         self.root = folder / "root"
         self._environment = {
             **os.environ,
             "PIP_NO_DEPS": "1",
             "PIP_NO_COMPILE": "1",
+            "NUMBA_DISABLE_JIT": "0" if kernels else "1",
             "PYTHONPATH": str(needed),
         }
 
@@ -55,7 +57,8 @@ class Box:
 
     def tilth(self, *words: str) -> "subprocess.CompletedProcess[str]":
         command = [str(self.root / "opt/tilth/current/bin/tilth"), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=False, env=self._environment)
+        environment = {**self._environment, "NUMBA_CACHE_DIR": str(self.root / KERNELS)}
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
     def release(self, link: str) -> str:
         return (self.root / "opt/tilth" / link).resolve().name
@@ -89,6 +92,7 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert (box.root / "etc/tilth/machine.toml").read_text() == machine.read_text()
     assert (box.root / "etc/tilth/daemon.json").stat().st_mode & 0o777 == 0o640
     assert box.tilth("--help").returncode == 0
+    assert (box.root / KERNELS).is_dir() and "in advance failed" not in said.stdout + said.stderr
     for name in UNITS:
         assert (box.root / "etc/systemd/system" / name).read_text() == (SYSTEM / name).read_text()
     log = box.root / "var/lib/tilth/logs/a.mcap"
@@ -117,6 +121,23 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert box.files() == {
         "etc/tilth/machine.toml", "etc/tilth/daemon.json", "var/lib/tilth/logs/a.mcap",
     }  # fmt: skip
+
+
+@pytest.mark.cold
+@pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
+def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path) -> None:
+    """Where the unit lets the recorder look for them."""
+    box = Box(tmp_path, without_tilth(tmp_path / "needed"), kernels=True)
+    machine = tmp_path / "machine.toml"
+    machine.write_text(TEXT)
+    said = box.setup("install", wheel, "--machine", machine)
+    assert said.returncode == 0 and said.stdout.count("compiling kernels, once per machine") == 1
+    unit = (SYSTEM / "tilth.service").read_text()
+    assert f"Environment=NUMBA_CACHE_DIR=/{KERNELS} " in unit and "CacheDirectory=tilth\n" in unit
+    logs = str(tmp_path / "logs")
+    done = box.tilth("run", str(machine), "--log", logs, "--no-zenoh", "--plain", "--seconds", "1")
+    assert "recording, " in done.stdout and "compil" not in done.stdout + done.stderr
+    assert box.setup("uninstall").returncode == 0 and not (box.root / KERNELS).exists()
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
