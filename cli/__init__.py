@@ -34,6 +34,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("mavlink", "send the parameters to a MAVLink autopilot"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
     ("monitor", "show a running daemon in a browser"),
+    ("foxglove", "show a running daemon in Foxglove or Lichtblick"),
 )
 
 

@@ -1,0 +1,74 @@
+"""`tilth foxglove`: what the daemon publishes, live in viewers of the Foxglove WebSocket protocol."""
+
+import argparse
+import signal
+import threading
+from importlib import resources
+
+from tilth.cli import WrongUse
+from tilth.cli.mavlink import add_daemon
+from tilth.client.link import base_key, living, open_session
+
+PORT = 8765  # where such viewers look first
+LOOK_S = 0.5
+LAYOUT = "foxglove/tilth.json"
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "foxglove",
+        help="show a running daemon in Foxglove or Lichtblick",
+        description="Serves what a running daemon publishes over the Foxglove WebSocket protocol: the same "
+        "topics as in a log. A process of its own: it can come and go without touching the recorder. Until "
+        "Ctrl-C.",
+    )
+    add_daemon(parser)
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="to serve at (127.0.0.1: this computer alone)"
+    )
+    parser.add_argument(
+        "--port", type=int, default=PORT, metavar="N", help=f"0 for any that is free ({PORT})"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    if not 0 <= args.port <= 65535:
+        raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")
+    try:
+        from tilth.monitor.foxglove_server import Server
+    except ModuleNotFoundError as error:
+        if error.name != "foxglove":
+            raise
+        raise WrongUse(
+            "this needs one package more: pip install 'tilth[foxglove]', or uv sync --extra foxglove"
+        ) from None
+    try:
+        base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
+        session = open_session(args.connect, args.config)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    try:
+        server = Server(args.host, args.port)
+    except OSError as error:
+        session.close()
+        raise WrongUse(f"--host {args.host} --port {args.port}: {error}; give others") from None
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    print(f"ws://{args.host}:{server.port}   open this connection in Foxglove or Lichtblick", flush=True)
+    print(f"and import this layout: {resources.files('tilth.deploy').joinpath(LAYOUT)}", flush=True)
+    try:
+        if not base:
+            print(f"looking for a daemon at {args.config or args.connect} …", flush=True)
+        while not base and not stop.wait(LOOK_S):
+            base = next(iter(living(session, args.prefix)), "")
+        if base:
+            server.follow(session, base)
+            print(f"hears {base}", flush=True)
+            stop.wait()
+    finally:
+        server.stop()
+        session.close()
+        print(f"{server.served} messages served", flush=True)
+        for refusal, count in server.refused.items():
+            print(f"{count} refused: {refusal}", flush=True)
+    return 0

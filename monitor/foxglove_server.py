@@ -1,0 +1,108 @@
+"""What a daemon publishes, live over the Foxglove WebSocket protocol, for Foxglove, Lichtblick and such.
+
+Topics, schemas and bytes are those of the log: one layout serves both. Needs the extra `foxglove`; nothing
+else of this package imports this module. Threads of Zenoh's fill it.
+"""
+
+import threading
+from collections import Counter
+from functools import partial
+from typing import Any, Final, cast
+
+import zenoh
+from foxglove import Channel, Context, Schema, start_server
+from foxglove.websocket import Capability
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.message import DecodeError
+
+from tilth.client.received import LARGEST
+from tilth.schemas import channels
+
+# The rig is said once, when a daemon begins, and would be missed; viewers have the drawing instead.
+SERVED: Final = tuple(row for row in channels.CHANNELS if row.key is not None and row.topic != "/rig")
+BACK_NS: Final = 5_000_000_000  # further back than any message is late: another run, or a clock that stepped
+
+LATEST_NS: Final = 1 << 63
+
+
+class Server:
+    """Serves until it is stopped. What it is sent by viewers it does not listen to."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises OSError."""
+        self._context = context = Context()  # it ends with its last reference, and all channels with it
+        self.served, self.refused = 0, Counter[str]()
+        self._now_ns = 0  # of the daemon's clock
+        self._lock = threading.Lock()
+        self._subscribers: list[zenoh.Subscriber[None]] = []
+        try:
+            self._server = start_server(
+                name="tilth", host=host, port=port, capabilities=[Capability.Time], context=context
+            )
+        except RuntimeError as error:
+            raise OSError(str(error).removeprefix("FoxgloveError: ")) from None
+        self.port = self._server.port
+        self._channels = {row.topic: _channel(row, context) for row in SERVED}
+
+    def follow(self, session: zenoh.Session, base: str) -> None:
+        """Serve what is said on the keys of a machine from now on."""
+        for row in SERVED:
+            take = partial(self._take, row)
+            self._subscribers.append(session.declare_subscriber(f"{base}/{row.key}", take))
+
+    def stop(self) -> None:
+        """Before the session is closed."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        self._server.stop()
+
+    def _take(self, row: channels.Channel, sample: zenoh.Sample) -> None:
+        with self._lock:
+            try:
+                data, t_ns = _checked(row, sample)
+            except ValueError as refusal:
+                self.refused[f"{row.topic}: {refusal}"] += 1
+                return
+            if not self._now_ns - BACK_NS < t_ns <= self._now_ns:
+                self._now_ns = t_ns
+                self._server.broadcast_time(t_ns)
+            self._channels[row.topic].log(data, log_time=t_ns)
+            self.served += 1
+
+
+def _channel(row: channels.Channel, context: Context) -> Channel:
+    descriptor = cast(Descriptor, row.message.DESCRIPTOR)
+    schema = Schema(
+        name=descriptor.full_name, encoding="protobuf", data=channels.file_descriptor_set(descriptor)
+    )
+    return Channel(row.topic, message_encoding="protobuf", schema=schema, context=context)
+
+
+def _checked(row: channels.Channel, sample: zenoh.Sample) -> tuple[bytes, int]:
+    """The bytes of a message and its own time. Raises ValueError."""
+    if len(sample.payload) > LARGEST:
+        raise ValueError("too many bytes")
+    if str(sample.encoding) != row.encoding:
+        raise ValueError(f"its encoding is not {row.encoding}")
+    data, message = sample.payload.to_bytes(), row.message()
+    try:
+        message.ParseFromString(data)
+    except DecodeError:
+        raise ValueError(f"not a {row.message.DESCRIPTOR.name}") from None
+    t_ns = _time_ns(message)
+    if not 0 < t_ns < LATEST_NS:
+        raise ValueError("without a time")
+    return data, t_ns
+
+
+def _time_ns(message: Any) -> int:
+    """Ours have their time as t_ns, Foxglove's as a timestamp; 0: none."""
+    if isinstance(message, LocationFix):
+        return int(message.timestamp.ToNanoseconds())
+    if isinstance(message, (FrameTransforms, SceneUpdate)):
+        parts = message.transforms if isinstance(message, FrameTransforms) else message.entities
+        return int(parts[0].timestamp.ToNanoseconds()) if parts else 0
+    return int(message.t_ns)

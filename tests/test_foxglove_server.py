@@ -1,0 +1,236 @@
+"""`tilth foxglove` between processes: a real daemon, the server, a client that knows only the protocol."""
+
+import base64
+import json
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from client_daemon import Publisher, until
+from field_rig import FieldRig
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from loopback import session
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from tilth.cli import main
+from tilth.client.link import open_session
+from tilth.schemas.channels import CHANNEL, CHANNELS
+from tilth.schemas.proto import tilth_pb2 as pb
+
+pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
+from tilth.monitor.foxglove_server import Server
+
+BASE = "tilth/jd7930-parker500"
+MESSAGE, TIME = 1, 2  # opcodes of binary messages
+WANTED = (
+    "/pose", "/drawing/frames", "/drawing/bodies", "/gnss/tractor_front", "/soil_tire", "/status",
+)  # fmt: skip
+SOON_S = 60.0  # a busy computer takes its time; a quiet one does not wait
+
+
+class Viewer:
+    """Speaks the protocol; knows nothing of Tilth."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.info: dict[str, Any] = {}
+        self.channels: dict[str, dict[str, Any]] = {}  # by topic
+        self.heard: dict[str, list[tuple[int, bytes]]] = defaultdict(list)  # topic -> time, message
+        self.times: list[int] = []
+        self._topics: list[str] = []  # by subscription
+
+    def subscribe(self, *topics: str) -> None:
+        rows = []
+        for topic in topics:
+            rows.append({"id": len(self._topics), "channelId": self.channels[topic]["id"]})
+            self._topics.append(topic)
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": rows}))
+
+    def hear_until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + SOON_S
+        while not condition():
+            assert time.monotonic() < deadline, {topic: len(rows) for topic, rows in self.heard.items()}
+            self._take(self._socket.recv(timeout=SOON_S))
+
+    def _take(self, told: str | bytes) -> None:
+        if isinstance(told, str):
+            said = json.loads(told)
+            if said["op"] == "serverInfo":
+                self.info = said
+            elif said["op"] == "advertise":
+                self.channels |= {row["topic"]: row for row in said["channels"]}
+        elif told[0] == MESSAGE:
+            subscription, t_ns = struct.unpack_from("<IQ", told, 1)
+            self.heard[self._topics[subscription]].append((t_ns, told[13:]))
+        elif told[0] == TIME:
+            self.times.append(struct.unpack_from("<Q", told, 1)[0])
+
+    def decoded(self, topic: str) -> list[Any]:
+        """By the schema that the server told."""
+        row, pool = self.channels[topic], descriptor_pool.DescriptorPool()
+        assert (row["encoding"], row["schemaEncoding"]) == ("protobuf", "protobuf")
+        for file in descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(row["schema"])).file:
+            pool.Add(file)
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(row["schemaName"]))
+        return [kind.FromString(data) for _, data in self.heard[topic]]
+
+    def misbehave(self) -> None:
+        for nonsense in ("nonsense", '{"op": "subscribe"}', b"\x63", b""):
+            self._socket.send(nonsense)
+
+
+@contextmanager
+def viewer_at(address: str) -> Iterator[Viewer]:
+    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket:
+        assert socket.subprotocol == "foxglove.sdk.v1"
+        yield Viewer(socket)
+
+
+@contextmanager
+def server(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Its address and process; fails where it does not end as it should."""
+    code = f"import sys; from tilth.cli import main; sys.exit(main({('foxglove', '--port', '0', *words)!r}))"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield process.stdout.readline().split()[0], process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
+    published: dict[str, list[bytes]] = defaultdict(list)
+    with closing(FieldRig(tmp_path, 240.0)) as rig, server("--connect", rig.endpoint) as (address, process):
+        assert address.startswith("ws://127.0.0.1:")
+        rig.start()
+        other = _opened(rig)
+        other.declare_subscriber(
+            f"{BASE}/**", lambda s: published[str(s.key_expr).removeprefix(BASE)].append(s.payload.to_bytes())
+        )
+        with viewer_at(address) as wild:
+            wild.misbehave()
+        with viewer_at(address) as viewer:
+            viewer.hear_until(lambda: len(viewer.channels) == len(_served()))
+            assert viewer.info["name"] == "tilth" and "time" in viewer.info["capabilities"]
+            assert {t: row["schemaName"] for t, row in viewer.channels.items()} == _served()
+            viewer.subscribe(*WANTED)
+            viewer.hear_until(
+                lambda: all(viewer.heard[topic] for topic in WANTED) and len(viewer.heard["/pose"]) > 10
+            )
+            poses = {pose.t_ns: pose for pose in viewer.decoded("/pose")}
+            frames = viewer.decoded("/drawing/frames")
+            assert viewer.times == sorted(viewer.times) and len(viewer.times) > 3
+        until(lambda: all(viewer.heard[t][-1][1] in published[t] for t in WANTED), SOON_S)
+        for topic in WANTED:
+            assert {data for _, data in viewer.heard[topic]} <= set(published[topic]), topic
+        assert [t_ns for t_ns, _ in viewer.heard["/pose"]] == [*poses]
+        for message in frames[1:-1]:  # what is at either end may have come without its pose
+            first = message.transforms[0]
+            body = poses[first.timestamp.ToNanoseconds()].tractor
+            assert (first.translation.y, first.translation.x) == (body.x, body.y)
+        other.close()
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        out = process.stdout.read()
+        assert process.wait(10) == 0
+        assert f"hears {BASE}" in out and "foxglove/tilth.json" in out
+
+
+@pytest.mark.parametrize(
+    ("topic", "data", "encoding", "told"),
+    [
+        ("/pose", b"\xff\xff", "", "not a Pose"),
+        ("/pose", b"x" * 100_000, "", "too many bytes"),
+        ("/pose", pb.Pose(t_ns=1).SerializeToString(), "text/plain", "its encoding is not application/"),
+        ("/pose", b"", "", "without a time"),
+        ("/drawing/frames", b"", "", "without a time"),
+        ("/drawing/bodies", SceneUpdate(entities=[SceneEntity()]).SerializeToString(), "", "without a time"),
+        ("/status", pb.Status(t_ns=2**64 - 1).SerializeToString(), "", "without a time"),
+    ],
+)
+def test_what_is_no_message_is_refused(
+    serving: tuple[Server, zenoh.Session], topic: str, data: bytes, encoding: str, told: str
+) -> None:
+    server, own = serving
+    served, refused = server.served, server.refused.total()
+    own.put(f"{BASE}{topic}", data, encoding=encoding or CHANNEL[topic].encoding)
+    until(lambda: server.refused.total() == refused + 1)
+    assert [*server.refused][-1].startswith(f"{topic}: {told}")
+    own.put(f"{BASE}/pose", pb.Pose(t_ns=5).SerializeToString(), encoding=CHANNEL["/pose"].encoding)
+    until(lambda: server.served == served + 1)
+
+
+@pytest.fixture
+def serving() -> Iterator[tuple[Server, zenoh.Session]]:
+    """A server that hears its own session."""
+    with open_session("tcp/127.0.0.1:1") as own:
+        server = Server("127.0.0.1", 0)
+        server.follow(own, BASE)
+        yield server, own
+        server.stop()
+
+
+def _served() -> dict[str, str]:
+    rows = [row for row in CHANNELS if row.key is not None and row.key != "rig"]
+    return {row.topic: row.message.DESCRIPTOR.full_name for row in rows}
+
+
+def _opened(rig: FieldRig) -> Any:
+    """A session with the daemon, once it lives."""
+    found: list[Any] = []
+
+    def tried() -> bool:
+        try:
+            found.append(session([rig.endpoint]))
+        except Exception:  # whatever Zenoh says of a daemon that does not listen yet
+            return False
+        return True
+
+    until(tried, SOON_S)
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--port", "65536"), "give a number from 0 to 65535"),
+        (("--host", "203.0.113.1", "--port", "0"), "give others"),
+        (("--connect", "nonsense"), "an endpoint looks like"),
+        (("--machine", "a/b"), "give its name in the machine file"),
+    ],
+)
+def test_wrong_use_is_told_in_one_line(
+    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(("foxglove", *words)) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
+
+
+def test_without_the_extra_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.delitem(sys.modules, "tilth.monitor.foxglove_server", raising=False)
+    assert main(("foxglove",)) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'tilth[foxglove]'" in error and error.count("\n") == 1
+
+
+def test_a_taken_port_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with Publisher() as publisher, server("--connect", publisher.endpoint) as (address, _):
+        assert main(("foxglove", "--port", address.rpartition(":")[2])) == 2
+    assert "in use" in capsys.readouterr().err
