@@ -10,6 +10,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import NoReturn
 
 from tilth.logger.lean_can import import_can
@@ -47,7 +48,10 @@ RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read 
 
 def duration(text: str) -> float:
     """argparse type: a duration, s, positive and finite."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"{text}: give a number above zero")
     return value
@@ -56,6 +60,12 @@ def duration(text: str) -> float:
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        print(f"tilth {version('tilth')}")  # a search of the disk: for who asks only
+        parser.exit()
 
 
 def add_bus_names(parser: argparse.ArgumentParser) -> None:
@@ -75,6 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _Parser(
         prog="tilth", description="Records a tractor's CAN buses and estimates how the soil holds the tyres."
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="say which version this is")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     wanted = next((word for word in words if not word.startswith("-")), None)
     if wanted in RECORDERS:

@@ -7,11 +7,10 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse
-from tilth.client.link import Alive, living
+from tilth.client.link import ENDPOINT, Alive, living
 from tilth.client.refusal import holder_of, try_key
 from tilth.logger.clock import utc_text
 from tilth.logger.machine_file import read_machine
-from tilth.logger.zenoh_session import why
 from tilth.schemas.machine import Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -50,9 +49,13 @@ def run(args: argparse.Namespace) -> int:
         prefix, name = _of_key(args.config)
     try:
         session = zenoh.open(_config(args.config, [args.endpoint] if args.endpoint else endpoints))
-    except zenoh.ZError as error:
-        reason = why(error) if args.config is None else try_key(args.config).text
-        raise WrongUse(f"no daemon can be reached: {reason}; is `tilth run` running?") from None
+    except zenoh.ZError:
+        if args.config is not None:
+            raise WrongUse(f"no daemon can be reached: {try_key(args.config).text}") from None
+        where = args.endpoint or ", ".join(endpoints)
+        raise WrongUse(
+            f"no daemon can be reached at {where}; is `tilth run` running? An endpoint looks like {ENDPOINT}"
+        ) from None
     with session:
         key = _heard(session, prefix, name, args.config).base(prefix) + "/mark"
         replies = list(session.get(key, payload=args.text, encoding="text/plain", timeout=WAIT_S))

@@ -49,10 +49,10 @@ def run(args: argparse.Namespace) -> int:
 def chosen(folder: Path, names: list[str] | None) -> list[StoredRun]:
     """The runs of those names, or all. Raises WrongUse."""
     if not folder.is_dir():
-        raise WrongUse(f"{folder}: no such folder; give the log folder with --log")
+        raise WrongUse(f"{folder}: no such folder; name the one that the logs are in")
     runs = stored_runs(folder)
     if not runs:
-        raise WrongUse(f"{folder}: no run is in it; give the log folder with --log")
+        raise WrongUse(f"{folder}: no run is in it; name the folder that the logs are in")
     known = {one.name: one for one in runs}
     for name in names or ():
         if name not in known:

@@ -30,7 +30,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         found = survey(args.logs)
     except OSError as error:
-        raise WrongUse(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+        reason = (error.strerror or str(error)).lower()
+        raise WrongUse(f"{error.filename}: {reason}; give the files of a run") from None
     if args.json:
         print(json.dumps([_plain(one) for one in found], indent=1))
     else:
@@ -43,7 +44,7 @@ def _lines(one: Survey) -> list[str]:
     seconds = (one.last_ns - one.first_ns) * 1e-9
     name = one.files[0].name.rpartition("_")[0] or one.files[0].name
     if not one.run:
-        return [f"{name}: {what}" for what in one.wrong or ["no log of tilth"]]
+        return one.wrong or [f"{name}: no log of tilth"]
     lines = [f"{name}: {len(one.files)} files, {size:.1f} MB, {seconds:.1f} s from {_utc(one, one.first_ns)}"]
     if one.note:
         lines.append(f"  note: {one.note}")

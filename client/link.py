@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import zenoh
 
 ENDPOINT: Final = "tcp/127.0.0.1:7447"
+_ENDPOINT: Final = re.compile(r"[a-z-]+/.")
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0}
 
@@ -27,6 +28,8 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
 
     A daemon that is not there yet is no error. Raises ValueError in a person's words.
     """
+    if config is None and not _ENDPOINT.match(endpoint):
+        raise ValueError(f"{endpoint}: is none; an endpoint looks like {ENDPOINT}")
     try:
         if config is not None:
             return zenoh.open(zenoh.Config.from_file(str(config)))
@@ -44,9 +47,12 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
             settings.insert_json5(key, json.dumps(value))
         return zenoh.open(settings)
     except zenoh.ZError as error:
-        what = endpoint if config is None else config
         why = str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
-        raise ValueError(f"{what}: {why}; an endpoint looks like {ENDPOINT}") from None
+        if config is not None:
+            raise ValueError(
+                f"{config}: {why}; give a Zenoh configuration, or a key of `tilth keys`"
+            ) from None
+        raise ValueError(f"{endpoint}: {why}; an endpoint looks like {ENDPOINT}") from None
 
 
 class Alive(NamedTuple):

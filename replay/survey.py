@@ -88,7 +88,7 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
                 _take(one, reading, topic, *row)
         if one is None:
             one, reading = _run_of(runs, path, metadata)
-        one.wrong += [f"{path.name}: {_DAMAGE[what]} ({count})" for what, count in sorted(damage.items())]
+        one.wrong += [f"{path.name}: {_DAMAGE[what].format(count)}" for what, count in sorted(damage.items())]
         reading.clocks += clocks
     for one, reading in runs.values():
         _conclude(one, reading)
@@ -97,8 +97,8 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
 
 _DAMAGE = {
     "cut": "was left unfinished; `tilth recover` finishes it",
-    "chunk": "chunks that cannot be read",
-    "bytes": "bytes that cannot be read",
+    "chunk": "chunks that cannot be read ({})",
+    "bytes": "bytes that cannot be read ({})",
     "mcap": "is no MCAP file",
 }
 

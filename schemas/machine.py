@@ -367,7 +367,7 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
     if first["type"] in _UNKNOWN:
         known = _keys_at(model, where[:-1], raw)
         near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
+        hint = f'; did you mean "{near[0]}"?' if near else "."
         return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
     if first["type"] == "missing":
         given = _keys_given(raw, where[:-1])

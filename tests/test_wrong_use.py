@@ -1,0 +1,72 @@
+"""Wrong use of the commands: one line that says what to do, exit status 2, and nothing begun."""
+
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from logs import MACHINE_FILE
+
+from tilth.cli import COMMANDS, main
+
+NOWHERE = "tcp/127.0.0.1:1"
+ROWS: list[tuple[list[str], str]] = [
+    ([], "required: COMMAND; see tilth --help"),
+    (["frob"], "choose from 'run', "),
+    (["run", "MACHINE", "--seconds", "x"], "--seconds: x: give a number above zero"),
+    (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
+    (["run", "FOLDER"], "is a directory); give the path of one that exists"),
+    (["run", "FOREIGN"], "not a TOML file"),
+    (["run", "OTHER"], "title: no such key. Allowed here: machine, tractor"),
+    (["check", "none.toml"], "none.toml: the machine file cannot be read"),
+    (["logs", "none"], "none: no such folder; name the one that the logs are in"),
+    (["logs", "FOLDER", "--keep", "x"], "no run is in it; name the folder that the logs are in"),
+    (["offload", "FOLDER", "--log", "none"], "none: no such folder; name the one"),
+    (["offload", "none"], "none: no such folder; mount the stick"),
+    (["verify", "none.mcap"], "none.mcap: no such file or directory; give the files of a run"),
+    (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `tilth run` running? An endpoint looks"),
+    (["mark", "x", "--endpoint", "rubbish"], "reached at rubbish; is `tilth run` running? An"),
+    (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: is none; an endpoint looks like tcp/"),
+    (["monitor", "--port", "0", "--config", "FOREIGN"], "give a Zenoh configuration, or a key of"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "said"), ROWS, ids=lambda v: " ".join(v) if isinstance(v, list) else "")
+def test_one_line_says_what_to_do(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "foreign.bin").write_bytes(b"not a log, not a machine\n")
+    (tmp_path / "other.toml").write_text('title = "of another program"\n')
+    places = {
+        "MACHINE": str(MACHINE_FILE),
+        "FOLDER": "folder",
+        "FOREIGN": "foreign.bin",
+        "OTHER": "other.toml",
+    }
+    try:
+        status: object = main([places.get(word, word) for word in words])
+    except SystemExit as end:  # argparse
+        status = end.code
+    out, err = capsys.readouterr()
+    assert status == 2 and out == ""
+    assert said in err and err.startswith("tilth") and err.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"folder", "foreign.bin", "other.toml"}
+
+
+@pytest.mark.parametrize("name", [name for name, _ in COMMANDS])
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([name, "--help"])
+    out, err = capsys.readouterr()
+    assert end.value.code == 0 and err == "" and out.startswith(f"usage: tilth {name}")
+
+
+def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0 and capsys.readouterr().out == f"tilth {version('tilth')}\n"
