@@ -23,7 +23,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["offload", "FOLDER", "--log", "none"], "none: no such folder; name the one"),
     (["offload", "none"], "none: no such folder; mount the stick"),
     (["verify", "none.mcap"], "none.mcap: no such file or directory; give the files of a run"),
-    (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `tilth run` running? An endpoint looks"),
+    (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `tilth run` running? An"),
     (["mark", "x", "--endpoint", "rubbish"], "reached at rubbish; is `tilth run` running? An"),
     (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: is none; an endpoint looks like tcp/"),
     (["monitor", "--port", "0", "--config", "FOREIGN"], "give a Zenoh configuration, or a key of"),
