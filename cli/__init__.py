@@ -103,6 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MachineError, WrongUse) as error:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
         return 2
+    except PermissionError as error:
+        told = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
+        print(f"tilth {args.command}: {told}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(f"tilth {args.command}: stopped", file=sys.stderr)
         return 1

@@ -1,6 +1,8 @@
 """`tilth offload`: copy finished runs to a stick or another folder, verified."""
 
 import argparse
+import errno
+import os
 import sys
 from pathlib import Path
 
@@ -50,6 +52,8 @@ def chosen(folder: Path, names: list[str] | None) -> list[StoredRun]:
     """The runs of those names, or all. Raises WrongUse."""
     if not folder.is_dir():
         raise WrongUse(f"{folder}: no such folder; name the one that the logs are in")
+    if not os.access(folder, os.R_OK | os.X_OK):  # looks empty to who may not look into it
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(folder))
     runs = stored_runs(folder)
     if not runs:
         raise WrongUse(f"{folder}: no run is in it; name the folder that the logs are in")

@@ -45,7 +45,8 @@ def _lines(one: Survey) -> list[str]:
     name = one.files[0].name.rpartition("_")[0] or one.files[0].name
     if not one.run:
         return one.wrong or [f"{name}: no log of tilth"]
-    lines = [f"{name}: {len(one.files)} files, {size:.1f} MB, {seconds:.1f} s from {_utc(one, one.first_ns)}"]
+    files = _many(len(one.files), "file")
+    lines = [f"{name}: {files}, {size:.1f} MB, {seconds:.1f} s from {_utc(one, one.first_ns)}"]
     if one.note:
         lines.append(f"  note: {one.note}")
     lines += [f"  {_name(topic):<18} {_words(one, heard)}" for topic, heard in one.heard.items()]
@@ -71,7 +72,11 @@ def _words(one: Survey, heard: Heard) -> str:
         return text + "no gap"
     shown = ", ".join(f"{length:.1f} s at {_utc(one, t_ns)}" for t_ns, length in heard.gaps[:GAPS_SHOWN])
     more = f" and {len(heard.gaps) - GAPS_SHOWN} more" if len(heard.gaps) > GAPS_SHOWN else ""
-    return f"{text}{len(heard.gaps)} gaps: {shown}{more}"
+    return f"{text}{_many(len(heard.gaps), 'gap')}: {shown}{more}"
+
+
+def _many(count: int, thing: str) -> str:
+    return f"{count} {thing}{'s' * (count != 1)}"
 
 
 def _name(topic: str) -> str:

@@ -25,10 +25,8 @@ from tilth.schemas.proto.tilth_pb2 import FitOutcome, Snapshot
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 SHOWN = 4096  # frames between two looks of the progress bar
 SAID = frozenset({"fault", "clock_step", *startup.KINDS})  # events that a person at a replay should read
-_SOIL_TIRE = "/soil_tire"
 
 
-# The result of which method stands on a topic.
 @dataclass(slots=True)
 class Summary:
     """What a replay did."""

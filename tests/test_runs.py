@@ -184,7 +184,7 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
     assert main(["verify", *map(str, paths)]) == 1
     said = capsys.readouterr().out
     for words in (
-        "6000 at 1000.2/s, no gap", "tractor front", "1 gaps: 1.2 s at 2026-09-21T14:13:21Z", "never heard",
+        "6000 at 1000.2/s, no gap", "tractor front", "1 gap: 1.2 s at 2026-09-21T14:13:21Z", "never heard",
         "dropped on can0: 3", "set by +5.0", "not confirmed by any receiver", "mark: stone", "clay, dry",
     ):  # fmt: skip
         assert words in said, (words, said)

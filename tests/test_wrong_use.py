@@ -1,10 +1,14 @@
 """Wrong use of the commands: one line that says what to do, exit status 2, and nothing begun."""
 
+import os
+import shutil
+import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from logs import MACHINE_FILE
+from logs import MACHINE_FILE, some_frames, write_mcap
 
 from tilth.cli import COMMANDS, main
 
@@ -64,6 +68,32 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         main([name, "--help"])
     out, err = capsys.readouterr()
     assert end.value.code == 0 and err == "" and out.startswith(f"usage: tilth {name}")
+
+
+WITHOUT_PRIVILEGE = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]  # even root
+
+
+def test_logs_of_somebody_else_are_no_traceback(tmp_path: Path) -> None:
+    begin = [*WITHOUT_PRIVILEGE, "--inh-caps=-dac_override,-dac_read_search"] if os.geteuid() == 0 else []
+    if begin and shutil.which("setpriv") is None:
+        pytest.skip("root may read everything, and there is no setpriv here")
+    start = "import sys; from tilth.cli import main; "
+    start += "sys.exit([main(['logs', folder]) for folder in sys.argv[1:]] != [2, 2])"
+    run = write_mcap(tmp_path / "rig_20261121T080000Z_001.mcap", some_frames(10))
+    beside = run.with_name("rig_20261121T080000Z.json")
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    for path in (beside, closed):
+        path.touch()
+        path.chmod(0)
+        if begin:
+            os.chown(path, 65534, 65534)
+    words = [*begin, sys.executable, "-c", start, str(tmp_path), str(closed)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    closed.chmod(0o700)
+    assert ended.returncode == 0, ended.stderr
+    said = [f"tilth logs: {path}: you may not; ask for access" for path in (beside, closed)]
+    assert [line.partition(",")[0] for line in ended.stderr.splitlines()] == said
 
 
 def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
