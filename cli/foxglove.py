@@ -6,7 +6,7 @@ import threading
 from importlib import resources
 
 from tilth.cli import WrongUse
-from tilth.cli.mavlink import add_daemon
+from tilth.cli.hearing import add_address, add_daemon, check_address
 from tilth.client.link import base_key, living, open_session
 
 PORT = 8765  # where such viewers look first
@@ -23,17 +23,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "Ctrl-C.",
     )
     add_daemon(parser)
-    parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS", help="to serve at (127.0.0.1: this computer alone)"
-    )
-    parser.add_argument(
-        "--port", type=int, default=PORT, metavar="N", help=f"0 for any that is free ({PORT})"
-    )
+    add_address(parser, PORT)
 
 
 def run(args: argparse.Namespace) -> int:
-    if not 0 <= args.port <= 65535:
-        raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")
+    check_address(args)
     try:
         from tilth.monitor.foxglove_server import Server
     except ModuleNotFoundError as error:
@@ -60,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         if not base:
             print(f"looking for a daemon at {args.config or args.connect} …", flush=True)
         while not base and not stop.wait(LOOK_S):
-            base = next(iter(living(session, args.prefix)), "")
+            base = next((one.base(args.prefix) for one in living(session, args.prefix)), "")
         if base:
             server.follow(session, base)
             print(f"hears {base}", flush=True)

@@ -1,8 +1,9 @@
-"""The options of the commands that hear a daemon over Zenoh."""
+"""The options of the commands that hear a daemon over Zenoh, and of those that serve what they hear."""
 
 import argparse
 from pathlib import Path
 
+from tilth.cli import WrongUse
 from tilth.client.link import ENDPOINT
 
 
@@ -19,3 +20,22 @@ def add_daemon(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
     )
+
+
+def add_address(parser: argparse.ArgumentParser, port: int) -> None:
+    """Where to serve."""
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="of this computer to serve at (127.0.0.1: this computer alone; 0.0.0.0: all in its networks)",
+    )
+    parser.add_argument(
+        "--port", type=int, default=port, metavar="N", help=f"0 for any that is free ({port})"
+    )
+
+
+def check_address(args: argparse.Namespace) -> None:
+    """Raises WrongUse."""
+    if not 0 <= args.port <= 65535:
+        raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")

@@ -3,7 +3,7 @@
 import argparse
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_daemon
+from tilth.cli.hearing import add_address, add_daemon, check_address
 from tilth.monitor.heard import Heard
 from tilth.monitor.server import listening_socket, serve
 
@@ -18,20 +18,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C.",
     )
     add_daemon(parser)
-    parser.add_argument(
-        "--host",
-        default="127.0.0.1",
-        metavar="ADDRESS",
-        help="of this computer to serve at (127.0.0.1: this computer alone; 0.0.0.0: all in its networks)",
-    )
-    parser.add_argument(
-        "--port", type=int, default=PORT, metavar="N", help=f"0 for any that is free ({PORT})"
-    )
+    add_address(parser, PORT)
 
 
 def run(args: argparse.Namespace) -> int:
-    if not 0 <= args.port <= 65535:
-        raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")
+    check_address(args)
     try:
         listener = listening_socket(args.host, args.port)
     except OSError as error:
