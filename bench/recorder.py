@@ -141,7 +141,7 @@ def send(addresses: list[tuple[str, int]], rate: float, seconds: float, told: Co
         if number % 4 == 0:  # the buses send at the same instants
             wait = began + number / rate - time.monotonic()
             if wait > 0.0002:
-                time.sleep(wait)
+                time.sleep(wait)  # the buses' pace
         wires[number % len(wires)].send(frames[number % 4096])
     told.send((count, time.monotonic() - began))
 
@@ -210,7 +210,8 @@ def cost(seconds: float) -> None:
 
 def soak(seconds: float) -> None:
     """The daemon with all that it computes, for as long as asked; one line of JSON."""
-    from tilth.logger.daemon import Daemon, NoDisplay  # takes minutes to load in the virtual machine
+    from tilth.logger.daemon import Daemon  # takes minutes to load in the virtual machine
+    from tilth.logger.display import NoDisplay
 
     load = Load(seconds)
     machine, text = rig()

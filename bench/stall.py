@@ -43,7 +43,7 @@ def paced(seconds: float, take: Callable[[Frame], None], tick: Callable[[int], N
         tick(now_ns)
         longest = max(longest, time.perf_counter() - before)
         longest_cpu = max(longest_cpu, time.thread_time() - before_cpu)
-        time.sleep(0.001)
+        time.sleep(0.001)  # the pace of the loop: frames of so long make a turn
     return longest, longest_cpu
 
 

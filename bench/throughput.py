@@ -37,7 +37,8 @@ import numpy as np
 import zenoh
 from mcap.reader import make_reader
 
-from tilth.logger.daemon import Daemon, NoDisplay, Summary, run_daemon
+from tilth.logger.daemon import Daemon, Summary, run_daemon
+from tilth.logger.display import NoDisplay
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
@@ -80,7 +81,7 @@ def send(ports: list[int], frames: int, rate: float | None, seconds: float, told
         due = number / rate if rate else (frame.t_ns - zero_ns) * 1e-9
         wait = began + due - time.monotonic()
         if wait > 0.0005:
-            time.sleep(wait)
+            time.sleep(wait)  # the buses' pace
         message = can.Message(arbitration_id=frame.can_id, is_extended_id=True, data=frame.data)
         buses[number % len(buses)].send(message)
         sent += 1

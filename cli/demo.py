@@ -13,7 +13,7 @@ from types import FrameType
 from rich.console import Console
 
 from tilth.cli import WrongUse, duration
-from tilth.logger.daemon import Display
+from tilth.logger.display import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.replay.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
 

@@ -127,7 +127,7 @@ class Buses:
         if self._unread:
             timeout_s = 0.0
         elif self._busy:
-            time.sleep(REST_S)
+            time.sleep(REST_S)  # a pace; what is waited for has come already
         elif polled:
             timeout_s = min(timeout_s, POLL_S)
         ready: list[Source] = [key.data for key, _ in self._selector.select(timeout_s)]

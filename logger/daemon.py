@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from zenoh import ZError
 
@@ -21,6 +20,7 @@ from tilth.logger import compiling, warm_start
 from tilth.logger.bus_opening import open_port
 from tilth.logger.buses import Buses, Opener
 from tilth.logger.clock import Clock
+from tilth.logger.display import Display, NoDisplay
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.liveness import Sensors
@@ -41,30 +41,6 @@ TURN_S = 0.1  # longest wait for a frame: a stop is noticed in that time
 SECOND_NS = 1_000_000_000
 SHOW_NS = 500_000_000
 KEEP_NS = 60_000_000_000
-
-
-class Display(Protocol):
-    """Where a person looks. status_line.py has two of them."""
-
-    def starting(self, text: str) -> None:
-        """What keeps the run from beginning; before the first status."""
-
-    def show(self, status: pb.Status, estimate: Estimate | None) -> None: ...
-
-    def event(self, event: Event) -> None: ...
-
-
-class NoDisplay:
-    """Shows nothing: for tests and for a daemon inside another program."""
-
-    def starting(self, text: str) -> None:
-        return
-
-    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
-        return
-
-    def event(self, event: Event) -> None:
-        return
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +99,11 @@ class Daemon:
         self._fold = GuardedFold(machine, fitter=self._worker)
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
         self._warm_path = warm_start.path_of(folder, machine) if keep else None
-        warmed = not fresh and self._warmed()
+        warmed = False
+        if self._warm_path is not None and not fresh:
+            warmed = warm_start.take_up(
+                self._warm_path, machine, self._started_ns, self._fold.warm, self._report
+            )
         self._recording = Recording(
             folder,
             machine,
@@ -240,27 +220,6 @@ class Daemon:
             self._display.starting(text)
         except OSError:  # the terminal is gone
             self._display = NoDisplay()
-
-    def _warmed(self) -> bool:
-        """Take up what earlier runs have learned, if anything, and say what became of it."""
-        if self._warm_path is None:
-            return False
-        try:
-            found = warm_start.read(self._warm_path, self._machine, self._started_ns)
-        except warm_start.NotUsable as why_not:
-            self._report("warm_start", f"what earlier runs learned is not used: {why_not}")
-            return False
-        if found is None:
-            return False
-        told = self._fold.warm(*found, self._started_ns)
-        used = [method for method, refusal in told.items() if not refusal]
-        for method, refusal in told.items():
-            if refusal:
-                self._report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
-        if used:
-            names, hours = ", ".join(used), found[1] / 3600.0
-            self._report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
-        return bool(used)
 
     def _keep(self, t_ns: int) -> None:
         """Store what has been learned, for the next run."""

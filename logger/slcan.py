@@ -144,6 +144,7 @@ def open_slcan(config: Bus, clock: Clock, tally: Tally) -> SlcanPort:
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _set_up(descriptor, speed, bool(config.options.get("rtscts", False)))
+        # Many an adapter starts anew when it is opened, deaf until then, and nothing tells when it is ready.
         time.sleep(float(config.options.get("sleep_after_open", SETTLE_S)))
         os.write(descriptor, b"\r\rC\r")  # an unfinished command before it is ended, an open channel closed
         termios.tcflush(descriptor, termios.TCIFLUSH)

@@ -155,7 +155,7 @@ def open_socketcan(config: Bus, clock: Clock, tally: Tally) -> SocketCanPort:
         one.setsockopt(_SOL_CAN_RAW, _ERR_FILTER, ID_BITS)
         one.setsockopt(_SOL_CAN_RAW, _FD_FRAMES, 1)  # to count them
         port = SocketCanPort(one, clock, tally, config)
-        time.sleep(STAMPS_S)
+        time.sleep(STAMPS_S)  # nothing tells when it has begun
         _bind(one, config)
         port.ask(clock.t_ns())
     except BaseException:

@@ -7,6 +7,7 @@ of another rig. What a run takes from it stands as the first state in its log.
 import hashlib
 import json
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +18,9 @@ from tilth.schemas.machine import Machine
 FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
+
+Warm = Callable[[Mapping[str, Kept], float, int], dict[str, str]]  # GuardedFold.warm
+Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class NotUsable(Exception):
@@ -81,3 +85,23 @@ def _digests(machine: Machine) -> dict[str, str]:
 
     sections = {name: getattr(machine, name) for name in SECTIONS}
     return {name: digest(s if isinstance(s, (list, tuple)) else [s]) for name, s in sections.items()}
+
+
+def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report) -> bool:
+    """Go on from what earlier runs have learned and say what became of it. Whether anything was used."""
+    try:
+        found = read(path, machine, t_ns)
+    except NotUsable as why_not:
+        report("warm_start", f"what earlier runs learned is not used: {why_not}")
+        return False
+    if found is None:
+        return False
+    told = warm(*found, t_ns)
+    used = [method for method, refusal in told.items() if not refusal]
+    for method, refusal in told.items():
+        if refusal:
+            report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
+    if used:
+        names, hours = ", ".join(used), found[1] / 3600.0
+        report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
+    return bool(used)

@@ -19,7 +19,8 @@ from typing import Any, Final, Literal, Self
 
 from rich.table import Table
 
-from tilth.logger.daemon import Display, Summary, run_daemon
+from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.display import Display
 from tilth.logger.zenoh_session import free_endpoint
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.scenario import Scenario

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, Typ
 from pydantic.dataclasses import dataclass
 
 from tilth.schemas.flow import Mount
-from tilth.schemas.machine import sentence
+from tilth.schemas.sentence import sentence
 
 
 class ScenarioError(Exception):

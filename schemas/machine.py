@@ -5,15 +5,14 @@ the key, the value, what is allowed and the nearest right key. This module reads
 `tilth.logger.machine_file`.
 """
 
-import difflib
 import string
 import tomllib
-import typing
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from tilth.schemas.flow import Mount
+from tilth.schemas.sentence import sentence
 
 
 class MachineError(Exception):
@@ -354,78 +353,3 @@ def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
         return Machine.model_validate(raw)
     except ValidationError as error:
         raise MachineError(sentence(error, raw, Machine)) from None
-
-
-def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
-    """The first problem of validating `raw` as `model`, in a person's words: key, value, what is allowed, and
-    the nearest right key."""
-    problems = error.errors()
-    # A key that is not known is what the person typed; a missing one is often just its other half.
-    first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
-    where = _place(raw, first["loc"], first["type"] in (*_UNKNOWN, "missing"))
-    key = ".".join(_number(part) for part in where).replace(".[", "[")
-    if first["type"] in _UNKNOWN:
-        known = _keys_at(model, where[:-1], raw)
-        near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
-        hint = f'; did you mean "{near[0]}"?' if near else "."
-        return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
-    if first["type"] == "missing":
-        given = _keys_given(raw, where[:-1])
-        near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
-        return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
-    message = first["msg"].removeprefix("Value error, ")
-    value = first.get("input")
-    shown = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"
-    return f"{key}{shown}: {message}" if key else message
-
-
-_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-
-
-def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | str]:
-    """Of pydantic's path what a person typed: no names of validators and of members of unions."""
-    kept: list[int | str] = []
-    for number, part in enumerate(where):
-        last = missing and number == len(where) - 1
-        if (
-            last
-            or (isinstance(raw, dict) and part in raw)
-            or (isinstance(raw, list) and isinstance(part, int))
-        ):
-            kept.append(part)
-            inner: Any = raw
-            raw = None if last else inner[part]
-    return kept
-
-
-def _number(part: int | str) -> str:
-    return f"[{part + 1}]" if isinstance(part, int) else str(part)
-
-
-def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
-    for part in path:
-        raw = raw[part]
-    return list(raw) if isinstance(raw, dict) else []
-
-
-def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
-    """Keys that the section at `path` may have."""
-    for part in path:
-        raw = raw[part]
-        fields = getattr(model, "__pydantic_fields__", {})
-        if not isinstance(part, int) and part in fields:
-            sections = _sections_of(fields[part].annotation)
-            model = next((s for s in sections if _is_kind(s, raw)), None)
-    return list(getattr(model, "__pydantic_fields__", {}))
-
-
-def _sections_of(annotation: Any) -> list[Any]:
-    if hasattr(annotation, "__pydantic_fields__"):
-        return [annotation]
-    return [section for inner in typing.get_args(annotation) for section in _sections_of(inner)]
-
-
-def _is_kind(section: Any, raw: Any) -> bool:
-    """Whether this member of a union, told apart by its key `kind`, is meant."""
-    kind = section.__pydantic_fields__.get("kind")
-    return kind is None or not isinstance(raw, dict) or raw.get("kind") in typing.get_args(kind.annotation)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
-import can  # noqa: F401  whole, with what reads MF4, before a command imports it lean
+import can
 import pytest
 from loopback import Sender
 
@@ -46,3 +46,16 @@ def sender() -> Iterator[Sender]:
     """Of frames, over loopback."""
     with Sender() as process:
         yield process
+
+
+@pytest.fixture
+def watched_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time goes by as the tests say, however busy this computer is."""
+    monkeypatch.setattr("tilth.logger.buses.WATCH_NS", 1 << 62)
+
+
+@pytest.fixture
+def talker() -> Iterator[can.BusABC]:
+    """The other end of virtual("v")."""
+    with can.Bus(interface="virtual", channel="tilth-v") as bus:
+        yield bus

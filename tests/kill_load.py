@@ -6,6 +6,7 @@ line the folder's number, how many frames had been handed over, and when the las
 
 import mmap
 import os
+import select
 import signal
 import struct
 import sys
@@ -25,7 +26,8 @@ SHARED = struct.Struct("<Q")  # frames handed over
 TEXT = (Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml").read_text()
 
 
-def record(folder: Path, shared: mmap.mmap) -> None:
+def record(folder: Path, shared: mmap.mmap, frames: int, far: int) -> None:
+    """Closes the descriptor `far` when so many frames have been handed over."""
     text = TEXT.replace("[log]", "[log]\nrotate_minutes = 0.01\nkeep_free_megabytes = 1\nchunk_kilobytes = 4")
     clock = Clock()
     recording = Recording(folder, parse_machine(text), text, clock, lambda *said: None, lambda: "{}")
@@ -41,23 +43,27 @@ def record(folder: Path, shared: mmap.mmap) -> None:
             next_ns += SPACING_NS
         SHARED.pack_into(shared, 0, number)
         recording.tick(now_ns)
-        time.sleep(0.002)
+        if far and number >= frames:
+            os.close(far)
+            far = 0
+        time.sleep(0.002)  # the pace of a loop
 
 
 def main(folder: Path, seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     for number in range(count):
         shared = mmap.mmap(-1, mmap.PAGESIZE)
+        frames = int(rng.integers(3000))  # a busy computer takes longer to hand over so many
+        near, far = os.pipe()
         child = os.fork()
         if child == 0:
-            record(folder / f"{number:03d}", shared)
-        frames = int(rng.integers(3000))  # a busy computer takes longer to hand over so many
-        deadline = time.monotonic() + 60.0
-        while SHARED.unpack_from(shared)[0] < frames and time.monotonic() < deadline:
-            time.sleep(0.01)
-        time.sleep(rng.uniform(0.0, 0.1))
+            record(folder / f"{number:03d}", shared, frames, far)
+        os.close(far)
+        select.select([near], [], [], 60.0)
+        time.sleep(rng.uniform(0.0, 0.1))  # the instant of the kill is a matter of chance
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
+        os.close(near)
         sys.stdout.write(f"{number} {SHARED.unpack_from(shared)[0]}\n")
         sys.stdout.flush()
 

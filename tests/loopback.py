@@ -40,7 +40,7 @@ for line in sys.stdin:
     for i, (bus, identifier, data, at) in enumerate(job["frames"]):
         wait = began + at - time.monotonic()
         if wait > 0.001:
-            time.sleep(wait)
+            time.sleep(wait)  # the pace that was asked for
         buses[bus].send(can.Message(arbitration_id=identifier, is_extended_id=True, data=bytes.fromhex(data)))
     for bus in buses:
         bus.shutdown()

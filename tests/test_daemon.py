@@ -34,7 +34,8 @@ from tilth.estimator import fold
 from tilth.logger import daemon as daemon_module
 from tilth.logger import guarded_fold
 from tilth.logger.clock import Clock, Relation
-from tilth.logger.daemon import Daemon, NoDisplay, run_daemon
+from tilth.logger.daemon import Daemon, run_daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import PAUSE_NS, GuardedFold
 from tilth.logger.status_line import PlainDisplay
 from tilth.replay.traffic import simulate

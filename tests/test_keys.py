@@ -21,7 +21,8 @@ from tilth.client.link import open_session
 from tilth.client.refusal import try_key
 from tilth.deploy import keys
 from tilth.logger.clock import Clock
-from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.daemon import Daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh_session import try_session
 from tilth.logger.zenoh_sink import ZenohSink

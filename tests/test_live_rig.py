@@ -16,7 +16,7 @@ import pytest
 
 from tilth.adaptive_guidance.demo import run_guidance, table
 from tilth.adaptive_guidance.plan import Work
-from tilth.logger.daemon import NoDisplay
+from tilth.logger.display import NoDisplay
 from tilth.replay.readers import frames
 from tilth.replay.scenario import Scenario, as_json, from_json
 from tilth.replay.steering import COMMAND, REFUSALS

@@ -11,7 +11,8 @@ import zenoh
 from loopback import free_port, machine_text, records_of, rig, session, udp_bus
 
 from tilth.cli import main
-from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.daemon import Daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.recovery import finish
 from tilth.schemas.proto import tilth_pb2 as pb
 

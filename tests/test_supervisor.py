@@ -9,7 +9,8 @@ import can
 import pytest
 from loopback import answers, numbered, rig, session, until
 
-from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.daemon import Daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.status import health_of
 from tilth.logger.supervisor import Supervisor, of_environment
 from tilth.schemas.proto import tilth_pb2 as pb

@@ -18,7 +18,8 @@ from tilth.estimator.fold import go_on, keep
 from tilth.estimator.warm import DOUBLES_S
 from tilth.logger import warm_start
 from tilth.logger.clock import Clock
-from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.daemon import Daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.warm_start import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
 from tilth.replay.driver import Outputs, replay

@@ -10,7 +10,8 @@ import pytest
 import zenoh
 from loopback import START_NS, answers, free_port, rig, session, udp_bus
 
-from tilth.logger.daemon import Daemon, NoDisplay
+from tilth.logger.daemon import Daemon
+from tilth.logger.display import NoDisplay
 from tilth.logger.zenoh_session import free_endpoint, is_local, try_session
 from tilth.logger.zenoh_sink import STALE_NS, ZenohSink
 from tilth.schemas.channels import CHANNELS, payload

@@ -80,7 +80,7 @@ def run(
     while (heard := wires.rig) is None:
         if stop():
             return 1
-        time.sleep(PERIOD_S)
+        wires.wait(PERIOD_S)
     work = Work(told.rows, told.length, told.spacing, told.radius)
     controller = Controller(plan(work, heard.rig), heard.rig, (told.origin[0], told.origin[1]), LIMITS)
     wires.command_on(open_bus())
@@ -92,7 +92,7 @@ def run(
             next_word += TELL_S
             _say(turns.told())
         next_turn = max(next_turn + PERIOD_S, time.monotonic())
-        time.sleep(max(next_turn - time.monotonic(), 0.0))
+        time.sleep(max(next_turn - time.monotonic(), 0.0))  # its pace, and the steering's
     wires.send(controller.release())
     _say(turns.told())
     return 0

@@ -11,6 +11,7 @@ import json
 import logging
 import math
 import os
+import select
 import subprocess
 import sys
 import time
@@ -39,7 +40,8 @@ from tilth.adaptive_guidance.study import (
 )
 from tilth.client.link import base_key, open_session
 from tilth.estimator.models.parameters import rig_of
-from tilth.logger.daemon import Display, Summary, run_daemon
+from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.display import Display
 from tilth.logger.zenoh_session import free_endpoint
 from tilth.replay.demo import SIMULATED, DemoError, on_loopback
 from tilth.replay.receivers import ORIGIN_DEG
@@ -146,9 +148,10 @@ class _Process:
             self._process.stdin.write(json.dumps(fact).encode() + b"\n")
             self._process.stdin.flush()
 
-    def facts(self) -> list[dict[str, Any]]:
-        """What it has told since the last call."""
+    def facts(self, timeout_s: float = 0.0) -> list[dict[str, Any]]:
+        """What it has told since the last call; waits so long where that is nothing."""
         assert self._process.stdout is not None
+        select.select([self._process.stdout], [], [], timeout_s)
         self._heard += self._process.stdout.read() or b""
         *lines, self._heard = self._heard.split(b"\n")
         return [json.loads(line) for line in lines]
@@ -176,15 +179,15 @@ def _started(rig: _Process, text: str, seed: int, work: Work, stop: Callable[[],
 
 def _first_fact(process: _Process, stop: Callable[[], bool], name: str) -> dict[str, Any]:
     """Waits for it. Raises DemoError."""
-    for _ in range(round(STARTING_S / TICK_S)):
-        told = process.facts()
+    deadline = time.monotonic() + STARTING_S
+    while time.monotonic() < deadline:
+        told = process.facts(TICK_S)
         if told:
             return told[0]
         if stop():
             raise DemoError("stopped before it began")
         if not process.alive:
             break
-        time.sleep(TICK_S)
     raise DemoError(f"{name} did not start; what it said stands above")
 
 

@@ -67,6 +67,10 @@ class Wires:
         """What the daemon says of the machine; None until it has been heard."""
         return self._client.rig
 
+    def wait(self, timeout_s: float) -> bool:
+        """Until the rig and a first estimate have been heard; False where they were not in that time."""
+        return self._client.wait(timeout_s)
+
     @property
     def refused(self) -> dict[str, int]:
         """What came and could not be used, and commands that the bus did not take."""

@@ -1,0 +1,30 @@
+"""What the daemon shows a person, wherever that looks; status_line.py has two of them."""
+
+from typing import Protocol
+
+from tilth.schemas.flow import Estimate, Event
+from tilth.schemas.proto import tilth_pb2 as pb
+
+
+class Display(Protocol):
+    """Where a person looks."""
+
+    def starting(self, text: str) -> None:
+        """What keeps the run from beginning; before the first status."""
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None: ...
+
+    def event(self, event: Event) -> None: ...
+
+
+class NoDisplay:
+    """Shows nothing: for tests and for a daemon inside another program."""
+
+    def starting(self, text: str) -> None:
+        return
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        return
+
+    def event(self, event: Event) -> None:
+        return
