@@ -81,16 +81,18 @@ class Daemon:
         note: str = "",
         supervisor: Supervisor | None = None,
         opener: Opener = open_port,
+        events: deque[tuple[str, str]] | None = None,
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
         folder learned, unless `fresh`, and keep it for later ones. note: of the operator, for the log.
-        supervisor: is told that the loop lives. opener: opens a bus.
+        supervisor: is told that the loop lives. opener: opens a bus. events: (kind, text) that is put
+        in here is logged, published and shown like what the daemon notices itself.
 
         Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
         """
         self._machine = machine
         self._display = display
-        self._events: deque[tuple[str, str]] = deque()
+        self._events = deque[tuple[str, str]]() if events is None else events
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
         self._supervisor = Supervisor({}) if supervisor is None else supervisor
@@ -367,11 +369,12 @@ def run_daemon(
     fresh: bool = False,
     note: str = "",
     supervisor: Supervisor | None = None,
+    events: deque[tuple[str, str]] | None = None,
 ) -> Summary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 
     log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
-    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note, supervisor:
+    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note, supervisor, events:
     as of Daemon. Raises MachineError as Daemon does.
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
@@ -379,7 +382,7 @@ def run_daemon(
     shown = status or NoDisplay()
     daemon = Daemon(
         machine, machine_text, folder, suffix, shown,
-        keep=keep, fresh=fresh, note=note, supervisor=supervisor,
+        keep=keep, fresh=fresh, note=note, supervisor=supervisor, events=events,
     )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.
     gc.collect()

@@ -13,9 +13,11 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+import zenoh
 
 from tilth.adaptive_guidance.demo import run_guidance, table
 from tilth.adaptive_guidance.plan import Work
+from tilth.client.link import open_session
 from tilth.logger.display import NoDisplay
 from tilth.replay.readers import frames
 from tilth.replay.scenario import Scenario, as_json, from_json
@@ -23,6 +25,7 @@ from tilth.replay.steering import COMMAND, REFUSALS
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Event, Word
+from tilth.schemas.proto import tilth_pb2 as pb
 
 QUIET = Scenario(speed=3.0, other_traffic=False, speed_sd=0.0)
 
@@ -109,8 +112,18 @@ class Heard(NoDisplay):
 
 
 def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(tmp_path: Path) -> None:
-    display = Heard()
-    guided = run_guidance(1, tmp_path, display, work=Work(rows=1, length=20.0))
+    display, heard, pages = Heard(), list[bytes](), list[zenoh.Session]()
+
+    def watch(endpoint: str) -> None:
+        pages.append(open_session(endpoint))  # as the live page has it
+        pages[0].declare_subscriber(
+            "tilth/*/replay/event", lambda sample: heard.append(sample.payload.to_bytes())
+        )
+
+    guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=20.0))
+    pages[0].close()
+    said = [event.text for event in map(pb.Event.FromString, heard) if event.kind == "guidance"]
+    assert "the controller steers" in said and set(said) <= set(display.told)
     assert guided.commands["refused"] == {}
     assert guided.commands["commands"] >= 5  # a busy computer is late
     assert "the controller steers" in display.told

@@ -1,15 +1,20 @@
 """`tilth mavlink` between processes: a daemon's Zenoh, the bridge, a UDP way that loses, and a peer."""
 
 import math
+import os
+import re
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 from client_daemon import LOG_SD, THETA, Publisher, estimate
+from loopback import free_port
 from pymavlink.dialects.v20 import common
 
 from tilth.cli import main
@@ -19,6 +24,9 @@ from tilth.client.mavlink import AGE, SUFFIXES, numbers
 from tilth.schemas.flow import PARAMETERS, ParameterEstimate, Status
 
 RULE = Staleness(silence_s=3.0, data_s=math.inf)
+MAVPROXY = Path(
+    os.environ.get("TILTH_MAVPROXY", Path.home() / ".cache/tilth/mavproxy/bin/mavproxy.py")
+)  # in an environment of its own; it is not ours
 PER_TICK = 1 + 1 + len(PARAMETERS) * len(SUFFIXES) + 1  # heartbeat, array, named values with AGE
 
 
@@ -107,6 +115,43 @@ def test_a_peer_has_the_numbers_with_status_and_age_whatever_the_way_loses() -> 
         assert process.returncode == 0
         assert "all six may be used" in out and "0 of them not sent" in out
     peer.close()
+
+
+@pytest.mark.skipif(not MAVPROXY.exists(), reason=f"no MAVProxy at {MAVPROXY}; .ci/run installs it")
+def test_mavproxy_reads_the_same_numbers(tmp_path: Path) -> None:
+    port = free_port()
+    command = [
+        str(MAVPROXY.with_name("python")), str(MAVPROXY), f"--master=udpin:127.0.0.1:{port}",
+        "--non-interactive", "--default-modules=link,misc", f"--state-basedir={tmp_path}",
+        "--cmd=watch NAMED_VALUE_FLOAT DEBUG_FLOAT_ARRAY",
+    ]  # fmt: skip
+    heard: dict[str, float] = {}
+    array: list[float] = []
+    with (
+        Publisher() as publisher,
+        bridge(publisher.endpoint, f"127.0.0.1:{port}"),
+        subprocess.Popen(
+            command, cwd=tmp_path, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        ) as mavproxy,
+    ):  # fmt: skip
+        watchdog = threading.Timer(60.0, mavproxy.kill)
+        watchdog.start()
+        assert mavproxy.stdout is not None
+        for line in mavproxy.stdout:
+            if found := re.search(r"name : (\w+), value : (\S+)}", line):
+                heard[found[1]] = float(found[2])
+            elif found := re.search(r"name : tilth, .*data : \[(.*)\]", line):
+                array = [float(number) for number in found[1].split(",")]
+            told = [heard.get(name, math.nan) for name in (*PARAMETERS, "sigma_i_ag")] + (array or [math.nan])
+            if not any(map(math.isnan, told)):
+                break
+        watchdog.cancel()
+        mavproxy.kill()
+    values = dict(zip(PARAMETERS, THETA, strict=True))
+    assert {name: heard[name] for name in PARAMETERS} == pytest.approx(values, rel=1e-6)
+    assert {heard[f"{name}_st"] for name in PARAMETERS} == {float(Status.ESTIMATED)}
+    assert array[1:25:4] == pytest.approx(THETA, rel=1e-6)
 
 
 @pytest.mark.parametrize("status", Status)

@@ -15,6 +15,7 @@ import select
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -38,7 +39,6 @@ from tilth.adaptive_guidance.study import (
     rms,
     scenario_of,
 )
-from tilth.client.link import base_key, open_session
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.display import Display
@@ -47,8 +47,6 @@ from tilth.replay.demo import SIMULATED, DemoError, on_loopback
 from tilth.replay.receivers import ORIGIN_DEG
 from tilth.replay.scenario import as_json
 from tilth.replay.simulate import PACKAGED
-from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import Event
 from tilth.schemas.machine import Machine, parse_machine
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
@@ -98,20 +96,11 @@ def run_guidance(
         controller = _Process("tilth.adaptive_guidance", *_controller_arguments(machine, endpoint, work))
         ends.callback(controller.close)
         _first_fact(controller, stop, "the controller")
-        session = open_session(endpoint)
-        ends.callback(session.close)
-        base = base_key(machine.name, machine.zenoh.prefix, True)
-
-        def tell(event: Event) -> None:
-            if display is not None:
-                display.event(event)
-            channel = CHANNEL["/event"]
-            session.put(f"{base}/{channel.key}", channel.encode(event), encoding=channel.encoding)
-
-        watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, tell)
+        events = deque[tuple[str, str]]()  # the daemon tells them: in its log, on the page, in the terminal
+        watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, events)
         summary = run_daemon(
             machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, status=display,
-            stop=lambda: watching.over(stop()),
+            stop=lambda: watching.over(stop()), events=events,
         )  # fmt: skip
     if not watching.end:
         files = " ".join(str(path) for path in summary.log_files)
@@ -211,7 +200,7 @@ class _Watching:
     line: Plan
     middle: float
     fixed: Driven
-    tell: Callable[[Event], None]
+    events: deque[tuple[str, str]]  # kind, text
     end: dict[str, Any] = field(default_factory=dict)  # the tractor's last words
     _rows: list[tuple[float, float, int, bool]] = field(default_factory=list)
     _along: Along = field(init=False)
@@ -268,7 +257,7 @@ class _Watching:
                 self._event(f"the controller {why}")
 
     def _event(self, text: str) -> None:
-        self.tell(Event(time.time_ns(), "guidance", text))
+        self.events.append(("guidance", text))
 
 
 def table(guided: Guided) -> Table:

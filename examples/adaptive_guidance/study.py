@@ -17,9 +17,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tilth.adaptive_guidance.controller import LIMITS
 from tilth.adaptive_guidance.lockstep import EVERY, Told, cross_track, run
 from tilth.adaptive_guidance.plan import Work
 from tilth.estimator.models.parameters import rig_of
+from tilth.replay import plots
 from tilth.replay.scenario import STEP_S, Change, Ground, Scenario, Soil
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -28,13 +30,14 @@ Array = NDArray[np.float64]
 
 SEEDS: Final = (1, 2, 3)
 WORK: Final = Work(rows=8, length=120.0, spacing=54.0, radius=20.0)
+TIGHT: Final = replace(WORK, radius=12.0)
 SPEED: Final = 4.5  # m/s
 SOFTER: Final = 0.6
 SETTLED_S: Final = 10.0  # of the start that do not count
+DRAWN_S: Final = 0.5  # between points of the figure
 WRONG_SD: Final = 3.0
 KNOWN: Final = {
-    "fixed": (),
-    "stiffness of the tractor's front axle": ("C_af",),
+    "of the tractor's front axle": ("C_af",),
     "of its rear axle": ("C_ar",),
     "of both": ("C_af", "C_ar"),
     "of the implement": ("C_ai",),
@@ -131,9 +134,12 @@ def learned_s(told: Told, machine: Machine) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
-    parser.add_argument("--part", choices=("main", "known", "wrong"), help="only this table")
+    parser.add_argument("--part", choices=("main", "known", "wrong", "doubt"), help="only this table")
     told = parser.parse_args()
     machine = packaged()
+    if told.part == "doubt":
+        _doubt_table(machine)
+        return
     runs: dict[str, list[Driven]] = {mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]}
     _say("| RMS of the implement's error, cm | rows before | turns before | rows after | turns after |")
     _say("|---|---|---|---|---|")
@@ -144,8 +150,10 @@ def main() -> None:
         _line("adapting", runs["adapting"])
     if told.part in (None, "known"):
         for name, known in KNOWN.items():
-            if known:
-                _line(f"knows only the {name}", [driven(machine, s, "knowing", known=known) for s in SEEDS])
+            _line(
+                f"knows the stiffness {name} only",
+                [driven(machine, s, "knowing", known=known) for s in SEEDS],
+            )
     if told.part in (None, "wrong"):
         _wrong_table(machine, runs)
     if told.figure and "adapting" in runs:
@@ -166,6 +174,20 @@ def _wrong_table(machine: Machine, runs: dict[str, list[Driven]]) -> None:
             _say(f"| {direction + 1}{'+' if sign > 0 else '-'} | {cells} |")
 
 
+def _doubt_table(machine: Machine) -> None:
+    """What it is worth not to go the last of the way to an estimate, also on a field of tighter turns."""
+    _say("| RMS of the implement's error, cm | rows before | turns before | rows after | turns after |")
+    _say("|---|---|---|---|---|")
+    trusting = replace(LIMITS, doubt_sd=0.0)
+    for name, mode, work, limits in (
+        ("adapting without doubt", "adapting", WORK, trusting),
+        ("fixed, turns of 12 m", "fixed", TIGHT, LIMITS),
+        ("adapting, turns of 12 m", "adapting", TIGHT, LIMITS),
+        ("adapting without doubt, turns of 12 m", "adapting", TIGHT, trusting),
+    ):
+        _line(name, [driven(machine, s, mode, work, limits=limits) for s in SEEDS])
+
+
 def _line(name: str, runs: list[Driven]) -> None:
     _say(f"| {name} | " + " | ".join(f"{100 * rms(runs, *part):.1f}" for part in PARTS) + " |")
 
@@ -177,10 +199,12 @@ def _say(text: str) -> None:
 
 def draw(runs: dict[str, Driven], path: Path) -> None:
     """The implement's error over time, one line for each controller; turns are shaded."""
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
-    axes = figure.subplots()
+    with plots.look():
+        figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+        axes = figure.subplots()
     for name, one in runs.items():
-        axes.plot(one.time, 100 * one.error, color=COLOURS[name], label=name, linewidth=1.0)
+        _, at = np.unique(np.floor(one.time / DRAWN_S), return_index=True)
+        axes.plot(one.time[at], 100 * one.error[at], color=COLOURS[name], label=name, linewidth=1.0)
     first = next(iter(runs.values()))
     turn = np.concatenate([[0], (first.row < 0).astype(int), [0]])
     for begin, end in zip(np.flatnonzero(np.diff(turn) > 0), np.flatnonzero(np.diff(turn) < 0), strict=True):
@@ -191,7 +215,7 @@ def draw(runs: dict[str, Driven], path: Path) -> None:
     axes.set(xlabel="time, s (turns shaded)", ylabel="implement off its line, cm")
     axes.margins(x=0.0)
     axes.legend(loc="upper left", frameon=False, ncols=3)
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    plots.save(figure, path)
 
 
 if __name__ == "__main__":
