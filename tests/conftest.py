@@ -18,7 +18,7 @@ sys.dont_write_bytecode = False
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile once, before two processes and what they start would each do it."""
+    """Compile once, before all processes and what they start would each do it."""
     if getattr(session.config.option, "numprocesses", None):
         machine = Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml"
         subprocess.run([sys.executable, "-m", "tilth.logger.compiling", str(machine)], check=True)
