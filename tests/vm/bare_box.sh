@@ -20,6 +20,7 @@ cd /tmp/setup
 
 /usr/bin/python3 install.py install $OUT/good/$WHEEL --machine $OUT/machine.toml
 ready 60 'ip -d link show can0 | grep "bitrate 250000"'
+systemctl show multi-user.target --property=Wants | grep -w tilth.service # at each boot
 ip link set can1 up type can bitrate 250000
 state
 test "$(stat -c %U /var/lib/tilth/logs /var/cache/tilth | uniq)" = tilth
@@ -35,6 +36,8 @@ ready 240 "state | grep ActiveState=active"
 if tilth-setup upgrade $OUT/bad/$WHEEL; then exit 1; fi
 ready 240 "state | grep ActiveState=active"
 readlink /opt/tilth/current >$OUT/current
+tilth-setup rollback
+ready 240 "state | grep ActiveState=active"
 tilth-setup uninstall
 ls /var/lib/tilth/logs >$OUT/logs
 cp /var/lib/tilth/logs/*_001.mcap $OUT/
