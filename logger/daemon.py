@@ -93,12 +93,12 @@ class Daemon:
         self._machine = machine
         self._display = display
         self._events = deque[tuple[str, str]]() if events is None else events
-        self._clock = Clock()
-        self._started_ns = self._clock.t_ns()
         self._supervisor = Supervisor({}) if supervisor is None else supervisor
-        self._compile()  # for seconds, which it must not take while frames come in
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
+        self._compile()  # for seconds, which it must not take while frames come in
+        self._clock = Clock()
+        self._started_ns = self._clock.t_ns()
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
         self._warm_path = warm_start.path_of(folder, machine) if keep else None
         warmed = False
