@@ -18,6 +18,7 @@ from tilth.client.received import Refused, parse
 from tilth.schemas.flow import BodyPose, Pose
 from tilth.schemas.proto import tilth_pb2 as pb
 
+UNHEARD: Final = 1000  # frames, at most, thrown away before a command
 WAITING: Final = 32  # poses that may wait for the loop; older ones are dropped
 _BODY: Final = tuple(BodyPose.__dataclass_fields__)
 
@@ -96,6 +97,13 @@ class Wires:
         """What the bus does not take is counted; the steering lets go when nothing comes."""
         if self._bus is None:
             return
+        try:
+            # What others say is for the daemon; left lying, it fills a bus over TCP until that waits for us.
+            for _ in range(UNHEARD):
+                if self._bus.recv(0.0) is None:
+                    break
+        except can.CanError as error:
+            self._refused[f"the bus was not read: {error}"[:120]] += 1
         for can_id, data in frames:
             try:
                 self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=True), 0.05)
