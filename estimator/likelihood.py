@@ -31,7 +31,6 @@ ROUGH: Final = 1.5
 """Of a disturbance's logarithm that is not known to one: a search that begins with rough ground finds no
 false bottom."""
 _RESTLESS: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
-_SIX: Final = np.arange(6)
 FLAT: Final = 0.05  # nats
 SETTLED: Final = 0.1  # of a posterior sd of the six
 NEAR: Final = 0.3  # of a posterior sd: where a search that can go no further has arrived
@@ -48,6 +47,10 @@ no Gauss-Markov process and of slow errors of receivers. From Monte Carlo; nothi
 MODEL_SD: Final = 0.03
 """Of the six logarithms with `planar`: tyre curve and load transfer are another rig's than the file's. On
 soil of grip 0.7 that is what is left after 30 s of strong steering; more data do not make it less."""
+SETTLING: Final = 50
+"""Ticks from the beginning whose rows only find where the rig is. The first state's spread is that of any
+manoeuvre; were the first rows judged by it, straight driving would teach that tyres are softer than they are,
+by 0.2 sd a window."""
 BIN_S: Final = 0.1
 LAGS: Final = 12  # bins over which scores may be correlated: waves of the ground, slow errors of receivers
 
@@ -99,22 +102,37 @@ class Search:
     record: Record
     rigging: Rigging
     start: Array
-    used: Array
+    used: Array  # (m,), 0.0 for a row that is left out
     prior_mean: Array
     prior_information: Array  # of the active ones
     active: NDArray[np.int64]
 
+    @property
+    def judged(self) -> Array:
+        """(m,), 1.0 for a row whose prediction error counts."""
+        return np.where(self.record.rows[:, 0] >= SETTLING, self.used, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Slopes:
-    """Prediction errors at a point, shape (m,), and their slopes over the active unknowns, shape (a, m), at
-    one nearby."""
+    """Of the prediction errors over the active unknowns, shapes (a, m), at a point."""
 
-    e: Array
-    s: Array
     de: Array
     ds: Array
-    taken: Array  # [n], the point of the slopes
+    taken: Array  # [n], the point
+
+
+@dataclass(slots=True)
+class Place:
+    """Where a search stands."""
+
+    point: Array  # [n]
+    e: Array  # (m,), prediction errors
+    s: Array  # (m,), their variances
+    slopes: Slopes  # of a point nearby
+    cost: float
+    done: int = 0  # iterations
+    converged: bool = False
 
 
 def first_state(record: Record, rigging: Rigging) -> Array:
@@ -149,11 +167,15 @@ def errors(search: Search, points: Array, modes: Array) -> tuple[Array, Array]:
     return e, s
 
 
+def misfit(search: Search, e: Array, s: Array) -> float:
+    """Minus the log-likelihood of a record, nats, but for a constant."""
+    return float(0.5 * np.sum(search.judged * (e * e / s + np.log(s))))
+
+
 def _cost(search: Search, point: Array, e: Array, s: Array) -> float:
     off = (point - search.prior_mean)[search.active]
     with np.errstate(all="ignore"):  # a step too far is no number, and is not taken
-        fit = 0.5 * np.sum(e * e / s + np.log(s))
-        return float(fit + 0.5 * off @ search.prior_information @ off)
+        return misfit(search, e, s) + float(0.5 * off @ search.prior_information @ off)
 
 
 def search_of(record: Record, rigging: Rigging, mean: Array, covariance: Array) -> Search:
@@ -174,78 +196,89 @@ def find(
     reference: a point to compare the prior's mean with on this record, which neither has seen.
     """
     search = search_of(record, rigging, mean, covariance)
-    active = search.active
-    point, gained = mean.copy(), 0.0
-    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 1.0, ROUGH, 0.0)
+    gained = 0.0
     if reference is not None:
         e, s = errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
-        gained = float(0.5 * np.sum(e[1] ** 2 / s[1] + np.log(s[1]) - e[0] ** 2 / s[0] - np.log(s[0])))
-    damping, converged, done = 1e-3, False, 0
-    slopes = _slopes(search, point, None)
-    cost = _cost(search, point, slopes.e, slopes.s)
-    for done in range(1, MOST_ITERATIONS + 1):
-        gradient, information = _scores(search, point, slopes)
-        step, tried, found = _step(search, point, gradient, information, damping, cost)
-        if found is None:
-            break
-        damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
-        point = point.copy()
-        point[active] += step
-        close = bool(np.max(np.abs(step) / _sds(information)) < CLOSE)
-        if done == 2:
-            _leave_out(search, point)
-        before = cost
-        slopes = _slopes(search, point, slopes)
-        cost = _cost(search, point, slopes.e, slopes.s)
-        six = np.abs(step / _sds(information))[active < 6]
-        # A noise level may go to and fro where nothing depends on it.
-        settled = abs(cost - before) < FLAT and bool(np.max(six, initial=0.0) < SETTLED)
-        if done > 2 and (close or settled):
-            converged = True
-            break
-    gradient, information = _scores(search, point, slopes)
+        gained = misfit(search, e[1], s[1]) - misfit(search, e[0], s[0])
+    point = mean.copy()
+    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 1.0, ROUGH, 0.0)
+    end = _descended(search, point)
+    scores = _scores(search, end)
+    gradient, information = _sums(search, end, scores)
     left = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
-    converged = converged or bool(np.max(left[active < 6], initial=0.0) < NEAR)
-    whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(active, active)] = _honest(search, _inverse(information), slopes)
-    colour = whiteness(record.rows, search.used, slopes.e, slopes.s)
-    wider = np.ones(len(NAMES))
-    wider[unknowns.SIX] = 1.0 + COLOUR * max(colour, 0.0)
-    whole *= np.outer(wider, wider)
-    if rigging.planar:
-        whole[_SIX, _SIX] += MODEL_SD**2 * (np.diag(covariance)[_SIX] > 0.0)
-    own = np.zeros_like(whole)
-    own[np.ix_(active, active)] = information - search.prior_information
+    converged = end.converged or bool(np.max(left[search.active < 6], initial=0.0) < NEAR)
+    colour = whiteness(record.rows, search.judged, end.e, end.s)
+    own = np.zeros_like(covariance)
+    own[np.ix_(search.active, search.active)] = information - search.prior_information
     return Found(
-        point, (whole + whole.T) / 2, own, cost / max(len(record.rows), 1), gained, done, len(record.rows),
+        end.point, _covariance(search, scores, _inverse(information), colour), own,
+        end.cost / max(len(record.rows), 1), gained, end.done, len(record.rows),
         int(np.sum(search.used == 0.0)), colour, converged,
     )  # fmt: skip
 
 
-def _slopes(search: Search, point: Array, before: Slopes | None) -> Slopes:
-    """At the point. before: slopes of another, which serve as far as TRUST says."""
-    if before is not None:
-        moved = np.abs(point - before.taken)
-        if np.max(moved[unknowns.SIX]) < TRUST[0] and np.max(moved[unknowns.NOISE]) < TRUST[1]:
-            e, s = errors(search, point[None], np.array([FULL], dtype=float))
-            return replace(before, e=e[0], s=s[0])
+def _descended(search: Search, point: Array) -> Place:
+    """Where steps from a point end."""
+    active, damping = search.active, 1e-3
+    e, s = _errors_at(search, point)
+    at = Place(point, e, s, _slopes(search, point), _cost(search, point, e, s))
+    for at.done in range(1, MOST_ITERATIONS + 1):
+        gradient, information = _sums(search, at, _scores(search, at))
+        step, tried, seen = _step(search, at, gradient, information, damping)
+        if seen is None:
+            break
+        damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
+        at.point = at.point.copy()
+        at.point[active] += step
+        at.e, at.s = seen
+        if at.done == 2:
+            # Rows that are beyond belief at this point, once and for all of this fit.
+            search.used = np.where(np.abs(at.e) > OUTLIER * np.sqrt(at.s), 0.0, search.used)
+            at.e, at.s = _errors_at(search, at.point)
+        before, at.cost = at.cost, _cost(search, at.point, at.e, at.s)
+        moved = np.abs(at.point - at.slopes.taken)
+        if np.max(moved[unknowns.SIX]) >= TRUST[0] or np.max(moved[unknowns.NOISE]) >= TRUST[1]:
+            at.slopes = _slopes(search, at.point)
+        sizes = np.abs(step) / _sds(information)
+        # A noise level may go to and fro where nothing depends on it.
+        settled = abs(at.cost - before) < FLAT and bool(np.max(sizes[active < 6], initial=0.0) < SETTLED)
+        if at.done > 2 and (settled or bool(np.max(sizes) < CLOSE)):
+            at.converged = True
+            break
+    return at
+
+
+def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
+    """(e, S), each shape (m,), at one point."""
+    e, s = errors(search, point[None], np.array([FULL], dtype=float))
+    return e[0], s[0]
+
+
+def _slopes(search: Search, point: Array) -> Slopes:
+    """At the point, by differences of whole filter runs."""
     nudges = np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
     points = np.tile(point, (len(nudges) + 1, 1))
     points[np.arange(1, len(points)), search.active] += nudges
     modes = [KEEP, *(FULL if NAMES[k] in _GAINS else FOLLOW for k in search.active)]
     e, s = errors(search, points, np.array(modes, dtype=float))
-    return Slopes(e[0], s[0], (e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None], point)
+    return Slopes((e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None], point)
 
 
-def _scores(search: Search, point: Array, slopes: Slopes) -> tuple[Array, Array]:
+def _scores(search: Search, at: Place) -> Array:
+    """Slope of each row's misfit, shape (a, m)."""
+    ratio = at.e / at.s
+    scores: Array = at.slopes.de * ratio + at.slopes.ds * (0.5 * (1.0 - at.e * ratio) / at.s)
+    scores *= search.judged
+    return scores
+
+
+def _sums(search: Search, at: Place, scores: Array) -> tuple[Array, Array]:
     """(gradient, information) of the cost, with the prior's."""
-    e, s, de, ds = slopes.e, slopes.s, slopes.de * search.used, slopes.ds * search.used
-    ratio = e / s
-    gradient = de @ ratio + 0.5 * ds @ ((1.0 - e * ratio) / s)
-    white, wide = de / np.sqrt(s), ds / s
+    judged = search.judged
+    white, wide = at.slopes.de * (judged / np.sqrt(at.s)), at.slopes.ds * (judged / at.s)
     information = white @ white.T + 0.5 * wide @ wide.T + search.prior_information
-    off = (point - search.prior_mean)[search.active]
-    return gradient + search.prior_information @ off, information
+    off = (at.point - search.prior_mean)[search.active]
+    return scores.sum(axis=1) + search.prior_information @ off, information
 
 
 def _sds(information: Array) -> Array:
@@ -263,15 +296,26 @@ def with_gain(found: Found, gain: float) -> Found:
     return replace(found, gain=gain)
 
 
-def _honest(search: Search, covariance: Array, slopes: Slopes) -> Array:
+def _covariance(search: Search, scores: Array, covariance: Array, colour: float) -> Array:
+    """Of all unknowns, (n, n), from that of the active ones (a, a): wider for coloured noise and for what the
+    model is not."""
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(search.active, search.active)] = _honest(search, covariance, scores)
+    wider = np.ones(len(NAMES))
+    wider[unknowns.SIX] = 1.0 + COLOUR * max(colour, 0.0)
+    whole *= np.outer(wider, wider)
+    if search.rigging.planar:
+        open_ = search.active[search.active < 6]
+        whole[open_, open_] += MODEL_SD**2
+    return (whole + whole.T) / 2
+
+
+def _honest(search: Search, covariance: Array, scores: Array) -> Array:
     """The covariance, made larger where the scores are correlated over time, as coloured noise makes them.
 
     Newey-West estimate of the scores' covariance between inverse informations (the sandwich of quasi maximum
     likelihood). It only widens: a short record may by chance look better than white.
     """
-    e, s, de, ds = slopes.e, slopes.s, slopes.de * search.used, slopes.ds * search.used
-    ratio = e / s
-    scores = de * ratio + 0.5 * ds * ((1.0 - e * ratio) / s)
     bins = (search.record.rows[:, 0] * DT / BIN_S).astype(np.int64)
     sums = np.zeros((len(scores), int(bins[-1]) + 1))
     for row, into in zip(scores, sums, strict=True):
@@ -288,28 +332,22 @@ def _honest(search: Search, covariance: Array, slopes: Slopes) -> Array:
 
 
 def _step(
-    search: Search, point: Array, gradient: Array, information: Array, damping: float, cost: float
-) -> tuple[Array, int, float | None]:
-    """(step, tries, cost after it); None where no step lowers the cost."""
+    search: Search, at: Place, gradient: Array, information: Array, damping: float
+) -> tuple[Array, int, tuple[Array, Array] | None]:
+    """(step, tries, prediction errors and variances after it); None where no step lowers the cost."""
     for tried in range(1, 8):
         damped = information + damping * 4.0 ** (tried - 1) * np.diag(np.diag(information))
         step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)
         logs = step[search.active < 6]
         longest = float(np.max(np.abs(logs))) if len(logs) else 0.0
         step = step * min(1.0, LONGEST_STEP / max(longest, 1e-12)) / (1.0 if tried < 5 else 4.0)
-        trial = point.copy()
+        trial = at.point.copy()
         trial[search.active] += step
-        e, s = errors(search, trial[None], np.array([FULL], dtype=float))
-        after = _cost(search, trial, e[0], s[0])
-        if np.isfinite(after) and after <= cost + SLACK:
-            return step, tried, after
+        seen = _errors_at(search, trial)
+        after = _cost(search, trial, *seen)
+        if np.isfinite(after) and after <= at.cost + SLACK:
+            return step, tried, seen
     return np.zeros(len(search.active)), 8, None
-
-
-def _leave_out(search: Search, point: Array) -> None:
-    """Rows that are beyond belief at this point, once and for all of this fit."""
-    e, s = errors(search, point[None], np.array([FULL], dtype=float))
-    search.used = np.where(np.abs(e[0]) > OUTLIER * np.sqrt(s[0]), 0.0, search.used)
 
 
 def whiteness(rows: Array, used: Array, e: Array, s: Array) -> float:
@@ -322,6 +360,3 @@ def whiteness(rows: Array, used: Array, e: Array, s: Array) -> float:
             found.append(float(z[1:] @ z[:-1] / (z @ z)))
             weights.append(len(z))
     return float(np.average(found, weights=weights)) if found else 0.0
-
-
-assert AT["pair_t"] == 9

@@ -169,10 +169,10 @@ def _contradiction(moved: Array, before: Array, after: Array) -> float:
 
 
 def rehearse(machine: Machine) -> None:
-    """A fit of a second of straight driving, which compiles all that a fit needs."""
+    """A fit of two seconds of straight driving, which compiles all that a fit needs."""
     mean, sd = unknowns.prior(machine)
-    ticks = np.tile([0.0, 4.0, *[0.0] * 6], (50, 1))
-    rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(50)], dtype=np.float64)
+    ticks = np.tile([0.0, 4.0, *[0.0] * 6], (100, 1))
+    rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(100)], dtype=np.float64)
     fit(machine, Job(0, 0, Record(0, ticks, rows), mean, np.diag(sd**2)))
 
 
