@@ -14,28 +14,25 @@ from numpy.typing import NDArray
 
 from tilth.estimator import advice, likelihood, unknowns
 from tilth.estimator.record import Record, Stretch
+from tilth.estimator.said import PUBLISH_NS, WORST, forgotten, of_six
 from tilth.estimator.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.windows import WINDOW, collect, refuse
-from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 METHOD = "pem"
-MODEL = "relaxation"
 LATENCY_NS = 3_000_000_000
 LEAST_STEERING = math.radians(1.0)
 """Sd of the wheel angle in a window. Below, what looks like information is the ground's own forces, whose
 colour the model does not know: intervals of C_ai from automatic steering held the truth in 50 % of runs."""
-DRIFT_M = 50_000.0  # distance over which the soil forgets itself
 NOISE_SD = 0.4  # log sd with which noise levels begin each window: ground and satellites change
 CHANGED = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
 LEAST_TAKEN = 0.25
-WORST = 4.5  # prior sds: a parameter further off is none
-SUPPORTED, LOST = 0.5, 0.6  # posterior over prior sd of a logarithm: gives a number, takes it back
-STALE_S = 300.0
-PUBLISH_NS = 1_000_000_000
-RANK_GAIN = 3.0  # information over prior information, for a direction to count as determined
+"""Share of the variance that a window is believed to take at the least, where it is asked whether it
+contradicts: where it takes next to nothing, what is left of the search would contradict too."""
+NOTHING = f"no {WINDOW * 0.2:.0f} s of driving have been fitted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +119,7 @@ def wanted(state: PemState, t_ns: int) -> Job | None:
 
 def _drifted(state: PemState) -> tuple[Array, Array]:
     """What is known, grown older: the six drift over distance towards the prior, noise levels begin anew."""
-    keep = math.exp(-state.distance / DRIFT_M)
+    keep = forgotten(state.distance)
     covariance = state.covariance.copy()
     covariance[SIX, :] *= keep
     covariance[:, SIX] *= keep
@@ -232,61 +229,20 @@ def clock_stepped(state: PemState, by_ns: int) -> None:
 
 def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     """What can be said now."""
-    covariance = state.covariance[SIX, SIX]
-    prior_sd = state.prior_sd[SIX]
-    information = advice.information_of(covariance, prior_sd)
-    sizes = np.array(advice.eigenvalues(information, prior_sd)) if state.fits else np.zeros(6)
-    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
-    parameters = tuple(_parameter(state, k, age) for k in range(6))
-    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
-    active = np.flatnonzero(state.prior_sd > 0.0)
     last = state.last
-    bound = [math.inf if b is None else b for b in advice.bound(information, prior_sd)] if state.fits else []
-    return Estimate(
-        t_ns=t_ns,
-        method=METHOD,
-        model=MODEL,
-        parameters=parameters,
-        log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True)),
-        nuisances={
-            NAMES[k]: (float(state.mean[k]), math.sqrt(state.covariance[k, k])) for k in active if k > 5
-        },
-        rank=int(np.sum(sizes > RANK_GAIN)),
-        condition=float(sizes.max() / sizes.min()) if state.fits and sizes.min() > 0.0 else None,
-        excitation={
-            "fits": float(state.fits),
-            "late": float(state.late),
-            "soil_changes": float(state.changes),
-            "held_out_gain": last.gain if last else 0.0,
-            "whiteness": last.whiteness if last else 0.0,
-            "cost": last.cost if last else 0.0,
-            "iterations": float(last.iterations) if last else 0.0,
-        },
-        window_s=state.window_s,
-        determined=advice.determined(information, prior_sd) if state.fits else (),
-        bound=tuple(bound),
-        advice=last.advice if last else "",
-    )
-
-
-def _parameter(state: PemState, k: int, age: float | None) -> ParameterEstimate:
-    """One parameter: a number only where the data support it; once given, taken back later than given."""
-    sd_log = math.sqrt(state.covariance[k, k])
-    limit = LOST if state.given[k] else SUPPORTED
-    state.given[k] = age is not None and sd_log <= limit * state.prior_sd[k]
-    if age is None:
-        now = f" (now: {state.reason})" if state.reason else ""
-        text = f"no {WINDOW * 0.2:.0f} s of driving have been fitted yet{now}"
-        return ParameterEstimate(None, None, Status.UNESTIMATED, text)
-    if not state.given[k]:
-        text = f"the data leave ±{100 * sd_log:.0f} %: more steering is needed"
-        return ParameterEstimate(None, None, Status.UNESTIMATED, text, age)
-    value = math.exp(state.mean[k])
-    if age > STALE_S:
-        text = f"nothing was learned for {age:.0f} s"
-        return ParameterEstimate(value, value * sd_log, Status.STALE, text, age)
-    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
+    excitation = {
+        "fits": float(state.fits),
+        "late": float(state.late),
+        "soil_changes": float(state.changes),
+        "held_out_gain": last.gain if last else 0.0,
+        "whiteness": last.whiteness if last else 0.0,
+        "cost": last.cost if last else 0.0,
+        "iterations": float(last.iterations) if last else 0.0,
+    }
+    return of_six(
+        state, machine, t_ns, METHOD, state.covariance[SIX, SIX], NOTHING, excitation,
+        last.advice if last else "",
+    )  # fmt: skip
 
 
 assert NAMES[:6] == PARAMETERS

@@ -23,8 +23,10 @@ from filterpy.kalman import update
 from numpy.typing import NDArray
 
 from tilth.estimator import advice, unknowns
+from tilth.estimator.advice import SUPPORTED
 from tilth.estimator.aligner import POSE_NS
 from tilth.estimator.record import Stretch
+from tilth.estimator.said import LOST, PUBLISH_NS, age_s, forgotten, nothing_yet, parameter, per_mass
 from tilth.estimator.steady_driving import BLOCK, Sample, Steadiness, observe
 from tilth.estimator.steady_outputs import CONSTANTS, largest_slip, linearised
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
@@ -49,17 +51,12 @@ VAGUE = 3.0  # sd of a compliance over the prior mean's before any data: a flat 
 LARGEST_SLIP = math.radians(6.0)  # of an axle: beyond, one number for the tyre curve is not enough
 CORRELATED_SHARE = 0.4  # of a position's sd that stays for PAIR_MEMORY and does not cancel in a pair
 PAIR_MEMORY_S = 20.0
-DRIFT_M = 50_000.0  # distance over which the soil forgets itself
 GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
 SURPRISE_MEMORY = 10.0  # samples, 10 s
 LARGEST_SURPRISE = 6.0  # that one sample may count for
 SURPRISED = 2.0  # beyond: the soil is another, or the rig is
-SUPPORTED = 0.5  # posterior over prior sd of the logarithm: above, the data do not support a number
-LOST = 0.6  # above, a number that was supported is so no longer
 NEWTON_STEPS = 50
 LONGEST_STEP = 0.5  # of a logarithm
-STALE_S = 300.0
-PUBLISH_NS = 1_000_000_000
 
 _RELAXATION = ParameterEstimate(
     None, None, Status.UNESTIMATED, "steady driving carries no relaxation-length information"
@@ -146,7 +143,7 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     """Ornstein-Uhlenbeck drift: soil over distance, multipath over time, both towards the prior."""
     seconds = min(seconds, 3600.0) if math.isfinite(seconds) else 0.0
     distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
-    forgets = math.exp(-distance / DRIFT_M)
+    forgets = forgotten(distance)
     keep = np.ones(len(STATES))
     keep[SOIL] = forgets
     keep[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
@@ -309,18 +306,17 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     rank, condition = identifiability(state)
     information = advice.information_of(state.log_p, state.prior[:3])
     told = advice.bound(information, state.prior[:3])
-    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
+    age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
     covariance = np.diag(unknowns.prior(machine)[1][unknowns.SIX] ** 2)
     covariance[:3, :3] = state.log_p
-    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
         model=MODEL,
         parameters=(*parameters, _RELAXATION, _RELAXATION, _RELAXATION),
         log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=tuple(p.value / m if p.value else None for p, m in zip(parameters, masses, strict=True)),
+        per_mass=per_mass(machine, parameters),
         nuisances={
             name: (float(state.x[AT[name]]), math.sqrt(max(state.p[AT[name], AT[name]], 0.0)))
             for name in PUBLISHED
@@ -336,18 +332,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 
 def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
     """One stiffness: a number only where the data support it."""
+    lacks = nothing_yet("no steady turn", state.reason) if age is None else _what_lacks(state, rank)
     sd_log = math.sqrt(state.log_p[k, k])
-    if age is None:
-        now = f" (now: {state.reason})" if state.reason else ""
-        return ParameterEstimate(None, None, Status.UNESTIMATED, f"no steady turn yet{now}")
-    if not state.supported[k]:
-        return ParameterEstimate(None, None, Status.UNESTIMATED, _what_lacks(state, rank), age)
-    value = math.exp(state.logs[k])
-    if age > STALE_S:
-        return ParameterEstimate(
-            value, value * sd_log, Status.STALE, f"no steady driving for {age:.0f} s", age
-        )
-    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
+    return parameter(state.logs[k], sd_log, state.supported[k], age, lacks, "no steady driving")
 
 
 def _what_lacks(state: SteadyState, rank: int) -> str:

@@ -17,23 +17,17 @@ from tilth.estimator.advice import Advisor
 from tilth.estimator.predictor import DT, N_STATES, START, START_PLACE
 from tilth.estimator.recommend import SINCE_CHANGE
 from tilth.estimator.record import Record, Stretch
+from tilth.estimator.said import PUBLISH_NS, WORST, forgotten, of_six
 from tilth.estimator.soil_change import Mark
 from tilth.estimator.tracker_kernel import BAD, GATED, USED, tracked
 from tilth.estimator.tracker_model import N_X
 from tilth.estimator.unknowns import AT, NAMES, NOISE, SIX
-from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 METHOD = "tracker"
-MODEL = "relaxation"
-DRIFT_M: Final = 50_000.0  # distance over which the soil forgets itself
-PUBLISH_NS: Final = 1_000_000_000
-STALE_S: Final = 300.0
-SUPPORTED, LOST = 0.5, 0.6  # posterior over prior sd of a logarithm: gives a number, takes it back
-RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
-WORST: Final = 4.5  # prior sds: a parameter further off is none
 
 WIDER: Final = 1.25
 """By which what data told counts for less, as an sd, when it is said. The ground's waves and the receivers'
@@ -219,7 +213,7 @@ def _sound(state: TrackerState) -> bool:
 def _drift(state: TrackerState, metres: float) -> None:
     """The six forget over distance: the law of the drift has the prior's covariance as its own."""
     state.distance += metres
-    keep = math.exp(-metres / DRIFT_M)
+    keep = forgotten(metres)
     more = (1.0 - keep**2) * np.diag(state.prior_sd[SIX] ** 2)
     state.covariance[SIX, :] *= keep
     state.covariance[:, SIX] *= keep
@@ -285,42 +279,20 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     state.changed_ns += by_ns if state.changed_ns else 0
 
 
-def published(state: TrackerState) -> tuple[Array, Array]:
-    """(covariance, information of the data alone) of the six logarithms as they are said, shapes (6, 6)."""
+def published(state: TrackerState) -> Array:
+    """Covariance of the six logarithms as it is said, (6, 6): what data told counts for less."""
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / WIDER**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    return (covariance + covariance.T) / 2.0, information
+    return (covariance + covariance.T) / 2.0
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
     """What can be said now."""
-    covariance, information = published(state)
-    prior_sd = state.prior_sd[SIX]
-    sizes = np.array(advice.eigenvalues(information, prior_sd))
-    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
-    parameters = tuple(_parameter(state, k, math.sqrt(covariance[k, k]), age) for k in range(6))
-    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
-    active = np.flatnonzero(np.diag(state.covariance) > 0.0)
-    bound = [math.inf if b is None else b for b in advice.bound(information, prior_sd)]
-    return Estimate(
-        t_ns=t_ns,
-        method=METHOD,
-        model=MODEL,
-        parameters=parameters,
-        log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True)),
-        nuisances={
-            NAMES[k]: (float(state.mean[k]), math.sqrt(state.covariance[k, k])) for k in active if k > 5
-        },
-        rank=int(np.sum(sizes > RANK_GAIN)),
-        condition=float(sizes.max() / sizes.min()) if sizes.min() > 0.0 else None,
-        excitation=_excitation(state, t_ns),
-        window_s=state.window_s,
-        determined=advice.determined(information, prior_sd) if age is not None else (),
-        bound=tuple(bound) if age is not None else (),
-        advice=state.advisor.text,
-    )
+    return of_six(
+        state, machine, t_ns, METHOD, published(state), "nothing has been learned", _excitation(state, t_ns),
+        state.advisor.text,
+    )  # fmt: skip
 
 
 def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
@@ -340,23 +312,6 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
     if state.changed_ns:
         told[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
     return told
-
-
-def _parameter(state: TrackerState, k: int, sd_log: float, age: float | None) -> ParameterEstimate:
-    """One parameter: a number only where the data support it; once given, taken back later than given."""
-    limit = LOST if state.given[k] else SUPPORTED
-    state.given[k] = age is not None and sd_log <= limit * state.prior_sd[k]
-    if age is None:
-        now = f" (now: {state.reason})" if state.reason else ""
-        return ParameterEstimate(None, None, Status.UNESTIMATED, f"nothing has been learned yet{now}")
-    if not state.given[k]:
-        text = f"the data leave ±{100 * sd_log:.0f} %: more steering is needed"
-        return ParameterEstimate(None, None, Status.UNESTIMATED, text, age)
-    value = math.exp(state.mean[k])
-    if age > STALE_S:
-        text = f"nothing was learned for {age:.0f} s"
-        return ParameterEstimate(value, value * sd_log, Status.STALE, text, age)
-    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
 
 
 assert NAMES[:6] == PARAMETERS

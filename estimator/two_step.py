@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator import unknowns
 from tilth.estimator.record import TICK_NS, Record, Stretch
+from tilth.estimator.said import MODEL, age_s, per_mass
 from tilth.estimator.two_step_fit import TwoStep, Window, identify, merge_scalar
 from tilth.estimator.windows import collect, refuse
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
@@ -20,7 +21,6 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 METHOD: Final = "pem_two_step"
-MODEL: Final = "relaxation"
 PUBLISH_NS: Final = 10_000_000_000
 LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the one worker makes that fit first
 _WHY_NOT: Final = (
@@ -114,19 +114,17 @@ def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int
 
 def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
     """What the method says now, with why it is not to be used."""
-    age = (t_ns - state.informed_ns) * 1e-9 if state.informed_ns else None
+    age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
     _, prior_sd = unknowns.prior(machine)
     shares = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
-    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
-    told = zip(parameters[:3], masses, strict=True)
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
         model=MODEL,
         parameters=parameters,
         log_covariance=tuple(np.diag(shares**2).ravel().tolist()),  # the method knows of no correlations
-        per_mass=tuple(p.value / m if p.value else None for p, m in told),
+        per_mass=per_mass(machine, parameters),
         rank=state.rank,
         excitation={"runs": float(state.runs.max()), "late": float(state.late)},
         window_s=state.window_s,
