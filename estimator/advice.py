@@ -248,8 +248,9 @@ def _errors(machine: Machine, ticks: Array, rows: Array, points: Array, planar: 
     e, s = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
     base = unknowns.base_geometry(machine)
     modes = np.array([predictor.KEEP] + [predictor.FOLLOW] * (len(points) - 1), dtype=np.float64)
+    readings = np.tile(rows[:, ROWS.index("value")], (len(points), 1))
     predictor.innovations(
-        ticks, rows, np.ones(len(rows)), np.zeros(predictor.N_STATES), points,
+        ticks, rows, readings, np.ones(len(rows)), np.zeros(predictor.N_STATES), points,
         np.exp(points[:, SIX]), np.array([unknowns.geometry(base, point) for point in points]), modes,
         rig_of(machine), unknowns.levers(machine), unknowns.pair_middles(machine), _sds(machine), planar,
         e, s,

@@ -153,15 +153,16 @@ def first_state(record: Record, rigging: Rigging) -> Array:
     return x
 
 
-def errors(search: Search, points: Array, modes: Array) -> tuple[Array, Array]:
-    """(e, S), each shape (q, m), at points, shape (q, n)."""
+def errors(search: Search, points: Array, modes: Array, readings: Array | None = None) -> tuple[Array, Array]:
+    """(e, S), each shape (q, m), at points, shape (q, n). readings: (q, m), instead of the record's."""
     geometries = np.array([unknowns.geometry(search.rigging.geometry, p) for p in points])
     thetas = np.exp(points[:, unknowns.SIX])
     shape = (len(points), len(search.record.rows))
     e, s = np.zeros(shape), np.ones(shape)
-    told = search.rigging
+    told, rows = search.rigging, search.record.rows
+    measured = np.tile(rows[:, 4], (len(points), 1)) if readings is None else readings
     innovations(
-        search.record.ticks, search.record.rows, search.used, search.start, points, thetas, geometries, modes,
+        search.record.ticks, rows, measured, search.used, search.start, points, thetas, geometries, modes,
         told.rig, told.levers, told.middles, told.sds, told.planar, e, s,
     )  # fmt: skip
     return e, s
@@ -203,15 +204,18 @@ def find(
     point = mean.copy()
     point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 1.0, ROUGH, 0.0)
     end = _descended(search, point)
-    scores = _scores(search, end)
-    gradient, information = _sums(search, end, scores)
+    gradient, information = _sums(search, end, _scores(search, end))
     left = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
     converged = end.converged or bool(np.max(left[search.active < 6], initial=0.0) < NEAR)
     colour = whiteness(record.rows, search.judged, end.e, end.s)
+    if rigging.planar:
+        end.slopes = _driven(search, end)
+    scores = _scores(search, end)
+    _, counted = _sums(search, end, scores)
     own = np.zeros_like(covariance)
     own[np.ix_(search.active, search.active)] = information - search.prior_information
     return Found(
-        end.point, _covariance(search, scores, _inverse(information), colour), own,
+        end.point, _covariance(search, scores, _inverse(counted), colour), own,
         end.cost / max(len(record.rows), 1), gained, end.done, len(record.rows),
         int(np.sum(search.used == 0.0)), colour, converged,
     )  # fmt: skip
@@ -220,8 +224,7 @@ def find(
 def _descended(search: Search, point: Array) -> Place:
     """Where steps from a point end."""
     active, damping = search.active, 1e-3
-    e, s = _errors_at(search, point)
-    at = Place(point, e, s, _slopes(search, point), _cost(search, point, e, s))
+    at = _place(search, point)
     for at.done in range(1, MOST_ITERATIONS + 1):
         gradient, information = _sums(search, at, _scores(search, at))
         step, tried, seen = _step(search, at, gradient, information, damping)
@@ -248,6 +251,17 @@ def _descended(search: Search, point: Array) -> Place:
     return at
 
 
+def _place(search: Search, point: Array) -> Place:
+    e, s = _errors_at(search, point)
+    return Place(point, e, s, _slopes(search, point), _cost(search, point, e, s))
+
+
+def at_point(search: Search, point: Array) -> tuple[Array, Array]:
+    """(gradient, information) of the cost over the active unknowns, with the prior's, shapes (a,), (a, a)."""
+    at = _place(search, point)
+    return _sums(search, at, _scores(search, at))
+
+
 def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
     """(e, S), each shape (m,), at one point."""
     e, s = errors(search, point[None], np.array([FULL], dtype=float))
@@ -256,12 +270,39 @@ def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
 
 def _slopes(search: Search, point: Array) -> Slopes:
     """At the point, by differences of whole filter runs."""
-    nudges = np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
+    nudges = _nudges(search)
     points = np.tile(point, (len(nudges) + 1, 1))
     points[np.arange(1, len(points)), search.active] += nudges
     modes = [KEEP, *(FULL if NAMES[k] in _GAINS else FOLLOW for k in search.active)]
     e, s = errors(search, points, np.array(modes, dtype=float))
     return Slopes((e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None], point)
+
+
+def _driven(search: Search, at: Place) -> Slopes:
+    """The slopes by what the wheels' motion explains alone.
+
+    Readings are changed by what an open loop at a point nearby shows otherwise, and go through the filter as
+    it is. The search goes by all that the likelihood says; but what it says of tyres by how the ground's
+    forces move the rig is as true as the model of those forces, which is simple, and counts for no certainty:
+    with it, intervals from three windows of steps at 5 Hz held the truth in 78 % of runs, without in 88 %.
+    """
+    nudged = np.flatnonzero([NAMES[k] not in NOISES for k in search.active])
+    nudges = _nudges(search)[nudged]
+    points = np.tile(at.point, (len(nudged) + 1, 1))
+    here = points.copy()
+    points[np.arange(1, len(points)), search.active[nudged]] += nudges
+    follow = np.full(len(points), FOLLOW, dtype=float)
+    open_loop, _ = errors(search, points, follow)
+    follow[0] = KEEP
+    e, _ = errors(search, here, follow, search.record.rows[:, 4] + (open_loop - open_loop[0]))
+    de, ds = at.slopes.de.copy(), at.slopes.ds.copy()
+    de[nudged], ds[nudged] = (e[1:] - e[0]) / nudges[:, None], 0.0
+    return Slopes(de, ds, at.point)
+
+
+def _nudges(search: Search) -> Array:
+    """Of the differences, shape (a,)."""
+    return np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
 
 
 def _scores(search: Search, at: Place) -> Array:

@@ -26,7 +26,7 @@ METHOD = "pem"
 LATENCY_NS = 3_000_000_000
 LEAST_STEERING = math.radians(1.0)
 """Sd of the wheel angle in a window. Below, what looks like information is the ground's own forces, whose
-colour the model does not know: intervals of C_ai from automatic steering held the truth in 50 % of runs."""
+colour the model does not know: intervals from rows steered automatically held the truth in 85 % of runs."""
 NOISE_SD = 0.4  # log sd with which noise levels begin each window: ground and satellites change
 CHANGED = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
 LEAST_TAKEN = 0.25

@@ -91,16 +91,9 @@ def reading_at(ticks: Array, k: int, behind: float) -> float:
 
 @kernel
 def advance(
-    x: Array,
-    u: float,
-    inputs: Array,
-    f: Array,
-    g: Array,
-    pushed: Array,
-    beyond: Array,
-    lasts: float,
+    x: Array, u: float, inputs: Array, f: Array, g: Array, pushed: Array, beyond: Array, lasts: float,
     out: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Fill out (15,), the state one tick later.
 
     inputs: (3,), as relaxation.INPUTS. beyond: (6,), what `bend` found. lasts: what is left of the ground's
@@ -257,6 +250,18 @@ def carried(change: Array, turned: Array, out: Array) -> None:
 
 
 @kernel
+def strays(p: Array, psi: float) -> None:
+    """Add to a covariance p what a tick adds to that of the place, along and across the heading psi."""
+    sine, cosine = math.sin(psi), math.cos(psi)
+    along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
+    p[PLACED, PLACED] += along * cosine * cosine + across * sine * sine
+    p[PLACED + 1, PLACED + 1] += along * sine * sine + across * cosine * cosine
+    cross = (along - across) * sine * cosine
+    p[PLACED, PLACED + 1] += cross
+    p[PLACED + 1, PLACED] += cross
+
+
+@kernel
 def grow(p: Array, phi: Array, turned: Array, q: Array, psi: float, middle: Array) -> None:
     """p (15, 15) one tick later. q: (6,), variances that a tick adds to alpha_f, the pushes and both pairs.
 
@@ -285,13 +290,7 @@ def grow(p: Array, phi: Array, turned: Array, q: Array, psi: float, middle: Arra
         p[PUSHED + i, PUSHED + i] += q[1 + i]
     for i in range(2):
         p[PAIRED + i, PAIRED + i] += q[4 + i]
-    sine, cosine = math.sin(psi), math.cos(psi)
-    along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
-    p[PLACED, PLACED] += along * cosine * cosine + across * sine * sine
-    p[PLACED + 1, PLACED + 1] += along * sine * sine + across * cosine * cosine
-    cross = (along - across) * sine * cosine
-    p[PLACED, PLACED + 1] += cross
-    p[PLACED + 1, PLACED] += cross
+    strays(p, psi)
 
 
 @kernel
@@ -308,13 +307,15 @@ def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
 
 @kernel
 def filtered(
-    ticks: Array, rows: Array, used: Array, x: Array, point: Array, theta: Array, geometry: Array, rig: Rig,
-    levers: Array, middles: Array, sds: Array, planar: bool, mode: int, gains: Array, e: Array, s: Array,
+    ticks: Array, rows: Array, readings: Array, used: Array, x: Array, point: Array, theta: Array,
+    geometry: Array, rig: Rig, levers: Array, middles: Array, sds: Array, planar: bool, mode: int,
+    gains: Array, e: Array, s: Array,
 ) -> None:  # fmt: skip
     """Fill e and s (m,): prediction error and its variance of each row at one point of the unknowns.
 
-    x: (15,), the first state, overwritten with the last. used: (m,), 0.0 for a row to leave out. sds: (3,) of
-    the wheel angle of a tick (rad) and of both pairs' slow errors (rad). gains: (m, 30), see FULL.
+    readings: (m,), what was measured. x: (15,), the first state, overwritten with the last. used: (m,), 0.0
+    for a row to leave out. sds: (3,) of the wheel angle of a tick (rad) and of both pairs' slow errors (rad).
+    gains: (m, 30), see FULL.
     """
     n = ticks.shape[0]
     heights = np.array([rig.h_t, rig.h_i])
@@ -323,13 +324,8 @@ def filtered(
     shape = (N_STATES, N_STATES)
     phi, turned, p, middle = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     after, between = np.zeros(N_STATES), np.zeros(N_STATES)
-    inputs, beyond, work, bent, forces = (
-        np.zeros(3),
-        np.zeros(6),
-        np.zeros(22),
-        np.zeros(13),
-        np.zeros((6, 3)),
-    )
+    inputs, beyond = np.zeros(3), np.zeros(6)
+    work, bent, forces = np.zeros(22), np.zeros(13), np.zeros((6, 3))
     h, slope, cross, gain = np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES)
     shown = np.zeros(N_STATES)
     q = np.zeros(6)
@@ -378,7 +374,7 @@ def filtered(
             psi_ref = ticks[k, 2 + body] + share * (ticks[nxt, 2 + body] - ticks[k, 2 + body])
             for j in range(N_STATES):
                 between[j] = x[j] + share * (after[j] - x[j])
-            error = rows[row, 4] - expected(
+            error = readings[row] - expected(
                 between, kind, place, u, psi_ref, geometry, point, levers, middles, h
             )
             if mode != FOLLOW:
@@ -426,13 +422,15 @@ def filtered(
 
 @kernel
 def innovations(
-    ticks: Array, rows: Array, used: Array, start: Array, points: Array, thetas: Array, geometries: Array,
-    modes: Array, rig: Rig, levers: Array, middles: Array, sds: Array, planar: bool, e: Array, s: Array,
+    ticks: Array, rows: Array, readings: Array, used: Array, start: Array, points: Array, thetas: Array,
+    geometries: Array, modes: Array, rig: Rig, levers: Array, middles: Array, sds: Array, planar: bool,
+    e: Array, s: Array,
 ) -> None:  # fmt: skip
     """Fill e and s, shape (q, m), at each of the points, shape (q, n of unknowns.NAMES).
 
-    thetas: (q, 6), geometries: (q, 9), both of the points. modes: (q,), FULL, KEEP or FOLLOW as float; what
-    follows has the variances of the first point.
+    readings: (q, m), what was measured, as each point is told. thetas: (q, 6), geometries: (q, 9), both of
+    the points. modes: (q,), FULL, KEEP or FOLLOW as float; what follows has the variances of the first point,
+    and where none is kept before it corrects nothing: the open loop.
     """
     gains = np.zeros((rows.shape[0], 2 * N_STATES))
     for i in range(points.shape[0]):
@@ -441,6 +439,6 @@ def innovations(
         if mode == FOLLOW:
             s[i] = s[0]
         filtered(
-            ticks, rows, used, x, points[i], thetas[i], geometries[i], rig, levers, middles, sds, planar,
-            mode, gains, e[i], s[i],
+            ticks, rows, readings[i], used, x, points[i], thetas[i], geometries[i], rig, levers, middles,
+            sds, planar, mode, gains, e[i], s[i],
         )  # fmt: skip

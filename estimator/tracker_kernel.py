@@ -12,8 +12,6 @@ import numpy as np
 from tilth.estimator.compiled import kernel
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.predictor import (
-    ACROSS,
-    ALONG,
     ASIDE,
     CG,
     CURVATURE,
@@ -33,6 +31,7 @@ from tilth.estimator.predictor import (
     noise_factor,
     reading_at,
     rig_at,
+    strays,
 )
 from tilth.estimator.tracker_model import (
     N_X,
@@ -85,13 +84,7 @@ def grow(p: Array, t: Array, turned: Array, q: Array, psi: float, middle: Array)
             p[j, i] = p[i, j]
     for i in range(N_X):
         p[i, i] += q[i]
-    sine, cosine = math.sin(psi), math.cos(psi)
-    along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
-    p[PLACED, PLACED] += along * cosine * cosine + across * sine * sine
-    p[PLACED + 1, PLACED + 1] += along * sine * sine + across * cosine * cosine
-    cross = (along - across) * sine * cosine
-    p[PLACED, PLACED + 1] += cross
-    p[PLACED + 1, PLACED] += cross
+    strays(p, psi)
 
 
 @kernel

@@ -14,11 +14,12 @@ from tilth.estimator.fold import initial, step
 from tilth.estimator.likelihood import find, rigging
 from tilth.estimator.manoeuvres import manoeuvre_named
 from tilth.estimator.models import relaxation
-from tilth.estimator.models.parameters import TABLE_7_2, Rig
+from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.record import HEADING, YAW_RATE, Record, Stretch, concatenate
 from tilth.estimator.unknowns import AT, NAMES, NOISES, SIX
 from tilth.replay.scenario import Manoeuvre, Scenario, Soil
+from tilth.replay.studies import linear_plant
 from tilth.replay.tractor import drive
 from tilth.replay.traffic import traffic
 from tilth.schemas.flow import PARAMETERS, Pose, Status
@@ -240,3 +241,22 @@ def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> No
     pem.adopt(state, machine, made, 6)
     assert np.all(np.isfinite(state.mean))
     assert np.all(np.isfinite(state.covariance))
+
+
+def test_the_beginning_of_a_record_teaches_nothing() -> None:
+    """Score of the six at the truth, summed over short records that begin straight: chi-square of six.
+
+    Were the first second judged by the spread that the first state may have, it would be 65.
+    """
+    told, (mean, covariance) = linear_plant.rigging(MACHINE), linear_plant.prior(MACHINE)
+    gradient, information = np.zeros(6), np.zeros((6, 6))
+    for seed in range(100):
+        run = linear_plant.plant(rig_of(MACHINE), seed, "row", 4.0, 1.8)
+        point = mean.copy()
+        point[SIX], point[AT["wheel_zero"]] = np.log(run.rig.theta), run.zero
+        point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.PUSHES, linear_plant.MEMORY_S])
+        search = likelihood.search_of(linear_plant.record_of(run), told, point, covariance)
+        scores, own = likelihood.at_point(search, point)
+        gradient += scores[SIX]
+        information += (own - search.prior_information)[SIX, SIX]
+    assert gradient @ np.linalg.solve(information, gradient) < 22.5
