@@ -1,5 +1,6 @@
 """The controller's wires: poses and estimates from a daemon over Zenoh, commands to a CAN bus."""
 
+import logging
 import math
 import queue
 import time
@@ -91,6 +92,8 @@ class Wires:
 
     def command_on(self, bus: can.BusABC) -> None:
         """Send commands there from now on; it is shut down with the wires."""
+        # It warns at each half-read frame.
+        logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
         self._bus = bus
 
     def send(self, frames: Iterable[tuple[int, bytes]]) -> None:
