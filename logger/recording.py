@@ -257,10 +257,12 @@ class Recording:
         for spool, frames in [each for each in self._closing if each not in waiting]:
             self.missed += frames - spool.safe_frames
             self.frames -= frames - spool.safe_frames
-            if spool.error is not None:
+            if spool.error is not None and spool.opened:
                 self._report(
                     "log", f"the end of the log may be missing: {_sentence(spool.error, spool.path)}"
                 )
+            elif spool.error is not None:  # a last try, of which nothing is there
+                self._say(f"not recording: {_sentence(spool.error, self.folder)}")
         self._closing = waiting
 
     def _try_again(self) -> None:

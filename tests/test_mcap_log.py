@@ -168,10 +168,14 @@ class Recorder:
         deadline = time.monotonic() + 10.0
         while not condition():
             assert time.monotonic() < deadline, self.recording.problem
-            self._now_ns += FLUSH_NS
-            self._later_ns += FLUSH_NS
-            self.recording.tick(self._now_ns)
+            self.later()
             time.sleep(0.001)
+
+    def later(self) -> None:
+        """A tick 0.4 s later, without a frame."""
+        self._now_ns += FLUSH_NS
+        self._later_ns += FLUSH_NS
+        self.recording.tick(self._now_ns)
 
     def from_now(self, frames: Iterable[Frame]) -> Iterator[Frame]:
         """The frames as if they came from now on."""
@@ -275,12 +279,15 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(tmp_path: 
     assert sum(len(logged_frames(finished(path))) for path in tmp_path.glob("*.mcap")) == run.recording.frames
 
 
-def test_a_disk_without_any_room_is_not_littered_with_empty_files(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ticks", [0, 9, 11, 13])  # among them one at which it has just tried again
+def test_a_disk_without_any_room_is_not_littered_with_empty_files(tmp_path: Path, ticks: int) -> None:
     with file_size_limit(500):
         run = Recorder(tmp_path)
         for frame in run.from_now(numbered(12_000)):
             run.take(frame)
         run.until(lambda: "not recording" in run.recording.problem)
+        for _ in range(ticks):
+            run.later()
         run.recording.close()
     assert list(tmp_path.iterdir()) == [] and run.recording.missed == 12_000 and len(run.events) == 1
 
