@@ -16,7 +16,7 @@ from tilth.estimator.linear_analysis import discretise, system
 from tilth.estimator.manoeuvres import manoeuvre_named
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.predictor import DT, START
+from tilth.estimator.predictor import DT
 from tilth.estimator.record import HEADING, INPUTS, YAW_RATE, Record
 from tilth.estimator.unknowns import AT, NAMES, NOISES, SIX
 from tilth.replay.noise import generator
@@ -36,6 +36,7 @@ STATES: Final = 11  # these and three pushes
 SEEN: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
 UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n != "s_velocity")
 NUDGE: Final = 1e-4  # of the central differences
+NO_SPREAD: Final = 1e-10  # variance of the first state
 SETTLED: Final = 400  # ticks after which the filter's gain stands
 REPEATS: Final = 4  # records over which the information is averaged
 
@@ -175,7 +176,8 @@ def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
     reading = run.wheel + run.zero
     delta = ((reading[:-1] + reading[1:]) / 2)[:, None] - points[:, 6]
     seen = list(SEEN)
-    first = np.hstack([np.tile(np.square(START), (p, 1)), pushes])
+    # Runs begin straight. Were the first state to have a spread, its absence would pass for information.
+    first = np.hstack([np.full((p, STATES - 3), NO_SPREAD), pushes])
     spread = first[:, :, None] * np.eye(STATES)
     x, e, spreads, gain = (
         np.zeros((p, y.shape[1], STATES)), np.zeros((n, p, y.shape[1], 4)), [], np.zeros(0),
