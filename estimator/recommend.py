@@ -67,7 +67,8 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]
         if change < age:
             yield tracker, f"tracker: the soil changed {change:.0f} s ago, after the last window of pem"
         elif age > FRESH_S:
-            yield tracker, f"tracker: the last window of pem is {age:.0f} s old"
+            old = f"is {age:.0f} s old" if math.isfinite(age) else "has not been driven yet"
+            yield tracker, f"tracker: the last window of pem {old}"
     for estimate in here:
         if _given(estimate, Status.ESTIMATED):
             yield estimate, f"{estimate.method}: the first of {_names(here)} that gives estimates"

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from importlib import resources
 
+import can
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from tilth.adaptive_guidance.controller import COMMAND, LIMITS, STALE, Controlle
 from tilth.adaptive_guidance.law import design
 from tilth.adaptive_guidance.lockstep import cross_track, run
 from tilth.adaptive_guidance.plan import STEP, Plan, Work, plan
+from tilth.adaptive_guidance.wires import throw_away
 from tilth.client import Cautious, Limits
 from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
@@ -199,3 +201,12 @@ def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_tur
         errors[mode] = np.sqrt(np.mean(off[line.row[at] < 0] ** 2))
     assert errors["knowing"] < 0.15
     assert errors["knowing"] < 0.85 * errors["fixed"]
+
+
+def test_what_others_say_on_the_bus_is_thrown_away() -> None:
+    """A bus whose frames nobody reads fills, and over TCP then holds up who sends."""
+    with can.Bus("others", "virtual") as ours, can.Bus("others", "virtual") as others:
+        for k in range(900):
+            others.send(can.Message(arbitration_id=k, is_extended_id=True))
+        throw_away(ours)
+        assert ours.recv(0.0) is None

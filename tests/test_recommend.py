@@ -47,6 +47,7 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
         "first of",
     ),
     ("pem is old", (estimate("tracker"), estimate("pem", age=121.0)), "tracker", "is 121 s old"),
+    ("pem has no window yet", (estimate("tracker"), estimate("pem", U)), "tracker", "not been driven yet"),
     ("pem is old, alone", (estimate("steady_state", U), estimate("pem", age=121.0)), "pem", "first of"),
     ("stale before none", (estimate("steady_state", U), estimate("pem", S, age=400.0)), "pem", "though old"),
     ("new before stale", (estimate("steady_state", THREE), estimate("pem", S)), "steady_state", "first of"),

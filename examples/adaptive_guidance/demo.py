@@ -11,6 +11,7 @@ import json
 import logging
 import math
 import os
+import re
 import select
 import subprocess
 import sys
@@ -54,6 +55,8 @@ STARTING_S: Final = 180.0
 TICK_S: Final = 0.1
 ENDING_S: Final = 30.0
 FIGURE: Final = "guidance.svg"
+
+_NUMBERS: Final = re.compile(r"[\d.]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,8 +254,8 @@ class _Watching:
             self._silent = True
             self._event("the controller has ended: the wheels stay, the driver brakes")
         for fact in self.controller.facts():
-            if fact["reason"] != self._reason:
-                self._reason = fact["reason"]
+            before, self._reason = self._reason, fact["reason"]
+            if _NUMBERS.sub("", before) != _NUMBERS.sub("", self._reason):  # not each second of a silence
                 why = f"does not steer: {self._reason}" if self._reason else "steers"
                 self._event(f"the controller {why}")
 

@@ -49,6 +49,13 @@ def _number(message: pb.Pose | pb.BodyPose, name: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def throw_away(bus: can.BusABC) -> None:
+    """What others say is for the daemon; left lying, it fills a bus over TCP until that waits for us."""
+    for _ in range(UNHEARD):
+        if bus.recv(0.0) is None:
+            return
+
+
 class Wires:
     """One daemon and one bus. `now` is the daemon's clock where it runs on the same computer, or where both
     computers' clocks are set alike when they start."""
@@ -101,10 +108,7 @@ class Wires:
         if self._bus is None:
             return
         try:
-            # What others say is for the daemon; left lying, it fills a bus over TCP until that waits for us.
-            for _ in range(UNHEARD):
-                if self._bus.recv(0.0) is None:
-                    break
+            throw_away(self._bus)
         except can.CanError as error:
             self._refused[f"the bus was not read: {error}"[:120]] += 1
         for can_id, data in frames:
