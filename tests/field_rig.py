@@ -22,12 +22,13 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
 
 ADDRESS_CLAIM = 0xEE00
+PLAIN = Scenario(clock_offset_s=0.0)
 
 
 class FieldRig:
     """`start` and `kill` the daemon as often as you like; the tractor drives on."""
 
-    def __init__(self, folder: Path, seconds: float) -> None:
+    def __init__(self, folder: Path, seconds: float, scenario: Scenario = PLAIN) -> None:
         self.folder = folder
         self._server = open_server()
         text = on_loopback(machine_text(folder, udp_bus("can0", 0)), self._server.port)
@@ -38,7 +39,7 @@ class FieldRig:
         self._unplugged: set[str] = set()
         self._process: subprocess.Popen[bytes] | None = None
         orders, self._orders = os.pipe()
-        self._thread = threading.Thread(target=self._play, args=(orders, seconds), daemon=True)
+        self._thread = threading.Thread(target=self._play, args=(orders, seconds, scenario), daemon=True)
         self._thread.start()
 
     def start(self) -> None:
@@ -68,9 +69,9 @@ class FieldRig:
         self._thread.join(10)
         os.close(self._orders)
 
-    def _play(self, orders: int, seconds: float) -> None:
+    def _play(self, orders: int, seconds: float, scenario: Scenario) -> None:
         mount_of = {f"{receiver.name:016X}": receiver.mount.value for receiver in self.machine.receiver}
-        truth = drive(self.machine, 1, seconds, Scenario(clock_offset_s=0.0))
+        truth = drive(self.machine, 1, seconds, scenario)
         mounts: dict[int, str] = {}  # by source address, as it is claimed
 
         def plugged() -> Iterator[Frame]:

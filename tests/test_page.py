@@ -22,6 +22,8 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
 from stage import Monitor, Stage
 
+from tilth.replay.scenario import Change, Manoeuvre, Scenario, Soil
+
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = Path(__file__).resolve().parents[1] / "docs/pictures"
 SIZES: dict[str, dict[str, Any]] = {
@@ -285,6 +287,27 @@ def test_a_change_of_soil(
     dark.context.close()
     stage[0].order(scale=1.0)
     assert not [fault for _, faults in sizes.values() for fault in faults.told]
+
+
+def test_a_change_of_soil_that_the_tracker_finds(browser: Browser, tmp_path: Path) -> None:
+    """All of it real: a tractor drives from firm soil onto soft, and the page says so while it does."""
+    softer = Change(at_s=35.0, C_af=0.6, C_ar=0.6, C_ai=0.6)
+    scenario = Scenario(clock_offset_s=0.0, steering=Manoeuvre("random"), soil=Soil(changes=(softer,)))
+    with (
+        closing(FieldRig(tmp_path, 150.0, scenario)) as rig,
+        closing(Monitor("--connect", rig.endpoint)) as monitor,
+    ):
+        page, faults = opened(browser, monitor)
+        rig.start()
+        front = page.locator(".trace", has=page.get_by_role("heading", name="Front tyres", exact=True))
+        expect(front.locator(".trace-status")).to_have_text("estimated", timeout=SOON_MS)
+        before = _number(front)
+        expect(page.locator("#events")).to_contain_text(
+            "the soil holds the tyres differently", timeout=2 * SOON_MS
+        )
+        until(lambda: 0.4 * before < _number(front) < 0.8 * before, 60.0)
+        assert not faults.told
+        page.context.close()
 
 
 def _number(trace: Any) -> float:
