@@ -10,8 +10,8 @@ from circle import demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
-from tilth.estimator.estimators import ROW
 from tilth.estimator.fold import State, initial, step
+from tilth.replay.studies.estimation import fitted_at_once
 from tilth.replay.tractor import Scenario, draw
 from tilth.replay.traffic import simulate
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose, Publication, Status
@@ -51,23 +51,13 @@ class Run:
         return (t_ns - self.start_ns) * 1e-9
 
 
-def fitted(state: State, t_ns: int) -> list[Publication]:
-    """What comes of a fit that is due: it is ready at once here."""
-    out: list[Publication] = []
-    for method, job, due_ns in fold.pending(state):
-        fitting = ROW[method].fitting
-        if t_ns >= due_ns and fitting is not None:
-            out += fold.adopt(state, t_ns, method, fitting.fit(state.machine, job))
-    return out
-
-
 def folded(machine: Machine, frames: list[Frame], truth: dict[str, float], decoder: Any = None) -> Run:
     state = initial(machine)
     if decoder is not None:
         state.decoder = decoder
     out: list[Publication] = []
     for frame in frames:
-        out += fitted(state, frame.t_ns)
+        out += fitted_at_once(state, frame.t_ns)
         out += step(state, frame)
         fold.ask(state, frame.t_ns)
     return Run(state, frames[0].t_ns, out, truth)

@@ -370,7 +370,7 @@ def followed(run: Driven) -> Followed:
     series: dict[str, list[list[float]]] = {}
     events = []
     for frame in traffic(run.truth_machine, run.truth):
-        said = _due(state, frame.t_ns) + fold.step(state, frame)
+        said = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.ask(state, frame.t_ns)
         for publication in said:
             value = publication.value
@@ -382,7 +382,8 @@ def followed(run: Driven) -> Followed:
     return Followed(run.logs, tables, events, run.truth.wheel_angle, dict(state.record.refused))
 
 
-def _due(state: fold.State, t_ns: int) -> list[Publication]:
+def fitted_at_once(state: fold.State, t_ns: int) -> list[Publication]:
+    """What comes of the fits that are due at t_ns, which are made here and now."""
     out: list[Publication] = []
     for method, job, due_ns in fold.pending(state):
         fitting = ROW[method].fitting
