@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tilth.estimator import aligner, recorder, startup, warm
+from tilth.estimator import aligner, consistency, recorder, startup, warm
 from tilth.estimator.aligner import SILENCE_NS, Aligner
+from tilth.estimator.consistency import Consistency
 from tilth.estimator.drawing import body_frames, drawing
 from tilth.estimator.estimators import ROW, rows_for
 from tilth.estimator.geometry import to_degrees
@@ -18,6 +19,7 @@ from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
 from tilth.estimator.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
+from tilth.estimator.record import Stretch
 from tilth.estimator.recorder import RecordState
 from tilth.estimator.startup import StartUp
 from tilth.estimator.warm import Kept
@@ -53,6 +55,7 @@ class State:
     decoder: Decoder
     aligner: Aligner
     record: RecordState
+    consistency: Consistency  # of the data with the machine file
     estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
     checks: StartUp = field(default_factory=StartUp)
     kept: dict[str, Kept] = field(default_factory=dict)  # what the run before had learned, by method
@@ -66,7 +69,7 @@ class State:
     flags: tuple[str, ...] = ()  # of the last pose
     place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
     disagree: bool = False  # whether the methods do
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest, as it was published
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -82,13 +85,18 @@ class State:
 def initial(machine: Machine) -> State:
     """The state before the first frame."""
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
-    state = State(machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine), estimators)
+    state = State(
+        machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine),
+        consistency.initial(machine), estimators,
+    )  # fmt: skip
     state.estimates = _estimates_now(state)
     return state
 
 
 def keep(state: State, t_ns: int) -> dict[str, Kept]:
-    """Method -> what it has learned by t_ns, for the next run."""
+    """Method -> what it has learned by t_ns, for the next run; nothing where the machine file is in doubt."""
+    if not state.consistency.confirmed:
+        return {}
     return warm.keep(state.machine, state.estimators, t_ns)
 
 
@@ -97,6 +105,7 @@ def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -
     told = warm.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
     state.latest_ns = t_ns
     state.kept = {method: before for method, before in kept.items() if told.get(method) == ""}
+    state.consistency.confirmed = bool(state.kept)  # only then something had been kept
     state.kept_ns = t_ns - round(elapsed_s * 1e9)
     return told
 
@@ -112,7 +121,9 @@ def _learn_anew(state: State, t_ns: int) -> None:
 def _estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> what can be said at this moment; "recommended" beside them."""
     now = {
-        row.method: row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
+        row.method: consistency.withheld(
+            state.consistency, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
+        )
         for row in rows_for(state.machine)
     }
     return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
@@ -158,7 +169,7 @@ def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publicati
 def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
     startup.observe(state.checks, state.aligner, pose)
-    if found := startup.flags(state.checks):
+    if found := [*startup.flags(state.checks), *consistency.flags(state.consistency)]:
         pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
     _draw(state, t_ns, pose, out)
@@ -177,6 +188,9 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
     stretch = recorder.observe(state.record, state.aligner, pose)
+    doubtful = _compare(state, t_ns, pose, stretch, out)
+    if doubtful and stretch is not None:
+        stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
     given = []
     for row in rows_for(state.machine):
         own = state.estimators[row.method]
@@ -184,9 +198,21 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         if estimate is not None:
             given.append(estimate)
         for kind, text in row.events(own):
-            _event(state, t_ns, kind, text, out)
+            if state.consistency.confirmed:  # else it is the file that changed, and not the soil
+                _event(state, t_ns, kind, text, out)
     if given:
         _estimates(state, t_ns, given, out)
+
+
+def _compare(state: State, t_ns: int, pose: Pose, stretch: Stretch | None, out: list[Publication]) -> bool:
+    """Hold the data against the machine file; whether they contradict it."""
+    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, stretch)
+    for kind, text in events:
+        _event(state, t_ns, kind, text, out)
+    if state.consistency.forgets:
+        state.consistency.forgets = False
+        _learn_anew(state, t_ns)
+    return consistency.stops_learning(state.consistency)
 
 
 def _draw(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
@@ -227,6 +253,8 @@ def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]
 def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:
     """Publish what the methods give at an instant, and once for all of them which is recommended."""
     for estimate in given:
+        consistency.weigh(state.consistency, state.machine, estimate)
+        estimate = consistency.withheld(state.consistency, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
     if not any(estimate.method in PREFERRED for estimate in given):
@@ -271,7 +299,8 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     own = state.estimators[method]
     given = row.fitting.adopt(own, state.machine, made, t_ns)
     for kind, text in row.events(own):
-        _event(state, t_ns, kind, text, out)
+        if state.consistency.confirmed:
+            _event(state, t_ns, kind, text, out)
     _estimates(state, t_ns, [given], out)
     return out
 
@@ -284,6 +313,7 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     _use_turn_rates(state)
     startup.clock_stepped(state.checks)
     recorder.clock_stepped(state.record)
+    consistency.clock_stepped(state.consistency)
     state.place = None
     state.kept_ns += frame.t_ns - state.latest_ns
     for row in rows_for(state.machine):

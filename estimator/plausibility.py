@@ -49,6 +49,9 @@ class Lasting:
 
     excess: list[Mean] = field(default_factory=lambda: [Mean(), Mean()])
     sideways: list[Mean] = field(default_factory=lambda: [Mean(), Mean()])
+    parked: list[Mean] = field(default_factory=lambda: [Mean(), Mean(), Mean(), Mean()])
+    """While the rig stands or creeps: both bodies' excess, and how far the tractor's hitch is ahead of the
+    implement's and to its right, m."""
 
     def bodies(self, sd_timing: float) -> list[int]:
         """Indices of the bodies whose receivers are not where the survey says."""

@@ -25,6 +25,8 @@ MOVING = 0.3  # m/s
 FIX_NS = 5_000_000_000  # a fix told longer ago is not known any more
 STRAIGHT = 0.05  # rad/s: below, a body that goes at CRUISE or more goes where it points
 CRUISE = 1.5  # m/s
+CREEP = 0.7  # m/s: below, no latency moves a point by more than the survey's error
+SHARP = 0.1  # m: sd of a position that tells of the survey
 LATENCY_SDS = 2.5  # of the machine file: a latency further off is none, or the receiver was moved along
 LATENCY_SLACK_S = 0.02
 WHEEL_HOLD_NS = 250_000_000
@@ -181,6 +183,17 @@ def _look_long(state: Aligner, bodies: list[_Body]) -> None:
             state.lasting.sideways[body.index].add(math.atan2(body.going[1], abs(body.going[0])))
 
 
+def _look_parked(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
+    """Add this instant, at which latency plays no part, to what distances alone say of the survey."""
+    antennas = [antenna for body in bodies for antenna in body.antennas.values()]
+    speeds = [math.hypot(*antenna.velocity) if antenna.velocity else math.inf for antenna in antennas]
+    if max(speeds) > CREEP or max(antenna.sd for antenna in antennas) > SHARP:
+        return
+    excesses = [body.pair.excess for body in bodies if body.pair is not None]
+    for mean, value in zip(state.lasting.parked, (*excesses, ahead, across), strict=True):
+        mean.add(value)
+
+
 def _backwards(state: Aligner, bodies: list[_Body]) -> list[int]:
     """The tractor, where its receivers have it go back while the vehicle says forward, or the other way."""
     going = bodies[0].going
@@ -279,6 +292,7 @@ def _learn_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
     heading = bodies[1].heading or 0.0
     gap = (hitches[0][0] - hitches[1][0], hitches[0][1] - hitches[1][1])
     ahead = gap[0] * math.cos(heading) + gap[1] * math.sin(heading)
+    _look_parked(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
     sd = max(a.sd for body in bodies for a in body.antennas.values())
     state.latency.observe(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
 

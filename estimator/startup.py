@@ -122,10 +122,11 @@ def events(state: StartUp) -> list[tuple[str, str]]:
     """(kind, what is wrong and what to do) of what has been found since this was last asked."""
     now, before = flags(state), state.told
     state.told = now
-    return [(flag.partition(":")[0], _in_words(state, flag)) for flag in now if flag not in before]
+    return [(flag.partition(":")[0], in_words(state, flag)) for flag in now if flag not in before]
 
 
-def _in_words(state: StartUp, flag: str) -> str:
+def in_words(state: StartUp, flag: str) -> str:
+    """What a flag of `flags` means, and what to do."""
     kind, _, who = flag.partition(":")
     if kind == UNCLEAR:
         return (

@@ -86,6 +86,7 @@ class TrackerState:
     advisor: Advisor = field(default_factory=Advisor)
     reason: str = ""  # why the latest stretch taught nothing of the soil
     told: list[str] = field(default_factory=list)  # events to be published
+    steered: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
 
 
 def initial(machine: Machine) -> TrackerState:
@@ -109,7 +110,7 @@ def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | N
     """Take one stretch; an estimate each PUBLISH_NS."""
     state.seen_ns = pose.t_ns
     if stretch is not None:
-        _take(state, machine, stretch)
+        take_stretch(state, machine, stretch)
     if pose.t_ns - state.published_ns < PUBLISH_NS:
         return None
     state.published_ns = pose.t_ns
@@ -118,7 +119,8 @@ def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | N
     return estimate(state, machine, pose.t_ns)
 
 
-def _take(state: TrackerState, machine: Machine, stretch: Stretch) -> None:
+def take_stretch(state: TrackerState, machine: Machine, stretch: Stretch) -> None:
+    """One stretch into the filter, as soon as the one after it is there."""
     state.reason = ""
     if state.waiting is not None:
         _learn(state, machine, state.waiting, stretch.record.ticks if stretch.follows else None)
@@ -153,7 +155,9 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     first, count = len(state.before), len(record.ticks)
     ticks = np.concatenate([state.before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
-    keep = np.concatenate([np.zeros(N_X), np.isin(active, [] if teaches else SOIL).astype(np.float64)])
+    keep = np.concatenate(
+        [np.zeros(N_X), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
+    )
     counts, sums = np.zeros(3), np.zeros((6, 2))
     kept = (state.mean.copy(), state.covariance.copy())
     tracked(
