@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 CONTRADICTION: Final = "contradiction"
 REFUSED: Final = "the data contradict the machine file"
-BEGINS: Final = 25.0  # chi-square of one open number, everything else within what the file allows
+BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
 BEGINS_TOTAL: Final = 55.0  # of all of them
 ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
 LASTS: Final = 5  # poses (1 s) in a row before it is said
@@ -38,6 +38,7 @@ FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is
 RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
 OUTLIERS: Final = 0.25  # share of the rows of the last WATCHED stretches that nothing explains
 WATCHED: Final = 100
+TOLD: Final = 40  # stretches with steering (8 s) before the filter with the file left open is believed
 LATENCIES: Final = 30.0  # chi-square of three differences of latency
 PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
 HEARD: Final = 25  # poses of that
@@ -229,6 +230,8 @@ def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
 
 def _left_open(state: Consistency, machine: Machine) -> dict[str, str]:
     """What the tracker with the file left open says of it."""
+    if len(state.rows) < TOLD:
+        return {}
     now = open_tracker.misfit(state.open, machine)
     known = any(key in state.findings and state.findings[key].said for key in _KEYS.values())
     share = ENDS if known else 1.0
@@ -329,6 +332,6 @@ def _confirm(state: Consistency, machine: Machine) -> None:
     fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
     if not wide and not fits:
         wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
-    state.confirmed = not wide
+    state.confirmed = not wide and len(state.rows) >= TOLD
     keys = ", ".join(_KEYS[name] for name in wide[:2])
     state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"

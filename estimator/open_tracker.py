@@ -30,18 +30,19 @@ OPEN: Final = {
 ALLOWED: Final = {
     "wheel_zero": math.radians(0.3), "wheel_gain": 0.05, "latency": 0.02, "pair_t": math.radians(0.1),
     "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
-    "m_i": 0.1, "I_t": 0.1, "I_i": 0.15,
+    "m_i": 0.08, "I_t": 0.08, "I_i": 0.1,
 }  # fmt: skip
 """Sd by which a right file may differ beyond its own sds: what the model is worth. From right files."""
 SHOWN: Final = {
     "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
     "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
+    "I_t": 0.25,
 }  # fmt: skip
 """Sd from which on a gross error would have shown: only then the file counts as confirmed."""
 NAMES: Final = tuple(OPEN)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRES: Final = 1.0  # prior sd of each of the six logarithms, at the least
-MEMORY: Final = 900.0  # stretches with steering (180 s) over which what was found is forgotten
+MEMORY: Final = 2400.0  # stretches with steering (8 min) over which what was found is forgotten
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # what straight driving tells too
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 

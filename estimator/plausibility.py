@@ -22,6 +22,7 @@ SMEAR = 3.0  # and as many sd of what timing may still shift a point
 PERSISTENCE = 3  # poses in a row before anything is said
 MEMORY = 40.0  # poses (8 s) of the means
 SETTLED = 60  # poses in a mean before it is believed
+SOON = 15  # poses at the least
 LASTING = 0.15  # m: a mean beyond is no survey's error
 SIDEWAYS = 0.07  # rad: no slope of 5 degrees makes a body crab as much
 
@@ -40,7 +41,9 @@ class Mean:
         self.value += (value - self.value) / min(self.count, MEMORY)
 
     def beyond(self, limit: float) -> bool:
-        return self.count >= SETTLED and abs(self.value) > limit
+        """Whether it is, for sure: what is far beyond needs fewer poses."""
+        size = abs(self.value)
+        return size > limit and self.count >= max(SOON, SETTLED * limit / size)
 
 
 @dataclass(slots=True)

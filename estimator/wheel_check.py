@@ -80,5 +80,5 @@ def _factor(ratio: float) -> tuple[str, str]:
     size = f"{ratio:.2g} times" if ratio >= 1.0 else f"1/{1.0 / max(ratio, 1e-3):.2g} of"
     text = f"the wheels' angle is {size} what the yaw rate asks for: wheel_angle.scale?"
     if DEGREES[0] < max(ratio, 1.0 / max(ratio, 1e-3)) < DEGREES[1]:
-        text += " (it is in degrees per bit, not in radians)"
+        text += " (degrees per bit, not radians)"
     return "wheel_angle.scale", text

@@ -1,0 +1,191 @@
+"""A machine file that the data contradict gives no number and says which key to look at, as long as it does."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import wrong_files
+from circle import demo_machine
+
+from tilth.estimator import consistency, fold, open_tracker, wheel_check
+from tilth.estimator.consistency import CONTRADICTION, TYRE
+from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.wheel_check import WheelCheck
+from tilth.replay.scenario import Fault, Scenario
+from tilth.replay.tractor import draw
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import (
+    BodyPose,
+    Estimate,
+    Event,
+    Frame,
+    Mount,
+    ParameterEstimate,
+    Pose,
+    Publication,
+    Status,
+)
+from tilth.schemas.machine import Machine, parse_machine
+
+SECONDS = 55.0
+RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)
+
+
+def run(machine: Machine, frames: list[Frame]) -> tuple[fold.State, list[Publication]]:
+    """Through the fold; no fit is ever ready."""
+    state, out = fold.initial(machine), list[Publication]()
+    for frame in frames:
+        for method, _, _ in fold.pending(state):
+            out += fold.adopt(state, frame.t_ns, method, None)
+        out += fold.step(state, frame)
+        fold.ask(state, frame.t_ns)
+    return state, out
+
+
+@cache
+def frames(scenario: Scenario = RANDOM) -> list[Frame]:
+    return list(simulate(demo_machine(), 2, scenario.seconds, scenario))
+
+
+def given(out: list[Publication]) -> Iterator[tuple[int, Estimate]]:
+    """(t_ns, estimate) wherever a number is usable."""
+    for publication in out:
+        value = publication.value
+        if isinstance(value, Estimate) and any(p.status is Status.ESTIMATED for p in value.parameters):
+            yield publication.t_ns, value
+
+
+def contradictions(out: list[Publication]) -> list[str]:
+    return [p.value.text for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION]
+
+
+def test_a_right_file_is_confirmed_and_raises_nothing() -> None:
+    state, out = run(demo_machine(), frames())
+    assert state.consistency.confirmed and contradictions(out) == []
+    truth = draw(demo_machine(), 2, RANDOM)
+    last = state.estimates["recommended"]
+    assert sum(p.status is Status.ESTIMATED for p in last.parameters) >= 5
+    for p, name in zip(last.parameters, truth, strict=False):
+        if p.value and p.sd:
+            assert abs(math.log(p.value / truth[name])) < 3.5 * p.sd / p.value, name
+
+
+def test_nothing_is_given_before_a_gross_error_would_have_shown() -> None:
+    state, out = run(demo_machine(), frames()[: len(frames()) // 8])
+    assert not state.consistency.confirmed and not list(given(out))
+    reasons = {e.value.parameters[0].reason for e in out if isinstance(e.value, Estimate)}
+    assert any("steer" in reason or "yet" in reason for reason in reasons)
+
+
+WRONG = {
+    "an antenna 0.8 m aside": ("receiver.0.position.1", 0.8, "position"),
+    "two antennas of a pair exchanged": ("receiver.0.name <> receiver.1.name", None, "another's place"),
+    "one antenna of each body exchanged": ("receiver.1.name <> receiver.2.name", None, "another's place"),
+    "the wheels' sign": ("wheel_angle.sign x -1", None, "wheel_angle.sign"),
+    "the wheels' scale in radians": ("wheel_angle.scale / 57.3", None, "wheel_angle.scale"),
+    "twice the wheels' scale": ("wheel_angle.scale x 2", None, "wheel_angle.scale"),
+    "half the wheelbase in front": ("tractor.a x 0.5", None, "tractor.a"),
+    "the rear axle": ("tractor.b + 1 m", None, "tractor.b"),
+    "the drawbar": ("implement.d x 0.5", None, "lengths to the hitch"),
+    "the implement's axle": ("implement.e + 1 m", None, "implement.e"),
+    "yaw inertia": ("tractor.yaw_inertia x 2", None, "yaw_inertia"),
+}
+"""What is wrong: (change of wrong_files, or path and m), a word of the reason. A sample of the bench."""
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
+    name, metres, word = WRONG[wrong]
+    raw = wrong_files.packaged()
+    if metres is not None:
+        raw["receiver"][0]["position"][1] += metres
+    else:
+        next(c for c in wrong_files.changes() if c.name == name).apply(raw)
+    state, out = run(parse_machine(wrong_files.text_of(raw)), frames())
+    assert any(word in text for text in contradictions(out)), contradictions(out)
+    assert not list(given(out))
+    for estimate in state.estimates.values():
+        assert all(p.status is Status.INVALID and p.value is None for p in estimate.parameters)
+        assert word in estimate.parameters[0].reason
+    poses = [p.value for p in out if isinstance(p.value, Pose)]
+    assert any(flag.startswith("contradiction:") for flag in poses[-1].flags)
+
+
+def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
+    moved = Fault(Mount.TRACTOR_FRONT, 45.0, 60.0, "moved")
+    scenario = replace(RANDOM, seconds=110.0, faults=(moved,))
+    _, out = run(demo_machine(), frames(scenario))
+    start_ns = frames(scenario)[0].t_ns
+    said = contradictions(out)
+    assert "tractor" in said[0] and "over" in said[-1], said
+    times = [(t_ns - start_ns) * 1e-9 for t_ns, e in given(out) if e.method == "recommended"]
+    assert any(t < 45.0 for t in times)
+    assert not any(48.0 < t < 60.0 for t in times)
+    assert any(t > 90.0 for t in times)
+
+
+# One check at a time.
+
+
+def pose_of(u: float, r: float, wheel: float | None) -> Pose:
+    body = BodyPose(0.0, 0.0, 0.02, 0.0, 0.003, u, 0.0, 0.03, 0.03, r, 0.005, 0.0, 0.01)
+    return Pose(0, 43.5, -83.4, body, body, 0.0, 0.004, wheel, 0.002, 1, None, 0.01, 4, ())
+
+
+@pytest.mark.parametrize(
+    ("factor", "key"),
+    [
+        (1.0, ""), (0.5, ""), (2.0, ""), (-1.0, "wheel_angle.sign"), (-0.5, "wheel_angle.sign"),
+        (4.0, "wheel_angle.scale"), (57.3, "wheel_angle.scale"), (0.3, "wheel_angle.scale"),
+        (1 / 57.3, "wheel_angle.scale"), (0.0, "wheel_angle.scale"),
+    ],
+)  # fmt: skip
+def test_how_the_wheels_answer_the_yaw_rate(factor: float, key: str) -> None:
+    machine, state = demo_machine(), WheelCheck()
+    rng = np.random.default_rng(1)
+    for k in range(150):
+        r = 0.2 * math.sin(0.2 * k)
+        angle = factor * math.atan(2.9 * r / 4.0) + rng.normal(0.0, 0.002)
+        wheel_check.observe(state, machine, pose_of(4.0, r, angle))
+    assert wheel_check.verdict(state)[0] == key
+    assert ("radians" in wheel_check.verdict(state)[1]) == (factor in (57.3, 1 / 57.3, 0.0))
+
+
+def test_the_wheels_say_nothing_on_straight_rows_at_standstill_and_in_reverse() -> None:
+    machine, state = demo_machine(), WheelCheck()
+    for u, r, wheel in ((4.0, 0.001, -0.001), (0.2, 0.2, -0.3), (-2.0, 0.2, 0.3), (4.0, 0.1, None)):
+        for _ in range(100):
+            wheel_check.observe(state, machine, pose_of(u, r, wheel))
+    assert wheel_check.verdict(state) == ("", "")
+
+
+def estimate_of(values: tuple[float, ...]) -> Estimate:
+    rows = tuple(ParameterEstimate(v, 0.1 * v, Status.ESTIMATED, "") for v in values)
+    return Estimate(0, "pem", "relaxation", rows, (0.0,) * 36, (None,) * 3)
+
+
+@pytest.mark.parametrize("coefficient", [0.01, 0.29, 0.31, 5.0, 39.0, 41.0, 1000.0])
+def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
+    machine = demo_machine()
+    state = consistency.initial(machine)
+    state.confirmed = True
+    loads = static_loads(rig_of(machine))
+    fine = [5.0 * load for load in loads]
+    given = estimate_of((*fine[:2], coefficient * loads[2], 1.0, 1.0, 1.0))
+    consistency.weigh(state, machine, given)
+    kept = consistency.withheld(state, given)
+    is_tyre = TYRE[0] < coefficient < TYRE[1]
+    assert all((p.value is not None) == is_tyre for p in kept.parameters)
+    assert is_tyre or "no tyre" in kept.parameters[0].reason
+
+
+def test_what_is_left_open_is_as_wide_as_people_are_wrong_and_begins_at_the_file() -> None:
+    machine = demo_machine()
+    state = open_tracker.initial(machine)
+    now = open_tracker.misfit(state, machine)
+    assert now.total == 0.0 and not now.by_name.any()
+    assert set(open_tracker.still_open(state)) == set(open_tracker.SHOWN)
+    assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN.values()))).all()
