@@ -50,11 +50,6 @@ CANDIDATES: Final = tuple(
     Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")
 )
 NO_DRAW: Final = cast(Generator, None)  # manoeuvres that draw are none that a driver could follow
-_WORDS: Final = {
-    "step": "a turn held at {:g}°",
-    "steps": "turns of {:g}° to one side and the other",
-    "chirp": "a chirp of {:g}°",
-}
 
 
 # What is determined.
@@ -324,7 +319,7 @@ def advise(
     chosen = _choose(after, now[asked])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
-    words = _WORDS[chosen.manoeuvre].format(chosen.degrees)
+    words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
     them = "it" if len(asked) == 1 else "them"
     return f"{start}; {SECONDS:g} s of {words} would bring {them} to {', '.join(map(share, after[chosen]))}"
 

@@ -13,11 +13,16 @@ START_S = 1.0  # straight before it begins
 
 
 class Manoeuvre(NamedTuple):
-    """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0."""
+    """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0.
+
+    called, driven: of what can be advised, its amplitude in degrees in the one, to a driver in the other.
+    """
 
     name: str
     meaning: str
     wheel_angle: Callable[[Array, float, Generator], Array]
+    called: str = ""
+    driven: str = ""
 
 
 def step(time: Array, amplitude: float, rng: Generator) -> Array:
@@ -50,12 +55,22 @@ def row_following(time: Array, amplitude: float, rng: Generator) -> Array:
 
 
 MANOEUVRES = (
-    Manoeuvre("step", "the wheels turned at once and held", step),
-    Manoeuvre("steps", "to one side and the other, three seconds each", steps),
-    Manoeuvre("chirp", "swinging from 0.05 to 1 Hz", chirp),
+    Manoeuvre(
+        "step", "the wheels turned at once and held", step,
+        "a turn held at {:g}°", "hold a turn",
+    ),
+    Manoeuvre(
+        "steps", "to one side and the other, three seconds each", steps,
+        "turns of {:g}° to one side and the other",
+        "turn to one side and the other, three seconds each,",
+    ),
+    Manoeuvre(
+        "chirp", "swinging from 0.05 to 1 Hz", chirp,
+        "a chirp of {:g}°", "weave the steering gently left and right, slow then quick,",
+    ),
     Manoeuvre("random", "random levels, held for 0.3 to 2 s", random_levels),
     Manoeuvre("row", "small corrections on a straight row", row_following),
-)
+)  # fmt: skip
 
 
 def manoeuvre_named(name: str) -> Manoeuvre:

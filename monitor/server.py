@@ -48,6 +48,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/", "index.html", "text/html"),
     ("/page.css", "page.css", "text/css"),
     ("/main.js", "main.js", "text/javascript"),
+    ("/marks.js", "marks.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),

@@ -14,12 +14,15 @@ from typing import Any, Final, NamedTuple
 from tilth.client.received import LONGEST as LONGEST_TEXT
 from tilth.monitor.heard import Heard
 from tilth.monitor.history import History
-from tilth.schemas.flow import PARAMETERS
+from tilth.monitor.words import priors, row, shown
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
+WAIT_S: Final = 10.0  # a daemon that starts beside the page may take so long to its first word
 TRACE_S: Final = 0.5  # between points of the track
-WORST: Final = ("lost", "no_fix", "missing", "no_heading", "doubtful", "moved", "swapped", "repeating")
+WORST: Final = {
+    "lost", "no_fix", "missing", "no_heading", "doubtful", "moved", "swapped", "repeating", "contradiction",
+}  # fmt: skip
 Fields = dict[str, Any]
 
 
@@ -43,7 +46,7 @@ class View:
         self._heard = heard
         self._endpoint = endpoint
         self._version = own_version()
-        self._began_s: float | None = None
+        self._began_s: float | None = None  # to wait for a first word
         self._messages: dict[str, Fields] = {}
         self._said_s: dict[str, float] = {}
         self._events: deque[Fields] = deque(maxlen=EVENTS)
@@ -55,28 +58,34 @@ class View:
         """For a page that opens, or that has to forget what it had."""
         fields = self._around(now_s) | self._messages
         fields["events"] = list(self._events)
-        fields["estimates"] = _columns(self._estimates, ("t", "value", "log_sd", "status"))
+        fields["estimates"] = _columns(self._estimates, ("t", "value", "within", "status"))
         fields["track"] = _columns(self._track, ("t", "tractor", "implement", "quality"))
         return json.dumps({"whole": fields}, allow_nan=False)
 
     def turn(self, now_s: float) -> Turn:
         """Take what was heard."""
-        if self._began_s is None:
-            self._began_s = now_s
         anew = self._heard.choose(now_s)
         if anew:
             self._forget()
+        if anew or self._began_s is None:
+            self._began_s = now_s
         messages, events = self._heard.take()
-        for kind, (message, said_s) in messages.items():
-            self._messages[kind] = message
-            self._said_s[kind] = said_s
-        if "soil_tire" in messages:
-            anew |= self._estimates.add(_estimate_row(messages["soil_tire"][0]))
-        if "pose" in messages:
-            anew |= self._add_pose(messages["pose"][0])
+        changed = {kind: message for kind, (message, _) in messages.items()}
+        self._said_s |= {kind: said_s for kind, (_, said_s) in messages.items()}
+        if "rig" in changed:
+            changed["rig"] = priors(changed["rig"])
+        if "soil_tire" in changed:
+            estimate = changed["soil_tire"]
+            anew |= self._estimates.add((estimate["t_ns"] * 1e-9, *row(estimate)))
+        if "pose" in changed:
+            changed["pose"] |= {"quality": _quality(changed["pose"])}
+            anew |= self._add_pose(changed["pose"])
+        self._messages |= changed
+        if "soil_tire" in self._messages and ("soil_tire" in changed or "rig" in changed):
+            changed["shown"] = shown(self._messages["soil_tire"], self._messages.get("rig"))
+            self._messages |= changed
         self._events.extend(events)
-        fields = self._around(now_s) | {kind: message for kind, (message, _) in messages.items()}
-        text = json.dumps({"new": fields | {"events": events}}, allow_nan=False)
+        text = json.dumps({"new": self._around(now_s) | changed | {"events": events}}, allow_nan=False)
         return Turn(text, bool(messages or events), anew)
 
     def _forget(self) -> None:
@@ -98,7 +107,7 @@ class View:
         places = [_place(pose.get(body) or {}) for body in ("tractor", "implement")]
         if places == [None, None]:
             return anew
-        return self._track.add((t_s, *places, _quality(pose))) or anew
+        return self._track.add((t_s, *places, pose["quality"])) or anew
 
     def _around(self, now_s: float) -> Fields:
         """What is so whether anything was heard or not."""
@@ -108,17 +117,21 @@ class View:
             "machine": followed.machine if followed else "",
             "simulated": bool(followed and followed.replay),
             "alive": alive,
+            "waiting": self._waiting(now_s),
             "age_s": {kind: _finite(now_s - said_s) for kind, said_s in self._said_s.items()},
             "notes": self._notes(now_s, alive, names),
         }
 
+    def _waiting(self, now_s: float) -> bool:
+        """No status was heard yet, and it is too early to wonder."""
+        return "status" not in self._said_s and (self._began_s is None or now_s - self._began_s < WAIT_S)
+
     def _notes(self, now_s: float, alive: bool, names: list[str]) -> list[str]:
         """What is wrong between the daemon and here, worst first, in sentences that say what to do."""
         followed = self._heard.followed
+        if self._waiting(now_s):
+            return []
         if followed is None:
-            waited_s = now_s - (self._began_s or now_s)
-            if waited_s < 1.0:
-                return []
             where = f"No daemon is heard at {self._endpoint}"
             return [f"{where}: start `tilth run` or `tilth demo`, or look at --connect."]
         name = followed.machine
@@ -144,24 +157,6 @@ class View:
         return found
 
 
-def _estimate_row(estimate: Fields) -> tuple[Any, ...]:
-    """Time, then of each parameter value, sd of its logarithm, status."""
-    n = len(PARAMETERS)
-    covariance = estimate["log_covariance"]
-    values, spread = [], []
-    for i, row in enumerate(estimate["parameters"]):
-        value, sd = row.get("value"), row.get("sd")
-        variance = covariance[i * n + i] if len(covariance) == n * n else None
-        log_sd = math.sqrt(variance) if variance is not None and variance > 0 else None
-        if log_sd is None and value and sd:
-            log_sd = sd / value
-        usable = value is not None and log_sd is not None
-        values.append(_short(value) if usable else None)
-        spread.append(_short(log_sd) if usable else None)
-    statuses = [row["status"] for row in estimate["parameters"]]
-    return estimate["t_ns"] * 1e-9, values, spread, statuses
-
-
 def _place(body: Fields) -> tuple[float, float] | None:
     x, y = body.get("x"), body.get("y")
     return None if x is None or y is None else (round(x, 3), round(y, 3))
@@ -170,16 +165,12 @@ def _place(body: Fields) -> tuple[float, float] | None:
 def _quality(pose: Fields) -> int:
     """0 all is well, 1 flagged, 2 something is lost."""
     kinds = {flag.partition(":")[0] for flag in pose["flags"]}
-    return 2 if kinds & set(WORST) else 1 if kinds else 0
+    return 2 if kinds & WORST else 1 if kinds else 0
 
 
 def _columns(history: History, names: tuple[str, ...]) -> dict[str, list[Any]]:
     columns = zip(*history.rows, strict=True) if history.rows else ((),) * len(names)
     return {name: list(column) for name, column in zip(names, columns, strict=True)}
-
-
-def _short(number: float | None) -> float | None:
-    return None if number is None else float(f"{number:.5g}")
 
 
 def _finite(number: float) -> float | None:

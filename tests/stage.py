@@ -34,7 +34,7 @@ HITCH_M, DRAWBAR_M, TO_CG_M = 2.1, 3.72, 3.62
 MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
-    "problem": "", "refusal": "",
+    "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "",
 }  # fmt: skip
 
 
@@ -65,13 +65,13 @@ def drive(period_s: float) -> Iterator[Point]:
         yield Point(north, east, heading, yaw_rate, behind)
 
 
-def pose(t_ns: int, at: Point, lost: str) -> Pose:
+def pose(t_ns: int, at: Point, lost: str, flag: str = "") -> Pose:
     hitch = (at.north - HITCH_M * math.cos(at.heading), at.east - HITCH_M * math.sin(at.heading))
     back = (math.cos(at.implement_heading), math.sin(at.implement_heading))
     cart = (hitch[0] - TO_CG_M * back[0], hitch[1] - TO_CG_M * back[1])
     tractor = _body(at.north, at.east, at.heading, at.yaw_rate)
     implement = _body(*cart, at.implement_heading, at.yaw_rate)
-    flags = (f"lost:{lost}",) if lost else ()
+    flags = (*((f"lost:{lost}",) if lost else ()), *((flag,) if flag else ()))
     articulation = at.heading - at.implement_heading
     wheel = math.atan(at.yaw_rate * 2.9 / SPEED)
     return Pose(
@@ -86,8 +86,11 @@ def _body(north: float, east: float, heading: float, yaw_rate: float) -> BodyPos
     )  # fmt: skip
 
 
-def estimate(t_ns: int, t_s: float, scale: float, since_s: float) -> Estimate:
-    """All but sigma_r, sharpening from the prior; after a change, wide again."""
+def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str = "") -> Estimate:
+    """All but sigma_r, sharpening from the prior; after a change, wide again. invalid: why nothing holds."""
+    if invalid:
+        none = tuple(ParameterEstimate(None, None, Status.INVALID, invalid) for _ in PARAMETERS)
+        return Estimate(t_ns, "recommended", "relaxation", none, (), (None,) * 3)
     log_sd = [max(0.05 + 0.02 * i, 0.6 * math.exp(-since_s / 25.0)) for i in range(6)]
     covariance = [0.0] * 36
     covariance[::7] = [sd * sd for sd in log_sd]
@@ -117,6 +120,9 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
         frames=int(800 * uptime_s), poses=int(5 * uptime_s), recording=orders["recording"],
         log_bytes=int(40_000 * uptime_s), disk_free_bytes=4.2e9, hours_left=29.0,
     )  # fmt: skip
+    told.preparing = orders.get("preparing", "")
+    if orders.get("ready_in_s") is not None:
+        told.ready_in_s = orders["ready_in_s"]
     told.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
     for mount in MOUNTS:
         lost = mount == orders["lost"]
@@ -208,7 +214,7 @@ def main() -> None:
         at = next(points)
         if orders["silent"]:
             continue
-        sink.put("/pose", CHANNEL["/pose"].encode(pose(t_ns, at, orders["lost"])))
+        sink.put("/pose", CHANNEL["/pose"].encode(pose(t_ns, at, orders["lost"], orders["flag"])))
         if orders["scale"] != scale:
             scale, changed_s = orders["scale"], t_s
             orders["event"], orders["text"] = "soil_change", "the soil holds the tyres otherwise since here"
@@ -216,7 +222,8 @@ def main() -> None:
             kind, orders["event"] = orders["event"], ""
             sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, orders["text"])))
         if turn % 10 == 0 or rate > 1:
-            sink.put("/soil_tire", CHANNEL["/soil_tire"].encode(estimate(t_ns, t_s, scale, t_s - changed_s)))
+            told = estimate(t_ns, t_s, scale, t_s - changed_s, orders["invalid"])
+            sink.put("/soil_tire", CHANNEL["/soil_tire"].encode(told))
             sink.put("/status", CHANNEL["/status"].encode(status(t_ns, t_s, orders)))
     sink.close()
 

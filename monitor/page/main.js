@@ -1,14 +1,16 @@
 // Hears this computer's page server and shows what it says. Whatever comes is text, never markup.
 
 import { FieldMap } from "./map.js";
+import { prepareMarks } from "./marks.js";
 import { element, put, Tiles } from "./tiles.js";
 import { Traces } from "./traces.js";
-import { capital, clock, duration, hours, known, PARAMETERS, share, spaced, time } from "./words.js";
+import { capital, clock, duration, flagged, hours, known, OLD_S, PARAMETERS, preparing, spaced, time } from "./words.js";
 
-const SILENT_S = 3; // status comes each second
+const LOST_MS = 3000; // the page's server says something each second
+const ANEW_MS = 5000; // then another connection is tried: this one may be dead without a word
 const EVENTS = 100;
-const MARK_BYTES = 1024;
 const QUIET_EVENTS = new Set(["heartbeat"]);
+const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", withdrawn: "✘" };
 const byId = (id) => document.getElementById(id);
 
 const tiles = new Tiles(byId("tiles"));
@@ -16,13 +18,16 @@ const traces = new Traces(byId("traces"));
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
-let connected = false;
-let lastText = "";
+let connected; // not known until it is or was refused
 
 function age(kind) {
   const then = heard.age_s[kind];
   return known(then) ? then + (performance.now() - heardAt) / 1000 : undefined;
 }
+
+const reached = () => connected && performance.now() - heardAt < LOST_MS;
+// Whether the last message of a kind is so now: whoever is between its sender and here may have gone.
+const live = (kind) => Boolean(reached() && heard.alive && age(kind) <= OLD_S[kind]);
 
 function take(message) {
   const whole = "whole" in message;
@@ -41,52 +46,74 @@ function take(message) {
     map.setTrack(said.track);
     traces.setAll(said.estimates);
     heard.estimates = heard.track = undefined; // they live where they are drawn
-  } else if (said.soil_tire) traces.add(said.soil_tire);
+  } else if (said.shown) traces.add(said.shown);
   if (said.pose) map.setPose(said.pose, !whole);
   if (whole || said.events.length) showEvents(events);
-  if (whole || said.soil_tire) showKnown();
+  if (said.shown) showKnown();
   if (said.pose) showPose(said.pose);
   if (whole || said.status) show(); // else soon enough by the clock
 }
 
 function show() {
-  const statusAge = age("status");
-  const silent = !connected || !heard.alive || !known(statusAge) || statusAge > SILENT_S;
   const status = heard.status ?? {};
-  showRun(status, silent, statusAge);
-  showProblems(status, silent);
-  showFacts(status, silent);
-  tiles.show(status, silent);
-  if (heard.soil_tire) traces.tell(heard.soil_tire, connected ? age("soil_tire") : undefined);
+  showRun(status);
+  showProblems(status);
+  showPreparing(status);
+  showFacts(status);
+  showAges();
+  tiles.show(status, live("status"), time(age("status")));
+  map.setOld(!live("pose"));
+  if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;
-  document.title = `${heard.machine || "Tilth"}${silent || status.recording ? "" : " – NOT RECORDING"}`;
 }
 
-function showRun(status, silent, statusAge) {
+// Each part of the page names the message that it shows; where that is no longer so, it says how old it is.
+function showAges() {
+  for (const part of document.querySelectorAll("[data-live]")) {
+    const kind = part.dataset.live, then = age(kind), old = known(then) && !live(kind);
+    part.toggleAttribute("data-old", old);
+    for (const place of part.querySelectorAll(".age")) put(place, old ? `${time(then)} old` : "");
+  }
+}
+
+function showRun(status) {
+  const ago = known(age("status")) ? `for ${time(age("status"))}` : "";
   let [word, state, beside] = ["NOT RECORDING", "bad", known(status.uptime_s) ? duration(status.uptime_s) : ""];
-  const ago = known(statusAge) ? `for ${time(statusAge)}` : "";
-  if (!connected) [word, beside] = ["NO CONNECTION", ""];
-  else if (!heard.machine) [word, state, beside] = ["NO DAEMON", "bad", ""];
-  else if (silent) [word, beside] = [heard.alive ? "SILENT" : "DAEMON GONE", ago];
+  if (connected === undefined) [word, state, beside] = ["WAITING", "wait", ""];
+  else if (!reached()) [word, beside] = ["NO CONNECTION", ago];
+  else if (heard.waiting) [word, state, beside] = ["WAITING", "wait", "for the daemon"];
+  else if (!ago && !heard.alive) [word, beside] = ["NO DAEMON", ""];
+  else if (!live("status")) [word, beside] = [heard.alive ? "SILENT" : "DAEMON GONE", ago];
   else if (status.resting) [word, state] = ["RESTING", "warn"];
   else if (status.recording) [word, state] = ["● RECORDING", "good"];
   put(byId("run-word"), word);
   put(byId("run-time"), beside);
   byId("run").dataset.state = state;
+  document.title = `${heard.machine || "Tilth"}${state === "bad" ? ` – ${word}` : ""}`;
 }
 
-function showProblems(status, silent) {
-  const lines = connected ? [...heard.notes] : ["The page's own server does not answer: is `tilth monitor` running? Trying again."];
-  if (connected && !silent) lines.push(...(status.problems ?? []).map(capital));
+function showProblems(status) {
+  const lost = connected !== undefined && !reached();
+  const lines = lost ? ["The page's own server does not answer: is `tilth monitor` running? Trying again."] : [...heard.notes];
+  if (live("status")) lines.push(...(status.problems ?? []).map(capital));
   const box = byId("problems");
-  const text = lines.join("\n");
-  box.dataset.state = !connected || silent || !status.recording ? "bad" : "warn";
-  if (text !== lastText) {
-    lastText = text;
-    box.replaceChildren(...lines.map((line) => element("p", "", line)));
-  }
+  box.dataset.state = live("status") && status.recording ? "warn" : "bad";
+  putLines(box, lines);
   box.hidden = !lines.length;
+}
+
+// Only what is new: whoever has the page read aloud hears each line once.
+function putLines(box, lines) {
+  const shown = [...box.children].map((line) => line.textContent);
+  if (lines.join("\n") !== shown.join("\n")) box.replaceChildren(...lines.map((line) => element("p", "", line)));
+}
+
+function showPreparing(status) {
+  const busy = live("status") && status.preparing;
+  const text = busy ? preparing(status, age("status")) : reached() && heard.waiting ? "Waiting for the daemon: it may just have been started." : "";
+  put(byId("preparing"), text);
+  byId("preparing").hidden = !text;
 }
 
 function fact(id, text, state = "") {
@@ -94,15 +121,16 @@ function fact(id, text, state = "") {
   byId(id).dataset.state = state;
 }
 
-function showFacts(status, silent) {
-  const left = status.hours_left;
-  fact("disk", silent ? "–" : hours(left), silent || !known(left) ? "" : left < 1 ? "bad" : left < 4 ? "warn" : "");
-  const buses = silent ? [] : status.buses ?? [];
+function showFacts(status) {
+  const left = status.hours_left, now = live("status");
+  fact("disk", hours(left), !now || !known(left) ? "" : left < 1 ? "bad" : left < 4 ? "warn" : "");
+  const buses = status.buses ?? [];
   const ill = buses.find((bus) => bus.state !== "open");
   const loads = buses.map((bus) => (known(bus.load) ? `${Math.round(100 * bus.load)} %` : `${Math.round(bus.frames_per_s)}/s`));
-  fact("bus", ill ? `${ill.name} ${ill.state}` : loads.join(", ") || "–", ill ? "bad" : buses.some((bus) => bus.load > 0.8) ? "warn" : "");
+  const busy = buses.some((bus) => bus.load > 0.8);
+  fact("bus", ill ? `${ill.name} ${ill.state}` : loads.join(", ") || "–", !now ? "" : ill ? "bad" : busy ? "warn" : "");
   const lost = buses.reduce((sum, bus) => sum + bus.lost_frames, 0);
-  fact("lost", buses.length ? String(lost) : "–", lost ? "bad" : "");
+  fact("lost", buses.length ? String(lost) : "–", now && lost ? "bad" : "");
 }
 
 function showPose(pose) {
@@ -112,28 +140,43 @@ function showPose(pose) {
   const words = [`${pose.receivers} of 4 receivers`];
   if (known(pose.articulation)) words.push(`hitch ${degrees(pose.articulation)}`);
   if (known(pose.wheel_angle)) words.push(`wheels ${degrees(pose.wheel_angle)}`);
-  if (pose.flags.length) words.push(pose.flags.map((flag) => spaced(flag.replace(":", " "))).join(", "));
+  if (pose.flags.length) words.push(pose.flags.map(flagged).join(", "));
   put(byId("map-words"), words.join(" · "));
 }
 
 function showKnown() {
-  const estimate = heard.soil_tire;
-  if (!estimate) return;
-  const open = estimate.parameters.filter((row) => row.status !== 1);
-  const plain = !open.length ? "All six are estimated." : `${open.length < 6 ? `${open.map((row) => row.name).join(", ")}: ` : ""}${capital(open[0].reason || "no estimate yet")}.`;
-  put(byId("advice"), estimate.advice ? `${estimate.advice}.` : plain);
-  byId("known").replaceChildren(...estimate.parameters.map((row, i) => {
-    const item = element("li"), bound = estimate.bound[i];
-    item.append(element("b", "", PARAMETERS[i].title), ` ${row.name}: ${knowledge(bound)}`);
+  const { soil_tire: estimate, shown } = heard;
+  const open = PARAMETERS.filter((_, i) => shown.status[i] !== 1);
+  const why = shown.why[PARAMETERS.indexOf(open[0])] || "no estimate yet";
+  const plain = !open.length ? "All six are estimated." : `${open.length < 6 ? `${open.map((one) => one.name).join(", ")}: ` : ""}${capital(why)}.`;
+  put(byId("advice"), shown.withdrawn.length ? "The numbers are withdrawn: the reason stands above." : shown.advised || plain);
+  byId("known").replaceChildren(...PARAMETERS.map((one, i) => {
+    const item = element("li");
+    item.append(element("b", "", one.title), ` ${one.name}: ${knowledge(shown.known[i])}`);
     return item;
   }));
-  const names = estimate.determined.length ? `The data alone determine ${estimate.determined.join(", ")}.` : "";
+  const names = shown.determined.length ? `The data alone determine ${shown.determined.join(", ")}. Each ± is 95 %.` : "";
   put(byId("method"), [names, estimate.rule ? `Method: ${estimate.rule}.` : ""].filter(Boolean).join(" "));
+  showGround(shown.ground);
+  putLines(byId("withdrawn-why"), shown.withdrawn);
+  byId("withdrawn").hidden = !shown.withdrawn.length;
 }
 
-function knowledge(bound) {
-  if (bound === undefined) return "not judged yet";
-  return known(bound) && share(bound) ? `known to ${share(bound)}` : "not determined";
+function knowledge(share) {
+  if (share === undefined) return "not judged yet";
+  return share === null ? "not determined" : `known to ${share}`;
+}
+
+function showGround(ground) {
+  byId("ground").replaceChildren(...ground.map(({ word, text }, i) => {
+    const item = element("li", "now"), sign = element("span", "", `${SIGNS[word] ?? "?"} `);
+    sign.setAttribute("aria-hidden", "true");
+    const said = element("strong");
+    said.append(sign, word);
+    item.append(element("b", "", PARAMETERS[i].title), element("span", "quiet", ` ${PARAMETERS[i].name}`), said, element("span", "ground-text", text));
+    item.dataset.word = word;
+    return item;
+  }));
 }
 
 function showEvents(events) {
@@ -148,67 +191,34 @@ function showEvents(events) {
 }
 
 // The stream: again and again, for as long as the page is open.
-let wait_ms = 250;
+let wait_ms = 250, stream, triedAt = 0;
 
 function connect() {
-  const stream = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  triedAt = performance.now();
+  stream = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   stream.onmessage = (event) => {
     wait_ms = 250;
     connected = true;
     take(JSON.parse(event.data));
   };
-  stream.onclose = () => {
-    connected = false;
-    show();
-    setTimeout(connect, wait_ms);
-    wait_ms = Math.min(2 * wait_ms, 2000);
-  };
+  stream.onclose = again;
 }
 
-function prepareMark() {
-  const [dialog, input, answer, send, cancel] = ["mark-dialog", "mark-text", "mark-told", "mark-send", "mark-cancel"].map(byId);
-  const open = () => {
-    put(answer, "");
-    put(cancel, "Cancel");
-    dialog.showModal();
-    input.focus();
-  };
-  byId("mark").addEventListener("click", open);
-  cancel.addEventListener("click", () => dialog.close());
-  document.addEventListener("keydown", (event) => {
-    const typing = dialog.open || event.target.closest?.("input, textarea");
-    if (event.key.toLowerCase() === "m" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) {
-      event.preventDefault();
-      open();
-    }
-  });
-  byId("mark-form").addEventListener("submit", async (event) => {
-    event.preventDefault();
-    const size = new TextEncoder().encode(input.value).length;
-    if (size > MARK_BYTES) {
-      put(answer, `✘ This note has ${size} bytes; ${MARK_BYTES} are the most.`);
-      return;
-    }
-    send.disabled = true;
-    put(answer, "Asking the daemon …");
-    const result = await sendMark(input.value);
-    send.disabled = false;
-    put(answer, result.noted ? "✔ It is in the log." : `✘ Not in the log: ${result.text}`);
-    if (result.noted) {
-      input.value = "";
-      put(cancel, "Close");
-      cancel.focus();
-    }
-  });
+function again() {
+  stream = undefined;
+  connected = false;
+  show();
+  setTimeout(connect, wait_ms);
+  wait_ms = Math.min(2 * wait_ms, 2000);
 }
 
-async function sendMark(text) {
-  try {
-    const answer = await fetch("/mark", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
-    return await answer.json();
-  } catch {
-    return { noted: false, text: "the page's own server does not answer" };
-  }
+// A way that broke without a word, as a phone's does out of reach, is never closed by its other end.
+function watch() {
+  if (stream && performance.now() - Math.max(heardAt, triedAt) > ANEW_MS) {
+    stream.onclose = stream.onmessage = null;
+    stream.close();
+    again();
+  } else show();
 }
 
 function prepareTheme() {
@@ -237,8 +247,8 @@ for (const button of document.querySelectorAll("[data-seconds]")) {
     traces.range(Number(button.dataset.seconds));
   });
 }
-prepareMark();
+prepareMarks();
 prepareTheme();
-setInterval(show, 500);
+setInterval(watch, 500);
 connect();
 show();

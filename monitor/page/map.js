@@ -42,9 +42,15 @@ export class FieldMap {
       track.t.push(t);
       track.tractor.push(place(pose.tractor));
       track.implement.push(place(pose.implement));
-      track.quality.push(quality(pose));
+      track.quality.push(pose.quality);
     }
     this.draw();
+  }
+
+  // Whether what is drawn is no longer so.
+  setOld(old) {
+    if (old !== this.old) this.draw();
+    this.old = old;
   }
 
   follow(on) {
@@ -156,7 +162,7 @@ export class FieldMap {
       if (!known(body?.x) || !known(body?.heading)) continue;
       const [x, y] = at(onBody(body, antenna.forward, antenna.right));
       const alive = this.receivers?.find((r) => r.mount === antenna.mount)?.state === "alive";
-      pen.fillStyle = alive ? colour("panel") : colour("bad");
+      pen.fillStyle = alive || this.old ? colour("panel") : colour("bad");
       pen.strokeStyle = colour("ink");
       pen.lineWidth = 2;
       pen.beginPath();
@@ -229,13 +235,6 @@ export class FieldMap {
       keys[event.key]();
     });
   }
-}
-
-const WORST = new Set(["lost", "no_fix", "missing", "no_heading", "doubtful", "moved", "swapped", "repeating"]);
-
-export function quality(pose) {
-  const kinds = pose.flags.map((flag) => flag.split(":")[0]);
-  return kinds.some((kind) => WORST.has(kind)) ? 2 : kinds.length ? 1 : 0;
 }
 
 function nice(least) {

@@ -30,17 +30,19 @@ export class Tiles {
     });
   }
 
-  show(status, silent) {
+  // `live`: whether the status is so now; if not, `ago`: since when it is not.
+  show(status, live, ago) {
     for (const one of this.tiles) {
       const row = one.mount ? (status.receivers ?? []).find((r) => r.mount === one.mount) : status.wheel_angle;
-      this.#showOne(one, silent ? undefined : row, silent);
+      this.#showOne(one, live ? row : undefined, live ? "not in use" : "? not heard");
+      if (!live && row) put(one.age, `was ${spaced(row.state)} ${ago} ago`);
     }
   }
 
-  #showOne(one, row, silent) {
+  #showOne(one, row, none) {
     const floating = row?.state === "alive" && one.mount && row.fix && !GOOD_FIXES.has(row.fix);
     one.tile.dataset.state = row ? (floating ? "warn" : STATES[row.state] ?? "warn") : "unknown";
-    put(one.state, row ? WORDS[row.state] ?? spaced(row.state) : silent ? "? not heard" : "not in use");
+    put(one.state, row ? WORDS[row.state] ?? spaced(row.state) : none);
     put(one.fix, row && one.mount ? (row.fix ? spaced(row.fix).replace("rtk", "RTK").replace("gnss", "GNSS") : "no fix told") : "");
     const parts = [];
     if (known(row?.per_s)) parts.push(`${row.per_s.toFixed(row.per_s < 9.95 ? 1 : 0)}/s`);

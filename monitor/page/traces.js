@@ -1,10 +1,10 @@
 // Six parameters over time, each with its 95 % band, what was assumed before, and the events.
 
 import { element, put } from "./tiles.js";
-import { clock, interval, known, PARAMETERS, spread, told } from "./words.js";
+import { clock, interval, known, PARAMETERS, told } from "./words.js";
 
 const HEIGHT = 170; // as in page.css
-const STRONG = new Set(["soil_change", "reset"]);
+const STRONG = new Set(["soil_change", "reset", "contradiction"]);
 const MARKED = new Set([...STRONG, "lost", "mark", "gap", "fault", "clock_step"]);
 
 export class Traces {
@@ -21,25 +21,23 @@ export class Traces {
     this.rows = PARAMETERS.map(() => ({ now: [], old: [], high: [], low: [] }));
   }
 
-  setAll({ t, value, log_sd, status }) {
+  setAll({ t, value, within, status }) {
     this.clear();
-    t.forEach((at, i) => this.#push(at, value[i], log_sd[i], status[i]));
+    t.forEach((at, i) => this.#push(at, value[i], within[i], status[i]));
     this.draw();
   }
 
-  // One estimate, as it was published.
-  add(estimate) {
-    const t = estimate.t_ns * 1e-9;
+  // One estimate more.
+  add({ t, value, within, status }) {
     if (t <= (this.t.at(-1) ?? -Infinity)) return;
-    const rows = estimate.parameters, log_sd = rows.map((_, i) => spread(estimate, i));
-    this.#push(t, rows.map((row) => row.value), log_sd, rows.map((row) => row.status));
+    this.#push(t, value, within, status);
     this.draw();
   }
 
-  #push(t, value, log_sd, status) {
+  #push(t, value, within, status) {
     this.t.push(t);
     this.rows.forEach((row, i) => {
-      const found = interval({ value: value[i] }, log_sd[i], PARAMETERS[i]);
+      const found = interval({ value: value[i], within: within[i] }, PARAMETERS[i]);
       row.now.push(found && status[i] === 1 ? found.value : null);
       row.old.push(found && status[i] !== 1 ? found.value : null);
       row.high.push(found ? found.high : null);
@@ -50,7 +48,7 @@ export class Traces {
   setPriors(rig) {
     this.priors = PARAMETERS.map((which) => {
       const prior = (rig.priors ?? []).find((one) => one.name === which.name);
-      return prior ? interval(prior, prior.log_sd, which) : null;
+      return prior ? interval(prior, which) : null;
     });
     this.draw();
   }
@@ -66,9 +64,9 @@ export class Traces {
   }
 
   // What stands above each plot.
-  tell(estimate, age_s) {
+  tell(estimate, shown, old, age_s) {
     this.plots.forEach((one, i) => {
-      const words = told(estimate, i, age_s);
+      const words = told(estimate, shown, i, old, age_s);
       put(one.value, words.value);
       put(one.range, words.range);
       put(one.status, words.status);
@@ -97,8 +95,8 @@ export class Traces {
 
   #make(container, which, i) {
     const box = element("article", "trace"), head = element("div", "trace-head"), frame = element("div", "trace-plot");
-    const [value, status] = [element("span", "trace-value", `– ${which.unit}`), element("span", "trace-status", "no estimate")];
-    const range = element("span", "trace-range"), why = element("p", "trace-why");
+    const [value, status] = [element("span", "trace-value now", `– ${which.unit}`), element("span", "trace-status", "no estimate")];
+    const range = element("span", "trace-range now"), why = element("p", "trace-why");
     const title = element("h3", "", which.title), name = element("span", "quiet", which.name);
     const words = element("div", "trace-head");
     head.append(title, name);

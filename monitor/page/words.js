@@ -10,8 +10,7 @@ export const PARAMETERS = [
 ];
 export const STATUSES = ["no estimate", "estimated", "stale", "invalid"];
 const STATUS_STATES = ["unknown", "good", "warn", "bad"];
-export const WITHIN = 1.96; // sd, of 95 %
-export const OLD_S = 3; // an estimate comes each second
+export const OLD_S = { pose: 2, status: 3, soil_tire: 3 }; // status and estimate come each second
 
 export const known = (value) => value !== undefined && value !== null;
 export const spaced = (word) => String(word ?? "").replaceAll("_", " ");
@@ -19,7 +18,7 @@ export const capital = (word) => word.charAt(0).toUpperCase() + word.slice(1);
 
 export function time(seconds) {
   if (!known(seconds)) return "?";
-  if (seconds < 10) return `${seconds.toFixed(1)} s`;
+  if (seconds < 10) return `${seconds.toFixed(Number.isInteger(seconds) ? 0 : 1)} s`;
   if (seconds < 120) return `${Math.round(seconds)} s`;
   if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
   return `${Math.round(seconds / 3600)} h`;
@@ -42,41 +41,39 @@ export function hours(value) {
   return value < 2 ? `${Math.round(value * 60)} min` : `${value.toFixed(value < 10 ? 1 : 0)} h`;
 }
 
-// How sure a logarithm of that sd is, in the words of the daemon's advice: one standard deviation.
-export function share(log_sd) {
-  const percent = 100 * log_sd;
-  return percent > 100 ? "" : `±${percent.toFixed(percent >= 9.5 ? 0 : 1)} %`;
-}
-
-// Value and 95 % interval of a parameter whose logarithm has that sd; null where there is none.
-export function interval(row, log_sd, which) {
-  if (!known(row.value) || !known(log_sd)) return null;
-  const factor = Math.exp(WITHIN * log_sd), value = row.value * which.scale;
+// Value and 95 % interval of what has a value and the half-width of its logarithm's; null where it has none.
+export function interval(row, which) {
+  if (!known(row.value) || !known(row.within)) return null;
+  const factor = Math.exp(row.within), value = row.value * which.scale;
   return { value, low: value / factor, high: value * factor };
 }
 
-// The sd of the logarithm of an estimate's parameter i; null where there is none.
-export function spread(estimate, i) {
-  const row = estimate.parameters[i] ?? {}, variance = estimate.log_covariance[7 * i];
-  if (variance > 0) return Math.sqrt(variance);
-  return known(row.value) && known(row.sd) ? row.sd / row.value : null;
+export function flagged(flag) {
+  const [kind, ...of] = flag.split(":");
+  return kind === "contradiction" ? `contradicts the machine file: ${of.join(":")}` : spaced(flag.replace(":", " "));
 }
 
-// Of parameter i: what stands above its trace. `age_s`: of the estimate as a whole.
-export function told(estimate, i, age_s) {
-  const row = estimate.parameters[i] ?? {}, which = PARAMETERS[i];
-  const status = row.status in STATUSES ? row.status : 3;
-  const old = status === 1 && (!known(age_s) || age_s > OLD_S);
-  const range = interval(row, spread(estimate, i), which);
+// What the daemon still makes ready. `age_s`: of what it said about that.
+export function preparing({ preparing, ready_in_s, recording }, age_s) {
+  const left = known(ready_in_s) ? ready_in_s - (age_s ?? 0) : undefined;
+  const when = !known(left) ? "" : left < 1 ? ", ready at any moment" : `, about ${time(Math.round(left))} left`;
+  return `${capital(preparing)}${when}. ${recording ? "Frames are recorded meanwhile; results follow." : "Results follow."}`;
+}
+
+// Of parameter i: what stands above its trace. `old`: how old the estimate as a whole is, if it is too old.
+export function told({ parameters }, shown, i, old, age_s) {
+  const which = PARAMETERS[i], status = shown.status[i], stale = status === 1 && old;
+  const range = interval({ value: shown.value[i], within: shown.within[i] }, which);
   const number = (value) => value.toFixed(which.digits);
+  const age = parameters[i].age_s;
   return {
     value: range ? `${number(range.value)} ${which.unit}` : `– ${which.unit}`,
     range: range ? `${number(range.low)} to ${number(range.high)}` : "",
-    status: old ? "stale" : STATUSES[status],
-    state: old ? "warn" : STATUS_STATES[status],
+    status: stale ? "stale" : STATUSES[status],
+    state: stale ? "warn" : STATUS_STATES[status],
     why: [
-      old ? `no estimate for ${time(age_s)}` : row.reason,
-      known(row.age_s) ? `data last told of it ${time(row.age_s + (age_s ?? 0))} ago` : "",
+      stale ? `no estimate for ${time(age_s)}` : shown.why[i],
+      known(age) ? `data last told of it ${time(age + (age_s ?? 0))} ago` : "",
     ].filter(Boolean).join("; "),
   };
 }

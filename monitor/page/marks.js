@@ -1,0 +1,86 @@
+// Marks: one tap for what happens often, a note for the rest. ✔ is shown when the daemon says that it is in the
+// log, not before; a refusal stays until the same mark is tried again.
+
+import { element, put } from "./tiles.js";
+
+const MARK_BYTES = 1024;
+const SHOWN_MS = 8000; // a mark that is in the log
+const byId = (id) => document.getElementById(id);
+
+async function send(text) {
+  try {
+    const answer = await fetch("/mark", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
+    return await answer.json();
+  } catch {
+    return { noted: false, text: "the page's own server does not answer" };
+  }
+}
+
+const told = (result) => (result.noted ? "✔ It is in the log." : `✘ Not in the log: ${result.text}`);
+
+export function prepareMarks() {
+  const answers = new Map(); // what was tapped -> what became of it
+  const show = () => {
+    byId("marks-told").replaceChildren(...[...answers].map(([text, [words, state]]) => {
+      const line = element("p", "", `${text}: ${words}`);
+      line.dataset.state = state;
+      return line;
+    }));
+  };
+  for (const button of document.querySelectorAll("[data-mark]")) {
+    button.addEventListener("click", async () => {
+      const text = button.dataset.mark;
+      button.disabled = true;
+      answers.set(text, ["asking the daemon …", "wait"]);
+      show();
+      const result = await send(text);
+      button.disabled = false;
+      const answer = [told(result), result.noted ? "good" : "bad"];
+      answers.set(text, answer);
+      show();
+      if (!result.noted) return;
+      setTimeout(() => {
+        if (answers.get(text) === answer) answers.delete(text);
+        show();
+      }, SHOWN_MS);
+    });
+  }
+  prepareNote();
+}
+
+function prepareNote() {
+  const [dialog, input, answer, button, cancel] = ["mark-dialog", "mark-text", "mark-told", "mark-send", "mark-cancel"].map(byId);
+  const open = () => {
+    put(answer, "");
+    put(cancel, "Cancel");
+    dialog.showModal();
+    input.focus();
+  };
+  byId("mark").addEventListener("click", open);
+  cancel.addEventListener("click", () => dialog.close());
+  document.addEventListener("keydown", (event) => {
+    const typing = dialog.open || event.target.closest?.("input, textarea");
+    if (event.key.toLowerCase() === "m" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) {
+      event.preventDefault();
+      open();
+    }
+  });
+  byId("mark-form").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const size = new TextEncoder().encode(input.value).length;
+    if (size > MARK_BYTES) {
+      put(answer, `✘ This note has ${size} bytes; ${MARK_BYTES} are the most.`);
+      return;
+    }
+    button.disabled = true;
+    put(answer, "Asking the daemon …");
+    const result = await send(input.value);
+    button.disabled = false;
+    put(answer, told(result));
+    if (result.noted) {
+      input.value = "";
+      put(cancel, "Close");
+      cancel.focus();
+    }
+  });
+}

@@ -1,0 +1,164 @@
+"""What the daemon says, in the words of who sits in the cab. Pure: JSON of messages in, texts, numbers out.
+
+Whatever the page shows as ± or as a range is 95 %: the factor from a standard deviation to that is WITHIN,
+and it is multiplied here, nowhere else. Messages keep their standard deviations.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+from tilth.estimator.manoeuvres import MANOEUVRES
+from tilth.schemas.flow import PARAMETERS, Status
+
+Fields = dict[str, Any]
+
+WITHIN: Final = 1.96  # sd, of 95 %
+GROUPS: Final = ("front", "rear", "implement")  # of tyres, in the order of PARAMETERS, twice
+SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
+FIRM: Final = 1.1  # firm where all of it is above
+USUAL: Final = (2 / 3, 3 / 2)  # as usual where none of both, and all of it is in here; else not known
+WIDEST: Final = 50.0  # sd of a logarithm that is still a number about anything
+LARGEST: Final = 1.0  # 95 % of a logarithm: beyond, a share says nothing
+_NUMBER: Final = r"(\d+(?:\.\d+)?)"
+_SHARE: Final = re.compile(rf"±\s?{_NUMBER} %")
+_NAMES: Final = re.compile("|".join(map(re.escape, PARAMETERS)))
+_SLOW: Final = re.compile(rf"nothing can be learned below {_NUMBER} m/s")
+
+
+def shown(estimate: Fields, rig: Fields | None) -> Fields:
+    """What the page shows of an estimate: of each parameter its value, the half-width of its logarithm's
+    95 %, status and reason; of each group of tyres a word; what to drive; what is withdrawn and why."""
+    values, within, statuses = row(estimate)
+    priors = {prior["name"]: prior["value"] for prior in (rig or {}).get("priors", ())}
+    return {
+        "t": estimate["t_ns"] * 1e-9,
+        "value": values,
+        "within": within,
+        "status": statuses,
+        "why": [at_95(one["reason"]) for one in estimate["parameters"]],
+        "known": [_share(sd) for sd in estimate["bound"]],
+        "determined": [at_95(text) for text in estimate["determined"]],
+        "ground": [
+            ground(values[i], within[i], statuses[i], priors.get(PARAMETERS[i])) for i in range(len(GROUPS))
+        ],
+        "advised": "" if Status.INVALID in statuses else advised(estimate["advice"]),
+        "withdrawn": withdrawn(statuses, [one["reason"] for one in estimate["parameters"]]),
+    }
+
+
+def row(estimate: Fields) -> tuple[list[float | None], list[float | None], list[int]]:
+    """Of each parameter: value, half-width of the 95 % interval of its logarithm, status. Neither value nor
+    width where one is missing, or where it is invalid."""
+    n = len(PARAMETERS)
+    covariance = estimate["log_covariance"]
+    values, within, statuses = [], [], []
+    for i, one in enumerate(estimate["parameters"]):
+        value, sd, status = one.get("value"), one.get("sd"), one["status"]
+        status = status if status in list(Status) else Status.INVALID
+        variance = covariance[i * n + i] if len(covariance) == n * n else None
+        log_sd = math.sqrt(variance) if variance is not None and variance > 0 else None
+        if value is not None and value > 0 and log_sd is None and sd:
+            log_sd = sd / value
+        if value is None or log_sd is None or not log_sd < WIDEST or status == Status.INVALID:
+            value = log_sd = None
+        values.append(None if value is None else short(value))
+        within.append(None if log_sd is None else short(WITHIN * log_sd))
+        statuses.append(int(status))
+    return values, within, statuses
+
+
+def priors(rig: Fields) -> Fields:
+    """The rig, each prior with the half-width of the 95 % interval of its logarithm beside its sd."""
+    return rig | {"priors": [one | {"within": short(WITHIN * one["log_sd"])} for one in rig["priors"]]}
+
+
+def ground(value: float | None, within: float | None, status: int, usual: float | None) -> Fields:
+    """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on."""
+    if status == Status.INVALID:
+        return {"word": "withdrawn", "text": ""}
+    if status == Status.STALE:
+        return {"word": "not known now", "text": ""}
+    if status != Status.ESTIMATED or value is None or within is None or not usual:
+        return {"word": "not known yet", "text": ""}
+    ratio = value / usual
+    low, high = ratio * math.exp(-within), ratio * math.exp(within)
+    text = f"{_percent(ratio)} % of usual (95 %: {_percent(low)} to {_percent(high)} %)"
+    if high < SOFT:
+        return {"word": "soft", "text": text}
+    if low > FIRM:
+        return {"word": "firm", "text": text}
+    inside = USUAL[0] <= low and high <= USUAL[1]
+    return {"word": "as usual" if inside else "not known yet", "text": text}
+
+
+def advised(advice: str) -> str:
+    """The sentence of estimator/advice.py as one for a driver; "" where there is none to give."""
+    slow = _SLOW.fullmatch(advice)
+    if slow:
+        return f"Drive faster than {3.6 * float(slow[1]):.1f} km/h: below, nothing can be learned."
+    start, _, rest = advice.partition("; ")
+    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in _NAMES.findall(start)]
+    if not groups:
+        return ""
+    if not rest:
+        return "At this speed there is no gentle steering that would tell more."
+    if rest.startswith("no "):
+        return "Drive on: no steering at this speed would tell much more."
+    for manoeuvre in MANOEUVRES:
+        found = manoeuvre.driven and re.match(_spoken(manoeuvre.called), rest)
+        if found:
+            what = f"{manoeuvre.driven} for {found[1]} s, wheels to about {found[2]}°"
+            return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
+    return ""
+
+
+def _spoken(called: str) -> str:
+    """What the advice says of a manoeuvre, as a pattern."""
+    before, after = map(re.escape, called.split("{:g}"))
+    return rf"{_NUMBER} s of {before}{_NUMBER}{after} would "
+
+
+def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:
+    """A sentence for each reason why numbers are invalid."""
+    names: dict[str, list[str]] = {}
+    for name, status, reason in zip(PARAMETERS, statuses, reasons, strict=True):
+        if status == Status.INVALID:
+            names.setdefault(reason or "the daemon gives no reason", []).append(name)
+    return [f"Numbers withdrawn{_which(of)}: {reason}" for reason, of in names.items()]
+
+
+def _which(names: Sequence[str]) -> str:
+    return "" if len(names) == len(PARAMETERS) else f" ({', '.join(names)})"
+
+
+def at_95(text: str) -> str:
+    """The estimator's texts say shares as one standard deviation: the same text with 95 %."""
+    if "95 %" in text:
+        return text
+    return _SHARE.sub(lambda found: _share_text(WITHIN * float(found[1])), text)
+
+
+def short(number: float) -> float:
+    return float(f"{number:.5g}")
+
+
+def _share(log_sd: float | None) -> str | None:
+    """In words how well a logarithm of that sd is known, 95 %; None: not at all."""
+    if log_sd is None or not WITHIN * log_sd <= LARGEST:
+        return None
+    return _share_text(100 * WITHIN * log_sd)
+
+
+def _share_text(percent: float) -> str:
+    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
+
+
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.0f}"
+
+
+def _and(groups: Sequence[str]) -> str:
+    each = list(dict.fromkeys(groups))
+    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"

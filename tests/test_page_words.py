@@ -1,0 +1,151 @@
+"""What the page says in a driver's words, from sentences of the estimator and any number there can be."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from circle import demo_machine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stage import estimate
+
+from tilth.estimator import advice, unknowns
+from tilth.estimator.unknowns import NAMES, SIX
+from tilth.monitor import words
+from tilth.monitor.plain import plain
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import PARAMETERS, Status
+from tilth.schemas.proto import tilth_pb2 as pb
+
+Fields = dict[str, Any]
+MACHINE = demo_machine()
+MEAN, SD = unknowns.prior(MACHINE)
+SPEED = 4.5
+DRIVEN = {
+    "step": "hold a turn for 10 s",
+    "steps": "turn to one side and the other, three seconds each, for 10 s",
+    "chirp": "weave the steering gently left and right, slow then quick, for 10 s",
+}
+TELLING = np.zeros((len(NAMES), len(NAMES)))  # information of a drive that tells much of all six
+TELLING[SIX, SIX] = np.eye(6) * 1e3
+
+
+def heard(scale: float = 1.0, since_s: float = 300.0, invalid: str = "") -> Fields:
+    """An estimate as the page's server hears it."""
+    told = CHANNEL["/soil_tire"].encode(estimate(10**18, since_s, scale, since_s, invalid))
+    return plain(pb.SoilTireEstimate.FromString(told))
+
+
+RIG = plain(pb.Rig.FromString(CHANNEL["/rig"].encode(MACHINE)))
+
+
+@pytest.mark.parametrize("candidate", advice.CANDIDATES, ids=str)
+def test_every_manoeuvre_that_is_ever_advised_is_told_to_a_driver(candidate: advice.Candidate) -> None:
+    covariance = np.diag(SD**2)
+    covariance[SIX, SIX] = np.diag([0.01, 0.01, 0.01, 0.01, SD[SIX][4], 0.01]) ** 2
+    text = advice.advise(MACHINE, MEAN, covariance, SPEED, {candidate: TELLING})
+    assert f"{candidate.degrees:g}°" in text and "sigma_r is not determined" in text  # the engineer's
+    assert words.advised(text) == (
+        f"Where there is room, {DRIVEN[candidate.manoeuvre]}, wheels to about {candidate.degrees:g}°: "
+        "it would tell more of the rear tyres."
+    )
+
+
+def test_what_else_is_advised_is_told_as_well() -> None:
+    table = {advice.CANDIDATES[0]: TELLING}
+    known = np.diag(SD**2)
+    known[SIX, SIX] = np.eye(6) * 0.001**2
+    for covariance, speed, part in (
+        (np.diag(SD**2), 0.5, "Drive faster than 5.4 km/h"),
+        (np.diag(SD**2), 12.0, "no gentle steering"),
+        (known, SPEED, "no steering at this speed would tell much more"),
+        (np.diag(SD**2), SPEED, "tell more of the front, rear and implement tyres."),
+    ):
+        text = advice.advise(MACHINE, MEAN, covariance, speed, table if speed < 12.0 else {})
+        assert part in words.advised(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "; ", "C_af", "nothing can be learned below 1.2.3 m/s", "C_af; 1 s of " * 40]
+)
+def test_what_is_no_advice_is_none(text: str) -> None:
+    assert "±" not in words.advised(text)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "sd", "status", "word"),
+    [
+        (0.6, 0.1, 1, "soft"), (0.6, 0.25, 1, "not known yet"), (0.88, 0.001, 1, "soft"),
+        (0.91, 0.001, 1, "as usual"), (1.0, 0.1, 1, "as usual"), (1.0, 0.25, 1, "not known yet"),
+        (1.09, 0.001, 1, "as usual"), (1.2, 0.01, 1, "firm"), (1.2, 0.1, 1, "as usual"),
+        (2.0, 0.5, 1, "not known yet"), (0.6, 0.1, 0, "not known yet"), (0.6, 0.1, 2, "not known now"),
+        (0.6, 0.1, 3, "withdrawn"), (None, None, 1, "not known yet"),
+    ],
+)  # fmt: skip
+def test_how_the_soil_holds_the_tyres(ratio: float | None, sd: float | None, status: int, word: str) -> None:
+    value = None if ratio is None else 200e3 * ratio
+    within = None if sd is None else words.WITHIN * sd
+    assert words.ground(value, within, status, 200e3)["word"] == word
+    if word not in ("withdrawn", "not known now"):
+        assert words.ground(value, within, status, None)["word"] == "not known yet"  # of no rig
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(0.01, 100.0), st.floats(1e-4, 3.0))
+def test_a_word_is_said_only_where_all_of_the_interval_agrees(ratio: float, within: float) -> None:
+    low, high = ratio * math.exp(-within), ratio * math.exp(within)
+    word = words.ground(ratio, within, Status.ESTIMATED, 1.0)["word"]
+    assert (word == "soft") == (high < words.SOFT) and (word == "firm") == (low > words.FIRM)
+    assert word != "as usual" or words.USUAL[0] <= low <= high <= words.USUAL[1]
+
+
+def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
+    came = heard()
+    before = json.dumps(came)
+    told = words.shown(came, RIG)
+    sd = [math.sqrt(variance) for variance in came["log_covariance"][::7]]
+    for name, within, own in zip(PARAMETERS, told["within"], sd, strict=True):
+        assert within == (None if name == "sigma_r" else pytest.approx(words.WITHIN * own, rel=1e-4))
+    assert came["bound"][2] == pytest.approx(0.09) and told["known"][2] == "±18 %"
+    assert came["bound"][4] is None and told["known"][4] is None
+    assert json.dumps(came) == before
+    sds = [prior["log_sd"] for prior in RIG["priors"]]
+    assert [prior["within"] for prior in words.priors(RIG)["priors"]] == pytest.approx(
+        [1.96 * sd for sd in sds], rel=1e-4
+    )
+    assert words.at_95("C_af ±4.0 %") == "C_af ±7.8 %" and words.at_95("±10 % (95 %)") == "±10 % (95 %)"
+
+
+def test_soft_soil_and_a_contradiction_in_words() -> None:
+    assert [one["word"] for one in words.shown(heard(0.6), RIG)["ground"]] == ["soft"] * 3
+    assert [one["word"] for one in words.shown(heard(), RIG)["ground"]] == ["as usual"] * 3
+    why = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
+    told = words.shown(heard(invalid=why), RIG)
+    assert told["withdrawn"] == [f"Numbers withdrawn: {why}"]
+    assert {one["word"] for one in told["ground"]} == {"withdrawn"}
+    assert told["advised"] == "" and told["value"] == [None] * 6
+
+
+def test_some_numbers_withdrawn_are_named_and_an_invalid_value_is_not_shown() -> None:
+    came = heard()
+    came["parameters"][1] |= {"status": 3, "reason": "why"}
+    came["parameters"][2] |= {"status": 7, "reason": ""}
+    told = words.shown(came, RIG)
+    assert told["withdrawn"] == [
+        "Numbers withdrawn (C_ar): why",
+        "Numbers withdrawn (C_ai): the daemon gives no reason",
+    ]
+    assert told["value"][1] is None and told["value"][2] is None and told["value"][0] is not None
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 5e-324, 1e308, None])
+@pytest.mark.parametrize("variance", [0.0, 1e300, -1.0, None])
+def test_numbers_that_no_rig_has_break_nothing(value: float | None, variance: float | None) -> None:
+    came = heard()
+    came["log_covariance"] = [variance] * 36
+    for one in came["parameters"]:
+        one |= {"value": value, "sd": 1e300, "status": 1, "reason": "±" + "9" * 400 + " %"}
+    came["bound"] = [1e300, None, -1.0]
+    json.dumps(words.shown(came, RIG), allow_nan=False)
