@@ -20,9 +20,11 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from tilth.cli import main
+from tilth.monitor.heard import Heard
 from tilth.monitor.history import MOST, RECENT_S, History
 from tilth.monitor.plain import plain
 from tilth.monitor.server import FILES, VIEWERS
+from tilth.monitor.view import WAIT_S, View
 from tilth.schemas.proto import tilth_pb2 as pb
 
 BASE = "tilth/jd7930-parker500/replay"
@@ -176,14 +178,25 @@ def test_hostile_payloads_are_counted_and_said(stage: Stage, monitor: Monitor) -
         assert monitor.process.poll() is None
 
 
+def test_a_first_word_is_waited_for_before_anything_is_said_to_be_wrong() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    with closing(Heard(endpoint, None, "tilth", "", False)) as heard:
+        view = View(heard, endpoint)
+        for now_s in (100.0, 100.0 + WAIT_S - 0.1):
+            said = json.loads(view.turn(now_s).text)["new"]
+            assert said["waiting"] and said["notes"] == []
+        said = json.loads(view.turn(100.0 + WAIT_S).text)["new"]
+        assert not said["waiting"] and "No daemon is heard" in said["notes"][0]
+
+
 def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_version() -> None:
     port = free_port(socket.SOCK_STREAM)
     with closing(Monitor("--connect", f"tcp/127.0.0.1:{port}")) as monitor, monitor.live() as live:
-        state = hear(live, lambda s: bool(s["notes"]))
-        assert "No daemon is heard" in state["notes"][0] and state["machine"] == ""
+        state = hear(live, lambda s: s["waiting"])
+        assert state["notes"] == [] and state["machine"] == ""
         assert monitor.mark("x")["text"].startswith("no daemon has been heard yet")
         with Stage(port) as first:
-            state = hear(live, lambda s: s["alive"] and "pose" in s, state)
+            state = hear(live, lambda s: s["alive"] and "pose" in s and not s["waiting"], state)
             first.kill()
         state = hear(live, lambda s: not s["alive"], state)
         assert "does not answer" in state["notes"][0]
