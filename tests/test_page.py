@@ -113,7 +113,7 @@ LIVE = ("status", "pose", "soil_tire")
 def picture(request: pytest.FixtureRequest, page: Page, name: str) -> None:
     if request.config.getoption("--refresh"):
         PICTURES.mkdir(exist_ok=True)
-        shot = Image.open(BytesIO(page.screenshot(full_page=True)))
+        shot = Image.open(BytesIO(page.screenshot(full_page=not name.endswith("phone"))))
         shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
             PICTURES / f"{name}.png", optimize=True
         )
@@ -146,7 +146,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
         expect(lost).to_contain_text("LOST")
         expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
-        expect(page.locator("#events")).to_contain_text("implement_rear")
+        expect(page.locator("#events")).to_contain_text("implement_rear", timeout=SOON_MS)
         picture(request, page, "page-receiver-lost")
         rig.unplug()
         expect(lost).to_have_attribute("data-state", "good", timeout=SOON_MS)
@@ -164,7 +164,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         page.keyboard.type("wet spot begins")
         page.keyboard.press("Enter")
         expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.", timeout=SOON_MS)
-        expect(page.locator("#events")).to_contain_text("wet spot begins")
+        expect(page.locator("#events")).to_contain_text("wet spot begins", timeout=SOON_MS)
         page.keyboard.press("Escape")
 
         rig.kill()
@@ -404,17 +404,24 @@ def test_the_map_by_mouse_and_keyboard(browser: Browser, stage: tuple[Stage, Mon
     assert not faults.told
 
 
-def test_the_demo_opens_with_the_address_of_its_page(browser: Browser, tmp_path: Path) -> None:
+def test_the_demo_opens_with_the_address_of_its_page(
+    browser: Browser, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     start = [sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main())"]
-    words = [*start, "demo", "--seconds", "60", "--log", str(tmp_path)]
+    words = [*start, "demo", "--seconds", "180", "--log", str(tmp_path)]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as demo:
         assert demo.stderr is not None
         found = next(filter(None, (re.search(r"http://127\.0\.0\.1:\d+/", line) for line in demo.stderr)))
-        page = browser.new_page()
+        page = browser.new_page(**SIZES["desktop"])
         page.goto(found[0])
+        assert "bad" not in (page.locator("#run").get_attribute("data-state") or "")
         expect_run(page, "● RECORDING", "good")
         expect(page.locator("#simulated")).to_be_visible()
         expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
+        if request.config.getoption("--refresh"):
+            expect(page.locator("#run-time")).to_have_text(re.compile("0:01:[1-5]"), timeout=2 * SOON_MS)
+            page.locator("#fit").click()
+            picture(request, page, "page-demo")
         demo.send_signal(signal.SIGINT)
         demo.stderr.read()
         assert demo.wait(30) in (0, 1)  # lost frames are this computer's business, not the page's
