@@ -366,12 +366,8 @@ def test_a_phone_has_the_soil_at_once_and_all_else_by_one_tap(
     for one in [page.locator("#soil-title"), *page.locator("#ground li").all()]:
         box = one.bounding_box()
         assert box is not None and box["y"] > 0 and box["y"] + box["height"] < under["y"]
-    for link, part in (
-        ("Sensors", "#tiles"),
-        ("Field", "#map"),
-        ("Events", "#events"),
-        ("Soil", "#soil-title"),
-    ):
+    parts = {"Sensors": "#tiles", "Field": "#map", "Events": "#events", "Soil": "#soil-title"}
+    for link, part in parts.items():
         page.get_by_role("link", name=link).tap()
         expect(page.locator(part)).to_be_in_viewport(ratio=0.5)
     page.context.close()
@@ -420,7 +416,7 @@ def test_the_demo_opens_with_the_address_of_its_page(
         expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
         if request.config.getoption("--refresh"):
             expect(page.locator("#run-time")).to_have_text(re.compile("0:01:[1-5]"), timeout=2 * SOON_MS)
-            page.locator("#fit").click()
+            page.locator("#zoom-out").click()
             picture(request, page, "page-demo")
         demo.send_signal(signal.SIGINT)
         demo.stderr.read()

@@ -168,15 +168,23 @@ function knowledge(share) {
 }
 
 function showGround(ground) {
-  byId("ground").replaceChildren(...ground.map(({ word, text }, i) => {
-    const item = element("li", "now"), sign = element("span", "", `${SIGNS[word] ?? "?"} `);
-    sign.setAttribute("aria-hidden", "true");
-    const said = element("strong");
-    said.append(sign, word);
-    item.append(element("b", "", PARAMETERS[i].title), element("span", "quiet", ` ${PARAMETERS[i].name}`), said, element("span", "ground-text", text));
+  const list = byId("ground");
+  if (!list.querySelector("strong")) list.replaceChildren(...ground.map((_, i) => madeGround(PARAMETERS[i])));
+  ground.forEach(({ word, text }, i) => {
+    const item = list.children[i];
     item.dataset.word = word;
-    return item;
-  }));
+    put(item.querySelector(".sign"), `${SIGNS[word] ?? "?"} `);
+    put(item.querySelector(".word"), word);
+    put(item.querySelector(".ground-text"), text);
+  });
+}
+
+function madeGround({ title, name }) {
+  const item = element("li", "now"), sign = element("span", "sign"), said = element("strong");
+  sign.setAttribute("aria-hidden", "true");
+  said.append(sign, element("span", "word"));
+  item.append(element("b", "", title), element("span", "quiet", ` ${name}`), said, element("span", "ground-text"));
+  return item;
 }
 
 function showEvents(events) {
