@@ -292,7 +292,7 @@ def straight(seconds: float, seed: int) -> list[Stretch]:
 def follow(state: TrackerState, stretches: list[Stretch]) -> None:
     for stretch in stretches:
         state.seen_ns = stretch.record.end_ns
-        tracker._take(state, MACHINE, stretch)
+        tracker.take_stretch(state, MACHINE, stretch)
 
 
 def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
