@@ -48,6 +48,7 @@ def teach(state: fold.State, informed_ns: int) -> None:
         setattr(own, covariance, root @ root.T + np.diag((0.1 * scale * sd) ** 2))
         setattr(own, mean, getattr(own, mean) + scale * sd)
         own.informed_ns = informed_ns
+    state.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
     state.estimators[steady_state.METHOD].steady_s = 12.0
@@ -87,6 +88,20 @@ def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
 
 def from_json(state: fold.State) -> Any:
     return fold.restore(MACHINE, fold.snapshot(state)).estimators.keys()
+
+
+def test_what_was_learned_while_the_machine_file_is_in_doubt_is_not_kept() -> None:
+    state = taught()
+    state.consistency.confirmed = False
+    assert keep(state, NOW) == {}
+
+
+def test_what_was_kept_was_confirmed() -> None:
+    state = fold.initial(MACHINE)
+    go_on(state, {}, 0.0, NOW)
+    assert not state.consistency.confirmed
+    go_on(state, keep(taught(), NOW), 0.0, NOW)
+    assert state.consistency.confirmed
 
 
 def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
