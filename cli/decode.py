@@ -102,7 +102,7 @@ def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
     if args.machine is not None:
         return read_machine(args.machine)
     try:
-        return machine_in(args.logs)
+        return machine_in(args.logs, plausible=False)
     except LogError:
         return None, ""  # without one all that needs none is decoded
 

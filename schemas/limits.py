@@ -102,7 +102,8 @@ _UNITS: Final[Mapping[str, _Unit]] = {
     "s": _Unit("times are in s", (("ms", 1e-3), ("microseconds", 1e-6), ("minutes", 60.0))),
     "1": _Unit("it is a ratio", (("per cent", 1e-2),)),
 }
-_SLIPS: Final = (-1.0, 1e-3, 1e3, 1 / FULL, FULL)  # a wrong sign, thousands, degrees for radians
+_SLIPS: Final = (-1.0, 1e-3, 1e3)  # a wrong sign, thousands
+_TURNED: Final = (1 / FULL, FULL)  # degrees for radians, or twice
 MOST_MEANT: Final = 2
 
 
@@ -133,7 +134,8 @@ def meant(value: float, unit: str, likely: Callable[[float], bool]) -> str:
     told, others = _UNITS[unit]
     found = [f"{_round(v)} ({value:g} {other})" for other, factor in others if likely(v := value * factor)]
     if not found:
-        found = [_round(v) for factor in _SLIPS if likely(v := value * factor)][:1]
+        slips = (*_SLIPS, *_TURNED) if "deg" in unit or "rad" in unit else _SLIPS
+        found = [_round(v) for factor in slips if likely(v := value * factor)][:1]
     return f"; did you mean {' or '.join(found[:MOST_MEANT])}? {told}" if found else f"; {told}"
 
 
