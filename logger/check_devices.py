@@ -101,16 +101,15 @@ class Devices:
                 yield Finding("other receiver", NOTE, text)
 
     def _receiver(self, receiver: Receiver) -> Finding:
-        what = f"receiver {receiver.mount}"
-        if self._used[receiver.mount]:
-            return Finding(what, OK, f"{self._used[receiver.mount]} positions")
+        what, own = f"receiver {receiver.mount}", receiver.manufacturer
         sender = self._of(receiver)
         if sender is None:
             return Finding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
-        own = receiver.manufacturer
         if own is not None and receiver.name is None and sender.maker not in (None, own):
             text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {own}"
             return Finding(what, PROBLEM, f"{text}; correct its manufacturer or source")
+        if self._used[receiver.mount]:
+            return Finding(what, OK, f"{self._used[receiver.mount]} positions")
         if sender.bus != receiver.bus:
             text = f"{_wanted(receiver)} is heard on {sender.bus}"
             return Finding(what, PROBLEM, f"{text}; correct its bus")
@@ -166,7 +165,9 @@ class Devices:
             text = f"{self._wheel_frames} frames of {wanted}, none with an angle"
             text += "; check bits, scale, not_available"
             return Finding(what, WARNING, text)
-        near = sorted((key for key in self._identifiers if self._may_be_wheel(key)), key=self._apart)
+        near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
+        alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
+        near = alike or near
         shown = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:SHOWN])
         hint = f"; the nearest that are heard: {shown}" if near else "; is the sensor switched on?"
         return Finding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
