@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from logs import MACHINE_TEXT
+from pydantic import BaseModel
 
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger.guarded_fold import GuardedFold
@@ -56,8 +57,8 @@ def numbers(node: Any, path: Path_ = ()) -> Iterator[tuple[Path_, float]]:
 
 
 def changed(path: Path_, value: Any) -> dict[str, Any]:
-    raw: Any = whole()
-    node = raw
+    raw = whole()
+    node: Any = raw
     for part in path[:-1]:
         node = node[part]
     node[path[-1]] = value
@@ -250,8 +251,14 @@ def test_every_number_of_a_section_is_judged() -> None:
         "bits",
         "sign",
     }
-    sections = {"tractor": Tractor, "implement": Implement, "tyres": Tyre, "receiver": Receiver}
-    for kind, section in {**sections, "wheel_angle": WheelAngle}.items():
+    sections: dict[str, type[BaseModel]] = {
+        "tractor": Tractor,
+        "implement": Implement,
+        "tyres": Tyre,
+        "receiver": Receiver,
+    }
+    sections["wheel_angle"] = WheelAngle
+    for kind, section in sections.items():
         for key, field in section.model_fields.items():
             if key not in addresses and any(word in str(field.annotation) for word in ("float", "Quantity")):
                 known = f"{kind}.{key}" in LIMITS or f"{kind}.{key}" in judged_together
