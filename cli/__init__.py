@@ -14,7 +14,8 @@ from importlib.metadata import version
 from typing import NoReturn
 
 from tilth.logger.lean_can import import_can
-from tilth.schemas.machine import MachineError
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.plausible import unusual
 
 # One row per command: module tilth.cli.<name> has `add(subparsers)`, which adds the parser of that name, and
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
@@ -77,6 +78,12 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
         metavar="LOG=MACHINE",
         help="what a bus of the log is called in the machine file",
     )
+
+
+def say_unusual(command: str, machine: Machine) -> None:
+    """What is rare in a machine file, to stderr."""
+    for text in unusual(machine):
+        print(f"tilth {command}: machine file: {text}", file=sys.stderr)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

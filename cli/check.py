@@ -6,10 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tilth.cli import duration
-from tilth.logger.check import PROBLEM, check
+from tilth.logger.check import check
+from tilth.logger.finding import NOTE, OK, PROBLEM, WARNING
 from tilth.logger.machine_file import read_machine
 
-_WORD = {"ok": "OK", "note": "NOTE", "problem": "PROBLEM"}
+_WORD = {OK: "OK", NOTE: "NOTE", WARNING: "WARNING", PROBLEM: "PROBLEM"}
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

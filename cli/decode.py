@@ -16,6 +16,7 @@ from tilth.logger.mcap_log import machine_sha256
 from tilth.replay.readers import open_log
 from tilth.replay.readers_log import Log, LogError, Record
 from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
+from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
@@ -31,6 +32,7 @@ class _Decoding:
     machine: Machine | None
     sha256: str  # of the machine file; "" where there is none
     decoder: Decoder
+    turn_rates: TurnRates = field(default_factory=TurnRates)
     count: Counter[str] = field(default_factory=Counter)
     before: Counter[str] = field(default_factory=Counter)  # of decoder.rejected, when the decoder was taken
 
@@ -94,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
             status = max(status, 1)
     decoding.close_counts()
     _tell_counts(decoding.count)
+    for text in decoding.turn_rates.told():
+        _say(text)
     return status
 
 
@@ -102,7 +106,7 @@ def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
     if args.machine is not None:
         return read_machine(args.machine)
     try:
-        return machine_in(args.logs)
+        return machine_in(args.logs, plausible=False)
     except LogError:
         return None, ""  # without one all that needs none is decoded
 
@@ -119,6 +123,7 @@ def _decode(log: Log, records: Iterable[Record], decoding: _Decoding, line: Call
             count["frames"] += 1
             for message in decoding.decoder.messages(record):
                 count["messages"] += 1
+                decoding.turn_rates.take(message)
                 write(line(message))
         elif isinstance(record, Snapshot):
             decoding.take_up(log, record)

@@ -17,6 +17,7 @@ from tilth.replay.discover import FUNCTIONS, Findings, Source, Survey, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers import frames
 from tilth.replay.readers_log import LogError
+from tilth.replay.turn_rates import in_words
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 
@@ -164,6 +165,7 @@ def as_json(findings: Findings, text: str) -> dict[str, Any]:
 
 
 def _source_as_json(source: Source) -> dict[str, Any]:
+    lag = source.turn_rate_lag
     return {
         "bus": source.bus,
         "source": source.source,
@@ -173,6 +175,7 @@ def _source_as_json(source: Source) -> dict[str, Any]:
         "function": source.function,
         "positions": source.positions,
         "empty_positions": source.empty_positions,
+        "turn_rate_lag_s": None if lag is None else {"value": lag[0], "sd": lag[1]},
         "messages": [
             {"pgn": m.pgn, "selector": m.selector, "title": m.title, "count": m.count, "per_s": m.per_s}
             for m in source.messages
@@ -190,6 +193,8 @@ def _show(findings: Findings) -> None:
         name = f"NAME {_name(source)}" if source.name is not None else "no claim heard"
         print(f"\n{source.bus}  address {source.source:3} (0x{source.source:02X})  {name}  {_device(source)}")
         print(f"    {_messages(source)}")
+        if source.turn_rate_lag is not None:
+            print(f"    {in_words(source.turn_rate_lag)}")
     print("\nMay be the wheel angle:" if findings.wheel_angles else "\nNothing moves as a wheel angle does.")
     for candidate in findings.wheel_angles[:CANDIDATES_SHOWN]:
         print(f"    {described(candidate)}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say_unusual
 from tilth.estimator.identifiability import SENSOR_SETS
 from tilth.estimator.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.family import MODELS, model_named
@@ -76,10 +76,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """Always 0."""
     machine, _ = read_machine(args.machine)
-    try:
-        rig = rig_of(machine)
-    except ValueError as error:
-        raise WrongUse(f"{args.machine}: {error}") from None
+    say_unusual("model", machine)
+    rig = rig_of(machine)
     models = [model_named(name) for name in dict.fromkeys(args.model or [])] or list(LINEAR)
     speeds = list(dict.fromkeys(args.speed or SPEEDS))
     amplitude = math.radians(args.wheel_angle)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
 from tilth.logger.zenoh_session import why
@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         _check_logs(args)
         machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
+        say_unusual("replay", machine)
         buses = _buses(args, machine)
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)

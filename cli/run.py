@@ -5,6 +5,7 @@ import contextlib
 import os
 import signal
 import sys
+from collections import deque
 from pathlib import Path
 from types import FrameType
 
@@ -13,6 +14,7 @@ from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
+from tilth.schemas.plausible import unusual
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -60,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
             fresh=args.fresh,
             note=args.note,
             supervisor=of_environment(os.environ),
+            events=deque(("machine_file", text) for text in unusual(machine)),
         )
     finally:
         display.close()

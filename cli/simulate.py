@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say_unusual
 from tilth.logger.machine_file import read_machine
 from tilth.replay.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.replay.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
@@ -39,6 +39,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     source = _source(args)
     _check_out(args.out)
+    say_unusual("simulate", source.machine)
     with ExitStack() as stack:
         progress = _progress(stack, source.seconds) if sys.stderr.isatty() else lambda what, at_s: None
         try:

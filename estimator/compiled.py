@@ -1,9 +1,9 @@
 """Numeric kernels: compiled by numba at their first call, plain Python where numba is absent or cannot.
 
-A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of this layer by
-their bare names, which are compiled with it, so that an equation is written once for both worlds. numba is
-imported at the first call of a kernel and not before: who needs none does not pay for it. Compiled code is
-kept on disk under a name that holds a digest of all the functions in it.
+A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of this layer and
+of schemas by their bare names, which are compiled with it, so that an equation is written once for both
+worlds. numba is imported at the first call of a kernel and not before: who needs none does not pay for it.
+Compiled code is kept on disk under a name that holds a digest of all the functions in it.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 P = ParamSpec("P")
 R = TypeVar("R")
 
-LAYER = "tilth.estimator"
+LAYERS = ("tilth.schemas", "tilth.estimator")
 
 
 class Kernel(Generic[P, R]):
@@ -68,7 +68,7 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
 def _linked(
     function: FunctionType, made: dict[FunctionType, Any], finish: Callable[[FunctionType], Any]
 ) -> Any:
-    """`finish` of the function, after each function of this layer that it calls was replaced by the same."""
+    """`finish` of the function, after each function of LAYERS that it calls was replaced by the same."""
     if function not in made:
         scope = dict(function.__globals__)
         for name, inner in _called(function).items():
@@ -81,12 +81,12 @@ def _linked(
 
 
 def _called(function: FunctionType) -> dict[str, FunctionType]:
-    """The functions of this layer that a function names."""
+    """The functions of LAYERS that a function names."""
     found = {}
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         inner = value.function if isinstance(value, Kernel) else value
-        if isinstance(inner, FunctionType) and inner.__module__.startswith(LAYER):
+        if isinstance(inner, FunctionType) and inner.__module__.startswith(LAYERS):
             found[name] = inner
     return found
 

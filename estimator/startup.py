@@ -1,6 +1,7 @@
 """What may be wrong with receivers from the start, found while driving: smoothed turn rates, wrong roll.
 
-How far a turn rate lags is found by turn_rate_lag.
+How far a turn rate lags is found by turn_rate_lag, behind the heading of a body's two antennas or, where it
+has one receiver alone, behind the heading that this reports itself.
 
 An antenna at height h that leans by the roll φ moves to the right by c h sin φ; c is 1, or 0 where the
 receiver reports the point on the ground. That shows where both bodies see the hitch, and in a body's heading
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 from tilth.estimator.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.body import Antenna, baseline
 from tilth.estimator.geometry import rotate, wrap
-from tilth.estimator.track import HOLD_NS, SLOW_HOLD_NS, sample_at
-from tilth.estimator.turn_rate_lag import Lag, regress, time_constant
+from tilth.estimator.track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
+from tilth.estimator.turn_rate_lag import SURE, Lag, judge, regress, time_constant
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
 
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 
 INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
 SLOWEST: Final = 1.0  # m/s
-SMOOTHED_S: Final = 0.25  # a lag beyond this is no latency
-SURE: Final = 4.5  # sds
 GAP_EVERY: Final = 5  # poses (1 s) from one look at the hitch to the next
 LARGEST_GAP: Final = 1.0  # m: beyond, it is another fault
 OFFSET_SD: Final = 0.04  # m, of the hitch by the survey of antennas and by yaw of the pairs
@@ -224,13 +223,14 @@ def _turn(
 ) -> None:
     """Carry on a body's interval and its receivers'; at their end they are looked at."""
     turned = state.turned[body]
+    facing = _own_heading(aligner, body, t_ns) if pair is None else (pair.heading, pair.sd_heading)
     rates = [_rate(aligner, index, t_ns) for index in (2 * body, 2 * body + 1)]
-    if pair is None or not follows:
+    if facing is None or not follows:
         turned.poses = -1
     else:
         turned.poses += turned.poses >= 0
     ended = turned.poses >= INTERVAL
-    change = wrap(pair.heading - turned.heading) if pair is not None else 0.0
+    change = wrap(facing[0] - turned.heading) if facing is not None else 0.0
     whole = []
     for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
         if rate is None or turned.poses < 0:
@@ -239,17 +239,27 @@ def _turn(
             lag.integral += (lag.rate + rate) / 2 * POSE_NS * 1e-9
             lag.poses += 1
         lag.rate = rate or 0.0
-        if ended and pair is not None and lag.poses == INTERVAL:
-            regress(lag, change, INTERVAL * POSE_NS * 1e-9, pair.sd_heading)
+        if ended and facing is not None and lag.poses == INTERVAL:
+            regress(lag, change, INTERVAL * POSE_NS * 1e-9, facing[1])
             if not lag.smoothed:
                 whole.append(lag.integral)
     if ended and pair is not None and roll is not None and whole:
         beyond = change - sum(whole) / len(whole)
         _look_at_heading(state, aligner.machine, body, beyond, pair, roll)
-    if pair is not None and (ended or turned.poses < 0):
-        turned.heading, turned.roll, turned.poses = pair.heading, roll[0] if roll else 0.0, 0
+    if facing is not None and (ended or turned.poses < 0):
+        turned.heading, turned.roll, turned.poses = facing[0], roll[0] if roll else 0.0, 0
         for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
             lag.integral, lag.first_rate, lag.poses = 0.0, rate or 0.0, -1 if rate is None else 0
+
+
+def _own_heading(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
+    """(heading, sd) that the receiver of a body with one alone reports: where it stands still, too."""
+    indices = [MOUNTS.index(receiver.mount) for receiver in aligner.machine.receiver]
+    (index, *others) = [index for index in indices if index // 2 == body] or [-1]
+    if index < 0 or others:
+        return None  # of two, both antennas tell, or nobody: a change from one to the other is no turn
+    headings = aligner.tracks[MOUNTS[index].value].headings
+    return angle_at(headings, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
 
 
 def _rate(aligner: Aligner, index: int, t_ns: int) -> float | None:
@@ -326,11 +336,7 @@ def _add(
 def _judge(state: StartUp, machine: Machine) -> None:
     """A fault is found once it is sure, and stays until the opposite is."""
     for lag in state.lags:
-        if lag.intervals == 0:
-            continue
-        tau, sd = time_constant(lag)
-        found = tau > SMOOTHED_S and tau > SURE * sd
-        lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)
+        judge(lag)
     _judge_rolls(state, machine)
 
 

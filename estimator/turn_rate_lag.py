@@ -2,7 +2,8 @@
 
 A turn rate that is smoothed by a time tau lags: tau r_s' + r_s = r. Over an interval that is
 (heading change) − ∫ r_s dt = tau (change of r_s) + bias · time, a straight line, so that tau and its sd come
-from a regression; of a mean over a time T it finds about T/2. The heading is that of the body's two antennas.
+from a regression; of a mean over a time T it finds about T/2. The heading is that of the body's two antennas,
+or one that the receiver reports itself.
 """
 
 import math
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 BIAS_SD: Final = 0.01  # rad/s, of a turn rate
 LEAST_HEADING_SD: Final = 0.003  # rad: of a heading change, however well the line fits
 FROM_RESIDUALS: Final = 12  # intervals from which on their spread tells the noise
+SMOOTHED_S: Final = 0.25  # a lag beyond this is no latency
+SURE: Final = 4.5  # sds
 
 
 @dataclass(slots=True)
@@ -64,3 +67,11 @@ def _variance(lag: Lag, found: Array | None) -> float:
         return stated
     left = lag.squares - 2 * found @ lag.vector + found @ lag.information @ found
     return max(float(left) / (lag.intervals - 2), LEAST_HEADING_SD**2)
+
+
+def judge(lag: Lag) -> None:
+    """A lag is found once it is sure, and stays until it is clearly none."""
+    if lag.intervals:
+        tau, sd = time_constant(lag)
+        found = tau > SMOOTHED_S and tau > SURE * sd
+        lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)

@@ -7,44 +7,33 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from zenoh import ZError
 
 from tilth.logger.buses import Buses, Source
+from tilth.logger.check_devices import Devices
 from tilth.logger.clock import Clock
+from tilth.logger.finding import NOTE, OK, PROBLEM, WARNING, Finding
 from tilth.logger.status import LOW_HOURS, hours_left
 from tilth.logger.zenoh_session import try_session, why
-from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import unusual
 
-OK = "ok"
-NOTE = "note"  # worth knowing, nothing to do
-PROBLEM = "problem"
 TURN_S = 0.05
 OPEN_S = 15.0  # some adapters take two seconds, a server that does not answer ten
 YEARS = range(2025, 2100)
 NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the answer."""
-
-    what: str
-    state: str  # ok | note | problem
-    text: str
-
-
 def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
-    """Open each bus and listen for so many seconds; try the disk, the clock and Zenoh.
+    """Open each bus and listen for so many seconds to who is there; try the disk, the clock and Zenoh.
 
     Raises MachineError where a run could not even begin.
     """
     clock = Clock()
     return [
-        _configuration(machine),
+        *_configuration(machine),
         *_listen(machine, clock, seconds),
         *_disk(folder, machine.log.keep_free_megabytes * 1e6),
         *_clock(clock),
@@ -52,26 +41,31 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
     ]
 
 
-def _configuration(machine: Machine) -> Finding:
-    Decoder(machine)  # compiles the wheel-angle sensor
+def _configuration(machine: Machine) -> Iterator[Finding]:
     mounts = ", ".join(receiver.mount.value.replace("_", " ") for receiver in machine.receiver)
     text = f"{machine.name}: buses: {', '.join(bus.name for bus in machine.bus)}; receivers: {mounts}"
-    return Finding("configuration", OK, text)
+    yield Finding("configuration", OK, text)
+    for rare in unusual(machine):
+        yield Finding("machine file", WARNING, rare)
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[Finding]:
     said: list[str] = []  # the sources know it all the same
     buses = Buses(machine.bus, clock, lambda kind, text: said.append(text))
+    devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
     try:
         while clock.t_ns() - opened_ns < seconds * 1e9:
-            buses.read(TURN_S)
+            for frame in buses.read(TURN_S):
+                devices.take(frame)
             if any(source.opening for source in buses.sources) and opened_ns - began_ns < OPEN_S * 1e9:
                 opened_ns = clock.t_ns()
         findings = [_bus(source, (clock.t_ns() - opened_ns) * 1e-9) for source in buses.sources]
     finally:
         buses.close()
     yield from findings
+    if any(source.frames for source in buses.sources):
+        yield from devices.findings()
 
 
 def _bus(source: Source, seconds: float) -> Finding:

@@ -9,6 +9,7 @@ from typing import Final
 
 from tilth.logger.buses import Buses, Report
 from tilth.logger.clock import Clock
+from tilth.replay.turn_rates import TurnRates
 from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates
 from tilth.schemas.can_id import NULL_ADDRESS, split
 from tilth.schemas.decode import Decoder
@@ -53,6 +54,7 @@ class Source:
     messages: tuple[SentMessage, ...]
     positions: int  # position messages that hold one
     empty_positions: int  # position messages that say "not available"
+    turn_rate_lag: tuple[float, float] | None = None  # s, and its sd: of one that is smoothed
 
     @property
     def manufacturer_name(self) -> str:
@@ -134,6 +136,7 @@ class Survey:
         self._speakers: dict[tuple[str, int], _Speaker] = {}
         self._identifiers: dict[tuple[str, int, bool], _Identifier] = {}
         self._yaw: dict[tuple[str, int], list[tuple[int, float]]] = {}
+        self._turn_rates = TurnRates()
 
     def take(self, frame: Frame) -> None:
         self._frames += 1
@@ -149,12 +152,13 @@ class Survey:
 
     def findings(self) -> Findings:
         seconds = (self._last_ns - (self._first_ns or 0)) * 1e-9
+        lags = self._turn_rates.smoothed()
         return Findings(
             self._frames,
             seconds,
             tuple(self._buses),
             tuple(
-                _source(bus, source, speaker)
+                _source(bus, source, speaker, lags.get((bus, source)))
                 for (bus, source), speaker in sorted(self._speakers.items())
                 if source != NULL_ADDRESS
             ),
@@ -182,6 +186,7 @@ class Survey:
             seen.data.append(frame.data)
 
     def _told(self, message: Message) -> None:
+        self._turn_rates.take(message)
         origin = message.origin
         speaker = self._speaker(origin.bus, origin.source)
         if origin.name is not None:
@@ -207,7 +212,7 @@ class Survey:
                 yield best
 
 
-def _source(bus: str, source: int, speaker: _Speaker) -> Source:
+def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] | None) -> Source:
     parts = _name_parts(speaker.name)
     manufacturer = parts.get("manufacturer")
     messages = tuple(
@@ -225,6 +230,7 @@ def _source(bus: str, source: int, speaker: _Speaker) -> Source:
         messages,
         speaker.positions,
         speaker.empty_positions,
+        lag,
     )
 
 

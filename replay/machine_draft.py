@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from tilth.replay.discover import Findings, Source
+from tilth.replay.turn_rates import in_words
 from tilth.replay.wheel_search import WheelCandidate
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Bus
@@ -104,6 +105,8 @@ def _receiver(source: Source | None) -> str:
     else:
         lines += [f'bus = "{source.bus}"', f"source = {source.source}  # no address claim was heard"]
         lines.append(f"manufacturer = {FILL_IN}: code of its maker, John Deere 33, Trimble 98, Topcon 231, …")
+    if source is not None and source.turn_rate_lag is not None:
+        lines.append(f"# {in_words(source.turn_rate_lag)}")
     lines.append(f"position = {FILL_IN}: [forward, right] of that body's CG and height above the ground, m")
     deere = source is not None and source.manufacturer == DEERE
     hint = "John Deere's usually does: see its display" if deere else "true where it does: see its settings"

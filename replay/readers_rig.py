@@ -16,9 +16,10 @@ PEEKED = 2000  # records among which the buses of a log are looked for
 Say = Callable[[str], None]
 
 
-def machine_in(paths: Sequence[Path]) -> tuple[Machine, str]:
+def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machine, str]:
     """The machine that the first of these logs to tell it was recorded with, and the text of its file.
 
+    plausible: as of parse_machine; False for what only reads, and estimates nothing.
     Raises LogError where none tells it, MachineError.
     """
     cut: Path | None = None
@@ -34,7 +35,7 @@ def machine_in(paths: Sequence[Path]) -> tuple[Machine, str]:
         text = found.get("toml")
         if text is not None:
             try:
-                return parse_machine(text, found.get("dbc") or None), text
+                return parse_machine(text, found.get("dbc") or None, plausible=plausible), text
             except MachineError as error:
                 raise MachineError(f"{path}: its own machine file: {error}; give --machine M.toml") from None
     if cut is not None:

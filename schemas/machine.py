@@ -338,11 +338,14 @@ class Machine(_Section):
                     )
 
 
-def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
+def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = True) -> Machine:
     """Machine from the TOML text of a machine file and the text of the DBC file it names, if any.
 
+    plausible: refuse what cannot be a real rig; not of a file stored in a log that is only to be read.
     Raises MachineError.
     """
+    from tilth.schemas.plausible import refuse_impossible  # imported here: it judges what is defined above
+
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -350,6 +353,9 @@ def parse_machine(text: str, dbc_text: str | None = None) -> Machine:
     if dbc_text is not None and isinstance(raw.get("wheel_angle"), dict):
         raw["wheel_angle"]["dbc_text"] = dbc_text
     try:
-        return Machine.model_validate(raw)
+        machine = Machine.model_validate(raw)
     except ValidationError as error:
         raise MachineError(sentence(error, raw, Machine)) from None
+    if plausible:
+        refuse_impossible(machine)
+    return machine

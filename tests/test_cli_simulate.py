@@ -216,7 +216,7 @@ def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (["{good}", "--out", "{new}", "--seconds", "nan"], ["--seconds nan"]),
         (["{good}", "--out", "{new}", "--seed", "-1"], ["--seed -1"]),
         (["{good}", "--out", "{new}", "--machine", "{bad}"], ["bad.toml", "speeed"]),
-        (["{good}", "--out", "{new}", "--machine", "{odd}"], ["cannot be driven", "mass of the tractor"]),
+        (["{good}", "--out", "{new}", "--machine", "{odd}"], ["odd.toml", "mass = 93 kg: must be from 500"]),
         (["{good}"], ["--out"]),
     ],
 )

@@ -54,6 +54,10 @@ def _filled(text: str) -> str:
         "id": "0x18FF0B15",
         "source": "28",
         "manufacturer": "33",
+        "mass": "9391.0",
+        "yaw_inertia": "12000.0",
+        "scale": "0.01",
+        "offset": "-300.0",
     }
     mounts, places = iter(Mount), iter((1.6, -1.1, 1.3, -1.3))
 

@@ -24,7 +24,7 @@ def machine(*receivers: str) -> Machine:
     """The demo's machine with these receivers."""
     head, tail = TEXT[: TEXT.index("[[receiver]]")], TEXT[TEXT.index("[wheel_angle]") :]
     blocks = "\n".join(
-        f'[[receiver]]\nbus = "can0"\nposition = [{i}.0, 0.0, 3.0]\n{text}\n'
+        f'[[receiver]]\nbus = "can0"\nposition = [{2.0 - i}, 0.0, 3.0]\n{text}\n'
         for i, text in enumerate(receivers)
     )
     return parse_machine(f"{head}\n{blocks}\n{tail}")

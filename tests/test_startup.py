@@ -76,11 +76,16 @@ class Smoothed:
 
 
 def drive(
-    scenario: Scenario, seconds: float, edit: Edit = as_heard, really: Machine = MACHINE, stored_at: int = -1
+    scenario: Scenario,
+    seconds: float,
+    edit: Edit = as_heard,
+    really: Machine = MACHINE,
+    stored_at: int = -1,
+    told: Machine = MACHINE,
 ) -> tuple[StartUp, list[tuple[float, str, str]]]:
     """(state, (s since the first pose, kind, text) of events), seed 1. stored_at: pose at which
-    it is stored and taken up again."""
-    decoder, tracks, state = Decoder(MACHINE), aligner.initial(MACHINE), StartUp()
+    it is stored and taken up again. told: the machine file that it goes by."""
+    decoder, tracks, state = Decoder(told), aligner.initial(told), StartUp()
     found: list[tuple[float, str, str]] = []
     first_ns = count = 0
     for frame in simulate(really, 1, seconds, scenario):
@@ -144,6 +149,29 @@ def test_one_of_four_that_is_a_mean_over_two_seconds_is_told_from_the_others() -
     state, found = drive(FLAT, 30.0, Smoothed({Mount.IMPLEMENT_REAR: 2.0}, mean=True))
     assert [who(text) for _, _, text in found] == ["implement_rear"]
     assert startup.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
+
+
+ALONE = MACHINE.model_copy(
+    update={"receiver": [r for r in MACHINE.receiver if r.mount is not Mount.IMPLEMENT_REAR]}
+)
+"""The implement has one receiver, which reports its heading."""
+
+
+@pytest.mark.parametrize("tau", [1.0, 2.6, 10.0])
+def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float) -> None:
+    state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, told=ALONE)
+    ((at, kind, text),) = found
+    assert (kind, who(text)) == (startup.SMOOTHED, "implement_front") and at < 35.0
+    assert startup.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
+    assert startup.flags(state) == ["smoothed_yaw_rate:implement_front"]
+    lag, sd = time_constant(state.lags[2])
+    assert abs(lag - tau) < max(0.25 * tau, 4 * sd)
+
+
+def test_the_heading_of_one_receiver_alone_accuses_nobody() -> None:
+    for scenario in (FLAT, ROUGH):
+        state, found = drive(scenario, 40.0, really=ALONE, told=ALONE)
+        assert not found and not startup.flags(state) and state.lags[2].intervals > 12
 
 
 def test_one_not_a_number_poisons_nothing() -> None:

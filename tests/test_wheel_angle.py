@@ -43,7 +43,7 @@ def machine(keys: str, tractor: str = "", dbc_text: str | None = None) -> Machin
     """The demo's machine with this wheel-angle section."""
     head, tail = TEXT[: TEXT.index("[wheel_angle]")], TEXT[TEXT.index("[log]") :]
     head = head.replace("cg_height = 1.1\n", f"cg_height = 1.1\n{tractor}\n", 1)
-    return parse_machine(f'{head}\n[wheel_angle]\nbus = "can0"\n{keys}\n{tail}', dbc_text)
+    return parse_machine(f'{head}\n[wheel_angle]\nbus = "can0"\n{keys}\n{tail}', dbc_text, plausible=False)
 
 
 def sensor(keys: str, tractor: str = "", dbc_text: str | None = None) -> Sensor:

@@ -11,7 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -33,6 +35,9 @@ class Parameter(NamedTuple):
 GEOMETRY: Final = ("a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i")
 """Distances (m), masses (kg) and yaw inertias (kg m^2), in the order of every array `geometry`."""
 
+_AT = {key: row.range for key, row in LIMITS.items()}  # of the machine file: it is refused beyond them
+_STIFFNESS = _AT["tyres.cornering_stiffness"]
+_RELAXATION = _AT["tyres.relaxation_length"]
 _T = "Table 5.1"
 _FILE = "machine file; default of deploy/machines/jd7930-parker500.toml"
 _ROW = "assumed: tyres 76 inches apart, as on row crops"
@@ -40,23 +45,26 @@ _GRIP = "assumed: tyre on firm soil; eq. 5.34, where it is A"
 _ROLL = "ASABE D497, motion resistance ratio of firm soil without slip, 1/55 + 0.04"
 
 RIG_PARAMETERS: Final = (
-    Parameter("a", "a", "m", 0.3, 5.0, 1.7, "tractor's CG to its front axle", _T),
-    Parameter("b", "b", "m", 0.3, 5.0, 1.2, "tractor's CG to its rear axle", _T),
-    Parameter("c", "c", "m", 0.0, 8.0, 2.1, "tractor's CG to the hitch, behind", _T),
-    Parameter("d", "d", "m", 0.5, 15.0, 3.62, "hitch to the implement's CG", _T),
-    Parameter("e", "e", "m", -2.0, 5.0, 0.1, "implement's CG to its axle, behind", _T),
-    Parameter("m_t", "m^t", "kg", 500.0, 40e3, 9391.0, "mass of the tractor", _T),
-    Parameter("m_i", "m^i", "kg", 100.0, 60e3, 2127.0, "mass of the implement with its load", _T),
-    Parameter("I_t", "I_z^t", "kg m^2", 500.0, 500e3, 35709.0, "yaw inertia of the tractor about its CG", _T),
-    Parameter("I_i", "I_z^i", "kg m^2", 50.0, 1e6, 6402.0, "yaw inertia of the implement about its CG", _T),
-    Parameter("C_af", "C_αf", "N/rad", 5e3, 3e6, 220e3, "cornering stiffness, tractor's front axle", _T),
-    Parameter("C_ar", "C_αr", "N/rad", 5e3, 3e6, 486e3, "cornering stiffness, tractor's rear axle", _T),
-    Parameter("C_ai", "C_αi", "N/rad", 5e3, 3e6, 167e3, "cornering stiffness, implement's axle", _T),
-    Parameter("sigma_f", "σ_f", "m", 0.05, 5.0, 0.75, "relaxation length, tractor's front tyres", _T),
-    Parameter("sigma_r", "σ_r", "m", 0.05, 5.0, 1.0, "relaxation length, tractor's rear tyres", _T),
-    Parameter("sigma_i", "σ_i", "m", 0.05, 5.0, 0.75, "relaxation length, implement's tyres", _T),
-    Parameter("h_t", "h^t", "m", 0.3, 3.0, 1.1, "height of the tractor's CG", _FILE),
-    Parameter("h_i", "h^i", "m", 0.3, 4.0, 1.2, "height of the implement's CG", _FILE),
+    Parameter("a", "a", "m", *_AT["tractor.a"], 1.7, "tractor's CG to its front axle", _T),
+    Parameter("b", "b", "m", *_AT["tractor.b"], 1.2, "tractor's CG to its rear axle", _T),
+    Parameter("c", "c", "m", *_AT["tractor.c"], 2.1, "tractor's CG to the hitch, behind", _T),
+    Parameter("d", "d", "m", *_AT["implement.d"], 3.62, "hitch to the implement's CG", _T),
+    Parameter("e", "e", "m", *_AT["implement.e"], 0.1, "implement's CG to its axle, behind", _T),
+    Parameter("m_t", "m^t", "kg", *_AT["tractor.mass"], 9391.0, "mass of the tractor", _T),
+    Parameter("m_i", "m^i", "kg", *_AT["implement.mass"], 2127.0,
+              "mass of the implement with its load", _T),
+    Parameter("I_t", "I_z^t", "kg m^2", *_AT["tractor.yaw_inertia"], 35709.0,
+              "yaw inertia of the tractor about its CG", _T),
+    Parameter("I_i", "I_z^i", "kg m^2", *_AT["implement.yaw_inertia"], 6402.0,
+              "yaw inertia of the implement about its CG", _T),
+    Parameter("C_af", "C_αf", "N/rad", *_STIFFNESS, 220e3, "cornering stiffness, tractor's front axle", _T),
+    Parameter("C_ar", "C_αr", "N/rad", *_STIFFNESS, 486e3, "cornering stiffness, tractor's rear axle", _T),
+    Parameter("C_ai", "C_αi", "N/rad", *_STIFFNESS, 167e3, "cornering stiffness, implement's axle", _T),
+    Parameter("sigma_f", "σ_f", "m", *_RELAXATION, 0.75, "relaxation length, tractor's front tyres", _T),
+    Parameter("sigma_r", "σ_r", "m", *_RELAXATION, 1.0, "relaxation length, tractor's rear tyres", _T),
+    Parameter("sigma_i", "σ_i", "m", *_RELAXATION, 0.75, "relaxation length, implement's tyres", _T),
+    Parameter("h_t", "h^t", "m", *_AT["tractor.cg_height"], 1.1, "height of the tractor's CG", _FILE),
+    Parameter("h_i", "h^i", "m", *_AT["implement.cg_height"], 1.2, "height of the implement's CG", _FILE),
     Parameter("h_h", "h_p", "m", 0.1, 1.5, 0.5, "height of the hitch", "assumed: a drawbar"),
     Parameter("w_f", "w_f", "m", 0.8, 4.0, 1.93, "track width, tractor's front axle", _ROW),
     Parameter("w_r", "w_r", "m", 0.8, 4.0, 1.93, "track width, tractor's rear axle", _ROW),
@@ -192,14 +200,8 @@ def checked(rig: Rig) -> Rig:
 
 
 def static_loads(rig: Rig) -> tuple[float, float, float]:
-    """Vertical loads of the three axles on level ground, N: front, rear, implement.
-
-    The implement's tongue rests on the hitch with what its axle, e behind its CG, does not carry.
-    """
-    weight_i = rig.m_i * rig.g
-    tongue = weight_i * rig.e / (rig.d + rig.e)
-    front = (rig.b * rig.m_t * rig.g - (rig.c - rig.b) * tongue) / (rig.a + rig.b)
-    return front, rig.m_t * rig.g + tongue - front, weight_i - tongue
+    """Vertical loads of the three axles on level ground, N: front, rear, implement."""
+    return axle_loads(rig.a, rig.b, rig.c, rig.d, rig.e, rig.m_t, rig.m_i, rig.g)
 
 
 def linear_tyres(rig: Rig) -> Rig:

@@ -1,0 +1,15 @@
+"""One line of what `tilth check` answers."""
+
+from dataclasses import dataclass
+
+OK = "ok"
+NOTE = "note"  # worth knowing, nothing to do
+WARNING = "warning"  # may be wrong: look at it
+PROBLEM = "problem"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    what: str
+    state: str  # ok | note | warning | problem
+    text: str

@@ -1,0 +1,221 @@
+"""Whether a machine file can be that of a real rig: its numbers one by one, and against each other.
+
+What cannot be is refused when the file is read; what is rare is said by `tilth check` and at the start of
+what estimates. Ranges of single values are in `limits`.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from tilth.schemas.axle_loads import axle_loads
+from tilth.schemas.limits import LIMITS, Doubt, Limits, doubt_of, judged, meant, shown, spread_judged
+from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
+from tilth.schemas.plausible_wheel import wheel_doubts
+
+GRAVITY: Final = 9.80665  # m/s^2
+COEFFICIENT: Final = (0.3, 40.0)  # cornering stiffness over axle load, 1/rad: beyond, it is no tyre
+USUAL_COEFFICIENT: Final = (1.0, 30.0)
+GYRATION: Final = {  # radius of gyration over wheelbase, or over hitch to axle: possible, usual
+    "tractor": ((0.15, 1.3), (0.3, 0.9)),
+    "implement": ((0.08, 3.0), (0.15, 1.5)),  # of a boom sprayer several times its length
+}
+LIGHT_FRONT: Final = 0.1  # share of the tractor's weight
+SHORTEST: Final = 0.3  # hitch to the implement's axle, m
+SIDE_BY_SIDE: Final = 0.3  # m: receivers may stand so far in a wrong order
+
+
+def doubts(machine: Machine) -> list[Doubt]:
+    """All that cannot be or is rare; what is refused first."""
+    found = [*_values(machine), *_rig(machine), *_receivers(machine), *wheel_doubts(machine)]
+    return sorted(found, key=lambda doubt: not doubt.refused)
+
+
+def refuse_impossible(machine: Machine) -> None:
+    """Raises MachineError with the first thing that cannot be, and how many more there are."""
+    found = [doubt.text for doubt in doubts(machine) if doubt.refused]
+    if found:
+        more = f" (and {len(found) - 1} more like this)" if found[1:] else ""
+        raise MachineError(found[0] + more)
+
+
+def unusual(machine: Machine) -> list[str]:
+    """What can be but is rare, a sentence each."""
+    return [doubt.text for doubt in doubts(machine) if not doubt.refused]
+
+
+# One by one.
+
+
+def _values(machine: Machine) -> Iterator[Doubt]:
+    sections: list[tuple[str, str, object]] = [
+        ("tractor.{}", "tractor", machine.tractor),
+        ("implement.{}", "implement", machine.implement),
+        ("wheel_angle.{}", "wheel_angle", machine.wheel_angle),
+        *((f"tyres.{axle}.{{}}", "tyres", tyre) for axle, tyre in _tyres(machine)),
+        *((f"receiver {r.mount}: {{}}", "receiver", r) for r in machine.receiver),
+    ]
+    for name, kind, section in sections:
+        for key in LIMITS:
+            if key.startswith(f"{kind}.") and key.count(".") == 1:
+                field = key.removeprefix(f"{kind}.")
+                yield from _value(name.format(field), key, getattr(section, field))
+
+
+def _value(name: str, key: str, given: Quantity | float | None) -> Iterator[Doubt]:
+    if given is None:
+        return
+    value = given.value if isinstance(given, Quantity) else given
+    if found := judged(name, key, value):
+        yield found
+    if isinstance(given, Quantity):
+        yield from spread_judged(name, key, value, given.sd)
+
+
+def _tyres(machine: Machine) -> list[tuple[str, Tyre]]:
+    return [(axle, getattr(machine.tyres, axle)) for axle in ("front", "rear", "implement")]
+
+
+# Against each other. What is impossible by itself has been said, and says nothing of what stands beside it.
+
+
+def _rig(machine: Machine) -> Iterator[Doubt]:
+    tractor, implement = machine.tractor, machine.implement
+    if not _possible("tractor", tractor, "abc") or not _possible("implement", implement, "de"):
+        return
+    wheelbase, towed = tractor.a.value + tractor.b.value, implement.d.value + implement.e.value
+    if towed < SHORTEST:
+        yield Doubt(
+            f"implement.e = {implement.e.value:g} m: its axle would stand at the hitch or ahead of it", True
+        )
+        return
+    if tractor.c.value < tractor.b.value:
+        yield Doubt(
+            f"tractor.c = {tractor.c.value:g} m: rare, the hitch stands ahead of the rear axle", False
+        )
+    if _possible("tractor", tractor, ("mass", "yaw_inertia")):
+        yield from _gyration("tractor", tractor, wheelbase, "the wheelbase")
+    if _possible("implement", implement, ("mass", "yaw_inertia")):
+        yield from _gyration("implement", implement, towed, "the length from hitch to axle")
+    if _possible("tractor", tractor, ("mass",)) and _possible("implement", implement, ("mass",)):
+        yield from _standing(machine)
+
+
+def _possible(kind: str, section: Tractor | Implement, keys: Iterable[str]) -> bool:
+    for key in keys:
+        low, high = LIMITS[f"{kind}.{key}"].range
+        if not low <= getattr(section, key).value <= high:
+            return False
+    return True
+
+
+def _gyration(name: str, section: Tractor | Implement, length: float, of_what: str) -> Iterator[Doubt]:
+    """The yaw inertia against mass and size."""
+    (low, high), usual = GYRATION[name]
+    inertia, mass = section.yaw_inertia.value, section.mass.value
+
+    def share(inertia: float) -> float:
+        return math.sqrt(max(inertia, 0.0) / mass) / length
+
+    if usual[0] <= share(inertia) <= usual[1]:
+        return
+    refused = not low <= share(inertia) <= high
+    yield Doubt(
+        f"{name}.yaw_inertia = {inertia:g} kg m^2: with its mass of {mass:g} kg the radius of gyration is "
+        f"{share(inertia):.2g} times {of_what}, {_allowed(refused, (low, high), usual)}"
+        + meant(inertia, "kg m^2", lambda value: usual[0] <= share(value) <= usual[1]),
+        refused,
+    )
+
+
+def _allowed(refused: bool, possible: tuple[float, float], usual: tuple[float, float]) -> str:
+    low, high = possible if refused else usual
+    return f"must be {low:g} to {high:g}" if refused else f"{low:g} to {high:g} is usual"
+
+
+def _standing(machine: Machine) -> Iterator[Doubt]:
+    """Each axle's load, and its tyres against it."""
+    tractor, implement = machine.tractor, machine.implement
+    loads = axle_loads(
+        tractor.a.value, tractor.b.value, tractor.c.value, implement.d.value, implement.e.value,
+        tractor.mass.value, implement.mass.value, GRAVITY,
+    )  # fmt: skip
+    if min(loads) <= 0.0:
+        axle = ("tractor's front", "tractor's rear", "implement's")[loads.index(min(loads))]
+        yield Doubt(f"the {axle} axle would stand off the ground: check a, b, c, d, e and both masses", True)
+        return
+    share = loads[0] / (tractor.mass.value * GRAVITY)
+    if share < LIGHT_FRONT:
+        text = (
+            f"the tractor's front axle carries {100 * share:.0f} % of its weight: rare, it would hardly steer"
+        )
+        yield Doubt(f"{text}; check a, b, c, d, e and both masses", False)
+    for (axle, tyre), load in zip(_tyres(machine), loads, strict=True):
+        yield from _stiffness(axle, tyre.cornering_stiffness, load)
+
+
+def _stiffness(axle: str, stiffness: float, load: float) -> Iterator[Doubt]:
+    low, high = LIMITS["tyres.cornering_stiffness"].range
+    coefficient = stiffness / load
+    if not low <= stiffness <= high or USUAL_COEFFICIENT[0] <= coefficient <= USUAL_COEFFICIENT[1]:
+        return
+    refused = not COEFFICIENT[0] <= coefficient <= COEFFICIENT[1]
+    yield Doubt(
+        f"tyres.{axle}.cornering_stiffness = {stiffness:g} N/rad: that is {coefficient:.2g} per rad of "
+        f"the axle's load of {load / 1e3:.3g} kN, {_allowed(refused, COEFFICIENT, USUAL_COEFFICIENT)}"
+        + meant(
+            stiffness, "N/rad", lambda value: USUAL_COEFFICIENT[0] <= value / load <= USUAL_COEFFICIENT[1]
+        ),
+        refused,
+    )
+
+
+# Where receivers stand.
+
+
+def _receivers(machine: Machine) -> Iterator[Doubt]:
+    tractor, implement = machine.tractor, machine.implement
+    reach = {  # of each body, for forward, right and up: what is possible and what is usual
+        "tractor": (
+            _place(-tractor.c.value, 3.0, 0.5, tractor.a.value, 4.0, 1.5),
+            Limits(-4.0, 4.0, (-1.6, 1.6), "m"),
+            Limits(0.3, 7.0, (1.0, 4.5), "m"),
+        ),
+        "implement": (
+            _place(-implement.e.value, 15.0, 6.0, implement.d.value, 1.0, 0.5),
+            Limits(-20.0, 20.0, (-4.0, 4.0), "m"),
+            Limits(0.1, 10.0, (0.3, 6.0), "m"),
+        ),
+    }
+    for receiver in machine.receiver:
+        body = receiver.mount.partition("_")[0]
+        words = ("forward", "right", "up")
+        for word, value, row in zip(words, receiver.position, reach[body], strict=True):
+            if not row.usual[0] <= value <= row.usual[1]:
+                yield doubt_of(f"receiver {receiver.mount}: position, {word}", value, row)
+    for body in reach:
+        pair = [r for r in machine.receiver if r.mount.startswith(body)]
+        yield from _order(sorted(pair, key=lambda r: r.mount))  # "…_front" before "…_rear"
+
+
+def _place(
+    back: float, behind: float, usually_behind: float, front: float, ahead: float, usually_ahead: float
+) -> Limits:
+    """Along a body from `back` to `front`, and so much further behind and ahead, m."""
+    usual = (round(back - usually_behind, 3), round(front + usually_ahead, 3))
+    return Limits(round(back - behind, 3), round(front + ahead, 3), usual, "m")
+
+
+def _order(pair: list[Receiver]) -> Iterator[Doubt]:
+    if len(pair) != 2:
+        return
+    front, rear = pair
+    behind = rear.position[0] - front.position[0]
+    aside = abs(front.position[1] - rear.position[1])
+    if behind <= 0.0:
+        return
+    text = (
+        f"receiver {front.mount}: position, forward = {shown(front.position[0], 'm')}: stands behind "
+        f"{rear.mount}, which is at {rear.position[0]:g}; are the two exchanged?"
+    )
+    yield Doubt(text, behind > max(aside, SIDE_BY_SIDE))
