@@ -17,7 +17,7 @@ from tilth.replay.readers import frames
 from tilth.replay.traffic import simulate
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame
-from tilth.schemas.messages import WORDS
+from tilth.schemas.words import WORDS
 
 HEAD = ("t_ns", "bus", "source", "name", "pgn")
 NAME = 0xA00017000421E240

@@ -12,7 +12,8 @@ from tilth.schemas import can_id
 from tilth.schemas.decode import REASONS, ROUTES, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Message
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.schemas.messages import PGNS, WORDS
+from tilth.schemas.messages import PGNS
+from tilth.schemas.words import WORDS
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA
 
 ROOT = Path(__file__).resolve().parents[1]

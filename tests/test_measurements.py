@@ -10,7 +10,8 @@ from tilth.schemas.decode import REASONS, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.measures import MAKERS
-from tilth.schemas.messages import PGNS, WORDS
+from tilth.schemas.messages import PGNS
+from tilth.schemas.words import WORDS
 
 RIG = parse_machine(
     (Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml")

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from tilth.schemas import can_id, flow
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.fields import FAMILIES, Field
-from tilth.schemas.messages import PGNS, WORDS, Pgn, row
+from tilth.schemas.messages import PGNS, Pgn, row
+from tilth.schemas.words import WORDS
 
 ROWS = [pytest.param(row, id=f"{row.pgn}-{row.selector or 0:02X}") for row in PGNS]
 FIELDS = [
