@@ -145,7 +145,7 @@ SATELLITE_STATUS = {
     0: "not_tracked", 1: "tracked", 2: "used", 3: "not_tracked_differential", 4: "tracked_differential",
     5: "used_differential",
 }  # fmt: skip
-INTEGRITY = {0: "unchecked", 1: "safe", 2: "caution", 3: "unsafe"}
+INTEGRITY = {0: "unchecked", 1: "safe", 2: "caution"}  # 3, unsafe, is what many send for "not available"
 DIRECTION_ORDER = {0: "none", 1: "starboard", 2: "port"}
 TIME_SOURCE = {0: "gps", 1: "glonass", 2: "radio", 3: "cesium", 4: "rubidium", 5: "crystal"}
 RANGE_RESIDUAL_MODE = {0: "used_in_solution", 1: "computed_after"}

@@ -59,7 +59,7 @@ WORDS: dict[str, Term] = {
     "desired_mode": _told("of a GNSS receiver: 1D | 2D | 3D | auto"),
     "actual_mode": _told("as desired_mode"),
     "gnss_system": _told("of the solution: gps | glonass | gps_glonass | …"),
-    "integrity": _told("of the solution: unchecked | safe | caution | unsafe"),
+    "integrity": _told("of the solution: unchecked | safe | caution"),
     "geoid_separation_m": _told("of the geoid from the ellipsoid, positive above it", "m"),
     "reference_stations": _told("number of them; what is said of each is in stations"),
     "satellites_in_view": _told("number of them; what is said of each is in sky"),
