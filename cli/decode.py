@@ -21,6 +21,7 @@ from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
 from tilth.schemas.can_id import BROADCAST
 from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
+from tilth.schemas.fields import OUT_OF_RANGE
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
 from tilth.schemas.messages import PGNS
@@ -172,7 +173,7 @@ def _json_line(message: Message) -> str:
         row |= name_words(origin.name)
     if message.dropped:
         row["dropped"] = {
-            key: {"value": value, "reason": message.reason} for key, value in message.dropped.items()
+            key: {"value": value, "reason": OUT_OF_RANGE} for key, value in message.dropped.items()
         }
     if message.reason is not None:
         row["reason"] = message.reason
@@ -184,13 +185,13 @@ def _json_line(message: Message) -> str:
 def _text_line(message: Message) -> str:
     words = [f"{word}={_short(value)}" for word, value in message.values.items()]
     words += [f"{key}=[{len(rows)}]" for key, rows in message.groups.items() if rows]
-    words += [f"({key}={_short(value)}: {message.reason})" for key, value in message.dropped.items()]
+    words += [f"({key}={_short(value)}: {OUT_OF_RANGE})" for key, value in message.dropped.items()]
     origin = message.origin
     if message.pgn == _CLAIM and origin.name is not None:
         words.append(f"({device(origin.name)})")
     if message.destination != BROADCAST:
         words.append(f"(to {message.destination})")
-    if message.reason is not None and not message.dropped:
+    if message.reason is not None and not (message.reason == OUT_OF_RANGE and message.dropped):
         words.append(f"({message.reason})")
     if message.repeat:
         words.append("(repeated)")

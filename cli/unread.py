@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 
 from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
+from tilth.schemas.flow import Origin
 from tilth.schemas.pgn_titles import is_own, title_of
 
 NO_SOURCE = -1  # of frames of 11 bits
@@ -22,10 +23,15 @@ def tell_unread(unread: Mapping[Unread, int], decoder: Decoder, say: Callable[[s
     if not of_pgn:
         return
     say(f"not decoded: {of_pgn.total()} frames ({len(of_pgn)} PGNs); --help lists what is decoded")
-    for (short, pgn), frames in of_pgn.most_common():
+    for (short, pgn), frames in sorted(of_pgn.items(), key=_most_first):
         say(f"not decoded: {_title(short, pgn, senders[short, pgn], decoder)}: {frames}")
-    for (bus, source), frames in of_source.most_common():
-        say(f"not decoded from {bus} {_who(decoder, bus, source)}: {frames}")
+    for (bus, source), frames in sorted(of_source.items(), key=_most_first):
+        say(f"not decoded from {who(decoder.origin(bus, source))}: {frames}")
+
+
+def _most_first(item: tuple[tuple[object, int], int]) -> tuple[int, object, int]:
+    (first, second), frames = item
+    return -frames, first, second
 
 
 def _title(short: bool, pgn: int, senders: Mapping[tuple[str, int], None], decoder: Decoder) -> str:
@@ -40,8 +46,9 @@ def _title(short: bool, pgn: int, senders: Mapping[tuple[str, int], None], decod
     return f"{pgn} {title}"
 
 
-def _who(decoder: Decoder, bus: str, source: int) -> str:
-    if source == NO_SOURCE:
-        return "by identifiers of 11 bits"
-    name = decoder.origin(bus, source).name
-    return f"address {source}" if name is None else f"address {source}, {name:016X} ({device(name)})"
+def who(origin: Origin) -> str:
+    """A sender for people, such as "can0 address 28, A00017000421E240 (John Deere, navigation)"."""
+    if origin.source == NO_SOURCE:
+        return f"{origin.bus} by identifiers of 11 bits"
+    told = f"{origin.bus} address {origin.source}"
+    return told if origin.name is None else f"{told}, {origin.name:016X} ({device(origin.name)})"

@@ -19,6 +19,9 @@ DEG = math.pi / 180.0
 KMH = 1.0 / 3.6
 
 
+OUT_OF_RANGE = "out_of_range"  # why a value is dropped
+
+
 def count(rejected: dict[str, int], reason: str) -> None:
     """One more of what was not used, and why."""
     rejected[reason] = rejected.get(reason, 0) + 1
@@ -259,7 +262,7 @@ class Layout:
             try:
                 joined = rule.join(values) if all(part in values for part in rule.parts) else None
             except ValueError:
-                count(rejected, "out_of_range")
+                count(rejected, OUT_OF_RANGE)
                 joined = None
                 if dropped is not None:
                     dropped[rule.key] = " ".join(f"{part}={values[part]:g}" for part in rule.parts)
@@ -303,7 +306,7 @@ class Layout:
             if low <= value <= high:
                 values[key] = value
             else:
-                count(rejected, "out_of_range")
+                count(rejected, OUT_OF_RANGE)
                 if dropped is not None:
                     dropped[key] = value
         if len(values) == 1:

@@ -32,7 +32,9 @@ def _told(meaning: str, unit: str = "") -> Term:
 WORDS: dict[str, Term] = {
     "latitude_deg": Term("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
     "longitude_deg": Term("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
-    "altitude_m": Term("m", "129029: above the ellipsoid; 65256: above mean sea level"),
+    "altitude_m": Term(
+        "m", "129029: above the ellipsoid; 65256: above mean sea level", Range(-11_000.0, 100_000.0)
+    ),
     "course_rad": Term("rad", "direction of travel over ground, clockwise from north", _TURN),
     "speed_mps": Term("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
     "heading_rad": Term("rad", "direction of facing, clockwise from north", _TURN),
