@@ -50,7 +50,7 @@ class Summary:
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the last
     events: list[Event] = field(default_factory=list)
     flags: dict[str, Flagged] = field(default_factory=dict)
-    unknown: dict[Origin, int] = field(default_factory=dict)  # whose messages rejected["unknown_source"] holds
+    unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -245,7 +245,7 @@ class Decoder:
         return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
 
     def _own(self, sender: Sender, pgn: int, payload: bytes, frames: int) -> Pgn | None:
-        """The row of a manufacturer's own message, by whose it is: its first two bytes tell, or its sender."""
+        """The row of a manufacturer's own message, by whose it is: its first two bytes or its sender tell."""
         found = None
         if pgn in _NAMING:
             if len(payload) >= 2:

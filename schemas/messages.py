@@ -39,9 +39,7 @@ class Pgn:
     def __post_init__(self) -> None:
         ranges = {key: term.range for key, term in WORDS.items()}
         measured = frozenset(key for key, term in WORDS.items() if term.measured)
-        layout = Layout(
-            self.fields, self.composed, self.family, self.size, ranges, measured, self.groups
-        )
+        layout = Layout(self.fields, self.composed, self.family, self.size, ranges, measured, self.groups)
         keys = {f.key for f in self.fields} | {rule.key for rule in self.composed}
         where = [f for f in self.fields if f.key in ("latitude_deg", "longitude_deg")]
         span = slice(min(f.start for f in where) // 8, max(f.end for f in where) // 8) if where else None

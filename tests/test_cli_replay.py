@@ -103,7 +103,7 @@ def test_the_json_tells_events_flags_and_strangers(live: Live, answer: Answer, t
     name = claim(0xA00017000421FFFF)
     rows[0:0] = [replace(rows[0], can_id=0x18EEFF00 | 90, data=name)]
     path = write_mcap(tmp_path / "x.mcap", rows)
-    status, out, err = answer(path, "--json")
+    status, out, _ = answer(path, "--json")
     found = json.loads(out)
     assert status == 0 and found["poses"] > 50
     strangers = found["unknown_sources"]

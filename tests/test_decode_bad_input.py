@@ -13,8 +13,8 @@ from tilth.schemas.decode import REASONS, ROUTES, Decoder, claim, encode, frames
 from tilth.schemas.flow import Frame, Measurement, Message
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.messages import PGNS
-from tilth.schemas.words import WORDS
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA
+from tilth.schemas.words import WORDS
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared" / "data" / "canboat"

@@ -2,7 +2,8 @@
 
 Where bits stand: the public J1939 DBC that PyPI `canmatrix` ships (positions and lengths; it has no scales).
 What they mean: SPN, position, length, offset and the range of the data as PyPI `cancat` 2.9.5 lists them
-(cancatlib/J1939db.py), copied here as facts. A scale follows from the range: the top is raw 0xFAFF, or 0xFAFFFFFF.
+(cancatlib/J1939db.py), copied here as facts; of 65097's speed it has none, so that is held against 65096's. A
+scale follows from the range: its top is raw 0xFA, 0xFAFF or 0xFAFFFFFF.
 The two guidance messages (44032, 44288) are in neither, nor are Deere's own: their source is what the table
 says (AgIsoStack, facts of recorded traffic).
 """
@@ -69,7 +70,15 @@ def test_every_field_of_j1939_is_compared() -> None:
 
 @pytest.mark.parametrize(("pgn", "key", "spn", "name", "start", "bits", "low", "high", "unit"), FACTS)
 def test_a_field_means_what_others_say(
-    pgn: int, key: str, spn: int, name: str | None, start: int, bits: int, low: float, high: float, unit: float
+    pgn: int,
+    key: str,
+    spn: int,
+    name: str | None,
+    start: int,
+    bits: int,
+    low: float,
+    high: float,
+    unit: float,
 ) -> None:
     field = field_of(row(pgn), key)
     assert (field.start, field.bits, field.signed) == (start, bits, False), spn
