@@ -137,10 +137,11 @@ class Decoder:
 
     def _tell(self, route: _Route, arrival: _Arrival) -> Message:
         known, payload, _, _ = arrival
-        faults, dropped = self._faults, dict[str, Word]()
+        faults = self._faults
+        dropped: dict[str, Word] = {}
         values = known.layout.decode(payload, faults, dropped)
         groups = known.layout.groups(payload, faults) if known.groups else {}
-        reason = next(iter(faults), None)
+        reason = next(iter(faults)) if faults else None
         head, repeat, _ = self._told(route.sender, arrival, values)
         if not values and reason is None:
             reason = "not_available"

@@ -35,6 +35,7 @@ class Pgn:
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
+    has_sid: bool = field(init=False, repr=False, compare=False)  # byte 0 is a sequence identifier
 
     def __post_init__(self) -> None:
         ranges = {key: term.range for key, term in WORDS.items()}
@@ -46,11 +47,7 @@ class Pgn:
         object.__setattr__(self, "layout", layout)
         object.__setattr__(self, "words", tuple(word for word in WORDS if word in keys))
         object.__setattr__(self, "position", span)
-
-    @property
-    def has_sid(self) -> bool:
-        """True where byte 0 is an NMEA 2000 sequence identifier."""
-        return any(f.key == "sid" for f in self.fields)
+        object.__setattr__(self, "has_sid", any(f.key == "sid" for f in self.fields))
 
     def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
         """Payload of words; what is absent is written as not available. Raises ValueError."""

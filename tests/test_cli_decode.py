@@ -17,7 +17,7 @@ from tilth.logger.mcap_log import LogWriter, Run
 from tilth.replay.readers import frames
 from tilth.replay.traffic import simulate
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import Frame, Word
 from tilth.schemas.messages import PGNS
 from tilth.schemas.words import WORDS
 
@@ -251,7 +251,7 @@ def test_a_value_that_is_dropped_is_shown_with_its_reason(answer: Answer, tmp_pa
 
 
 def test_names_and_what_is_repeated_are_told(answer: Answer, tmp_path: Path) -> None:
-    sky = [{"prn": 5, "status": "used", "elevation_rad": 0.5}, {"prn": 66, "snr_db": 31.5}]
+    sky: list[dict[str, Word]] = [{"prn": 5, "status": "used", "elevation_rad": 0.5}, {"prn": 66, "snr_db": 31.5}]
     payload = encode(129540, {}, sid=7, groups={"sky": sky})
     frames = frames_of(129540, payload, 70)
     rows = [(1.0, 0x18EEFF1C, claim(NAME)), *[(2.0 + k / 1000, *frame) for k, frame in enumerate(frames)]]

@@ -1,6 +1,7 @@
 """The table of messages: layouts, signs, not-available rules, and decode(encode(x)) == x over every row."""
 
 import math
+import operator
 
 import pytest
 from hypothesis import given, settings
@@ -317,7 +318,7 @@ def a_repetition(group: Group) -> st.SearchStrategy[dict[str, flow.Word]]:
         else:
             low = -(1 << field.bits - 1) if field.signed else 0
             raws = st.integers(low, field.limit("nmea2000") - 1)
-            ways[field.key] = raws.map(lambda raw, scale=field.scale: raw * scale)
+            ways[field.key] = st.builds(operator.mul, raws, st.just(field.scale))
     return st.fixed_dictionaries({}, optional=ways)
 
 
