@@ -143,7 +143,7 @@ class Decoder:
         groups = known.layout.groups(payload, faults) if known.groups else {}
         reason = next(iter(faults)) if faults else None
         head, repeat, _ = self._told(route.sender, arrival, values)
-        if not values and reason is None:
+        if reason is None and known.telling.isdisjoint(values):
             reason = "not_available"
             count(self.rejected, reason)
         return Message(

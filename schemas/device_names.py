@@ -52,7 +52,7 @@ MANUFACTURERS: Final[Mapping[int, str]] = {
 }
 _MARINE_MANUFACTURERS: Final[Mapping[int, str]] = {
     69: "ARKS Enterprises", 78: "FW Murphy/Enovation Controls", 80: "Twin Disc", 85: "Kohler Power Systems",
-    88: "Hemisphere GPS", 135: "Airmar", 137: "Maretron", 140: "Lowrance", 144: "Mercury Marine",
+    88: "Hemisphere", 135: "Airmar", 137: "Maretron", 140: "Lowrance", 144: "Mercury Marine",
     147: "Nautibus Electronic", 148: "Blue Water Data", 154: "Westerbeke", 157: "ISSPRO",
     161: "Offshore Systems", 163: "Evinrude/BRP", 165: "CPAC Systems", 168: "Xantrex Technology",
     169: "Marlin Technologies", 172: "Yanmar Marine", 174: "Volvo Penta", 176: "Carling Technologies",

@@ -35,6 +35,7 @@ class Pgn:
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
+    telling: frozenset[str] = field(init=False, repr=False, compare=False)  # without any of them it is empty
     has_sid: bool = field(init=False, repr=False, compare=False)  # byte 0 is a sequence identifier
 
     def __post_init__(self) -> None:
@@ -45,6 +46,7 @@ class Pgn:
         where = [f for f in self.fields if f.key in ("latitude_deg", "longitude_deg")]
         span = slice(min(f.start for f in where) // 8, max(f.end for f in where) // 8) if where else None
         object.__setattr__(self, "layout", layout)
+        object.__setattr__(self, "telling", keys & measured or keys & WORDS.keys())
         object.__setattr__(self, "words", tuple(word for word in WORDS if word in keys))
         object.__setattr__(self, "position", span)
         object.__setattr__(self, "has_sid", any(f.key == "sid" for f in self.fields))

@@ -237,9 +237,11 @@ def test_a_value_that_is_dropped_is_shown_with_its_reason(answer: Answer, tmp_pa
     rows = [
         (1.0, 0x09F10D01, bytes.fromhex("00F8FF7F5EB8FFFF")),
         (1.1, 0x09F10D01, bytes.fromhex("FFFFFF7FFF7FFFFF")),
+        (1.2, 0x09F10D01, bytes.fromhex("00F8FF7FFF7FFFFF")),
     ]
     log = candump(tmp_path / "x.log", rows)
-    dropped, empty = rows_of(answer("--json", log)[1])
+    dropped, empty, no_angle = rows_of(answer("--json", log)[1])
+    assert (no_angle["instance"], no_angle["reason"]) == (0, "not_available")
     assert dropped["dropped"] == {
         "wheel_angle_rad": {"value": pytest.approx(-1.8338), "reason": "out_of_range"}
     }
@@ -251,7 +253,10 @@ def test_a_value_that_is_dropped_is_shown_with_its_reason(answer: Answer, tmp_pa
 
 
 def test_names_and_what_is_repeated_are_told(answer: Answer, tmp_path: Path) -> None:
-    sky: list[dict[str, Word]] = [{"prn": 5, "status": "used", "elevation_rad": 0.5}, {"prn": 66, "snr_db": 31.5}]
+    sky: list[dict[str, Word]] = [
+        {"prn": 5, "status": "used", "elevation_rad": 0.5},
+        {"prn": 66, "snr_db": 31.5},
+    ]
     payload = encode(129540, {}, sid=7, groups={"sky": sky})
     frames = frames_of(129540, payload, 70)
     rows = [(1.0, 0x18EEFF1C, claim(NAME)), *[(2.0 + k / 1000, *frame) for k, frame in enumerate(frames)]]
