@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
@@ -11,17 +12,23 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
+from tilth.cli.unread import tell_unread
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import machine_sha256
 from tilth.replay.readers import open_log
 from tilth.replay.readers_log import Log, LogError, Record
 from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
 from tilth.replay.turn_rates import TurnRates
-from tilth.schemas.decode import Decoder
+from tilth.schemas.can_id import BROADCAST
+from tilth.schemas.decode import Decoder, Unread
+from tilth.schemas.device_names import device, name_words
+from tilth.schemas.fields import OUT_OF_RANGE
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
+from tilth.schemas.messages import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
+_CLAIM = 60928
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
 
 
@@ -35,6 +42,7 @@ class _Decoding:
     turn_rates: TurnRates = field(default_factory=TurnRates)
     count: Counter[str] = field(default_factory=Counter)
     before: Counter[str] = field(default_factory=Counter)  # of decoder.rejected, when the decoder was taken
+    unread: Counter[Unread] = field(default_factory=Counter)  # frames that were not decoded
 
     def take_up(self, log: Log, stored: Snapshot) -> None:
         """Know what the daemon knew when it stored its state: who has which address."""
@@ -51,6 +59,8 @@ class _Decoding:
         self.before = Counter(decoder.rejected)
 
     def close_counts(self) -> None:
+        """Once for each decoder, at its end."""
+        self.unread.update(self.decoder.unread)
         rejected = Counter(self.decoder.rejected)
         for reason, number in (rejected - self.before).items():
             self.count[f"rejected {reason}"] += number
@@ -58,7 +68,13 @@ class _Decoding:
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = subparsers.add_parser("decode", help="print the messages of a log, one a line")
+    parser = subparsers.add_parser(
+        "decode",
+        help="print the messages of a log, one a line",
+        description="Print the messages of a log, one a line; at the end, on stderr, what was not decoded.",
+        epilog=_decoded(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
     parser.add_argument(
         "--machine",
@@ -68,6 +84,18 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
+
+
+def _decoded() -> str:
+    """What is decoded, for --help."""
+    lines = ["decoded, with the keys of --json:"]
+    for row in PGNS:
+        selector = "" if row.selector is None else f" (selector 0x{row.selector:02X})"
+        lines.append(f"  {row.pgn:<6} {row.title}{selector}")
+        keys = ", ".join([*row.words, *(group.key for group in row.groups)])
+        lines += textwrap.wrap(keys, 96, initial_indent=" " * 9, subsequent_indent=" " * 9)
+    lines.append("and the wheel-angle sensor of the machine file, whatever its message.")
+    return "\n".join(lines)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,6 +126,7 @@ def run(args: argparse.Namespace) -> int:
     _tell_counts(decoding.count)
     for text in decoding.turn_rates.told():
         _say(text)
+    tell_unread(decoding.unread, decoding.decoder, _say)
     return status
 
 
@@ -137,19 +166,42 @@ def _json_line(message: Message) -> str:
         "source": origin.source,
         "name": _name(message),
         "pgn": message.pgn,
+        "title": message.title,
+        "priority": message.priority,
+        "destination": message.destination,
         **message.values,
+        **message.groups,
     }
+    if message.sid is not None:
+        row["sid"] = message.sid
+    if message.pgn == _CLAIM and origin.name is not None:
+        row |= name_words(origin.name)
+    if message.dropped:
+        row["dropped"] = {
+            key: {"value": value, "reason": OUT_OF_RANGE} for key, value in message.dropped.items()
+        }
+    if message.reason is not None:
+        row["reason"] = message.reason
     if message.repeat:
         row["repeat"] = True
     return json.dumps(row) + "\n"
 
 
 def _text_line(message: Message) -> str:
-    words = "  ".join(f"{word}={_short(value)}" for word, value in message.values.items())
-    repeat = "  (repeated)" if message.repeat else ""
+    words = [f"{word}={_short(value)}" for word, value in message.values.items()]
+    words += [f"{key}=[{len(rows)}]" for key, rows in message.groups.items() if rows]
+    words += [f"({key}={_short(value)}: {OUT_OF_RANGE})" for key, value in message.dropped.items()]
     origin = message.origin
+    if message.pgn == _CLAIM and origin.name is not None:
+        words.append(f"({device(origin.name)})")
+    if message.destination != BROADCAST:
+        words.append(f"(to {message.destination})")
+    if message.reason is not None and not (message.reason == OUT_OF_RANGE and message.dropped):
+        words.append(f"({message.reason})")
+    if message.repeat:
+        words.append("(repeated)")
     who = f"{origin.bus:<8} {origin.source:>3} {_name(message) or '-':<16}"
-    return f"{_time(message.t_ns)}  {who}  {message.pgn:>6}  {words}{repeat}\n"
+    return f"{_time(message.t_ns)}  {who}  {message.pgn:>6}  {message.title}: {'  '.join(words)}\n"
 
 
 def _name(message: Message) -> str | None:

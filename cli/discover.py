@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tilth.cli import WrongUse, duration
-from tilth.replay.discover import FUNCTIONS, Findings, Source, Survey, listen
+from tilth.replay.discover import Findings, Source, Survey, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers import frames
 from tilth.replay.readers_log import LogError
@@ -206,7 +206,7 @@ def _device(source: Source) -> str:
     if source.manufacturer is not None:
         words.append(source.manufacturer_name or f"manufacturer {source.manufacturer}")
     if source.function is not None:
-        words.append(FUNCTIONS.get(source.function, f"function {source.function}"))
+        words.append(source.function_name or f"function {source.function}")
     if source.sends_positions:
         words.append("POSITIONS" if source.positions else 'positions, all "not available"')
     return ", ".join(words)

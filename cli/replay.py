@@ -5,6 +5,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 
 import zenoh
@@ -13,6 +14,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.cli.unread import who
 from tilth.logger.machine_file import read_machine
 from tilth.logger.mcap_log import LogWriter, Run
 from tilth.logger.zenoh_session import why
@@ -23,7 +25,8 @@ from tilth.replay.driver import Outputs, Pace, Summary, replay
 from tilth.replay.readers import MCAP, open_log
 from tilth.replay.readers_log import EmptyLog, LogError
 from tilth.replay.readers_rig import bus_names, machine_in
-from tilth.schemas.flow import PARAMETERS, Estimate, Frame
+from tilth.schemas.device_names import device
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
@@ -179,11 +182,26 @@ def _as_json(summary: Summary, comparison: Comparison | None) -> dict[str, objec
         "poses": summary.poses,
         "duration_s": summary.duration_ns * 1e-9,
         "truncated": summary.truncated,
+        "unknown_sources": [_sender(origin, number) for origin, number in summary.unknown.items()],
+        "events": [asdict(event) for event in summary.events],
+        "flags": {flag: asdict(flagged) for flag, flagged in sorted(summary.flags.items())},
         **estimates_and_nuisances(summary.estimates),
     }
     if comparison is not None:
         answer["verify"] = {"compared": comparison.compared, "difference": comparison.difference or None}
     return answer
+
+
+def _sender(origin: Origin, messages: int) -> dict[str, object]:
+    """One whose messages were not used since it is no receiver of the machine file."""
+    name = origin.name
+    return {
+        "bus": origin.bus,
+        "source": origin.source,
+        "name": None if name is None else f"{name:016X}",
+        "device": None if name is None else device(name),
+        "messages": messages,
+    }
 
 
 def _show(summary: Summary, comparison: Comparison | None) -> None:
@@ -200,6 +218,10 @@ def _show(summary: Summary, comparison: Comparison | None) -> None:
     )
     for reason, count in sorted(summary.rejected.items()):
         console.print(f"rejected: {count} {reason}")
+        for origin, messages in summary.unknown.items() if reason == "unknown_source" else ():
+            console.print(f"    {messages} of {who(origin)}")
+    for flag, flagged in sorted(summary.flags.items()):
+        console.print(f"flagged: {flagged.poses} poses {flag}")
     if not summary.poses:
         console.print("No estimate: there were too few poses; see what is rejected, and the machine file.")
     if comparison is not None:

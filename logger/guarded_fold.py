@@ -30,6 +30,7 @@ from tilth.schemas.flow import (
     Event,
     FitOutcome,
     Frame,
+    Origin,
     ParameterEstimate,
     Publication,
     Status,
@@ -88,6 +89,11 @@ class GuardedFold:
     def rejected(self) -> dict[str, int]:
         """Reason -> count, of what was not used."""
         return dict(self._rejected + Counter(self.state.rejected))
+
+    @property
+    def unknown(self) -> dict[Origin, int]:
+        """Whose messages the count "unknown_source" holds, and how many of each since the last fault."""
+        return self.state.decoder.unknown
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """What a frame causes, with its bytes as logged and published."""

@@ -3,7 +3,7 @@
 Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -13,17 +13,12 @@ from tilth.replay.turn_rates import TurnRates
 from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates
 from tilth.schemas.can_id import NULL_ADDRESS, split
 from tilth.schemas.decode import Decoder
+from tilth.schemas.device_names import name_parts, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Bus
-from tilth.schemas.messages import PGNS, row
+from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_titles import title_of
 from tilth.schemas.wheel_angle import RUDDER
-
-MANUFACTURERS: Final[Mapping[int, str]] = {
-    12: "Deere Precision Farming", 33: "John Deere", 69: "Trimble", 88: "Hemisphere", 97: "Ag Leader",
-    98: "Trimble", 151: "Raven", 231: "Topcon", 1856: "Trimble",
-}  # fmt: skip
-FUNCTIONS: Final[Mapping[int, str]] = {0: "engine", 3: "transmission", 23: "navigation"}
-"""J1939's functions that do not depend on industry group and vehicle system."""
 
 CLAIM: Final = 60928
 MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
@@ -58,7 +53,11 @@ class Source:
 
     @property
     def manufacturer_name(self) -> str:
-        return "" if self.manufacturer is None else MANUFACTURERS.get(self.manufacturer, "")
+        return "" if self.name is None else name_words(self.name).get("manufacturer_name", "")
+
+    @property
+    def function_name(self) -> str:
+        return "" if self.name is None else name_words(self.name).get("function_name", "")
 
     @property
     def sends_positions(self) -> bool:
@@ -213,7 +212,7 @@ class Survey:
 
 
 def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] | None) -> Source:
-    parts = _name_parts(speaker.name)
+    parts = name_parts(speaker.name) if speaker.name is not None else {}
     manufacturer = parts.get("manufacturer")
     messages = tuple(
         SentMessage(pgn, selector, _title(pgn, selector, manufacturer), times.count, times.per_s)
@@ -234,14 +233,8 @@ def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] |
     )
 
 
-def _name_parts(name: int | None) -> dict[str, int]:
-    if name is None:
-        return {}
-    return {key: int(value) for key, value in row(CLAIM).layout.fields(name.to_bytes(8, "little")).items()}
-
-
 def _title(pgn: int, selector: int | None, manufacturer: int | None) -> str:
     for known in PGNS:
         if known.pgn == pgn and known.selector == selector and known.manufacturer in (None, manufacturer):
             return known.title
-    return "proprietary" if pgn in PROPRIETARY else ""
+    return "proprietary" if pgn in PROPRIETARY else title_of(pgn)

@@ -18,13 +18,22 @@ from tilth.replay.readers import open_log, place
 from tilth.replay.readers_log import EmptyLog, Log, Logged, Place
 from tilth.replay.readers_rig import Say, on_buses_of
 from tilth.schemas.channels import FIT_TOPIC, payload
-from tilth.schemas.flow import Estimate, Event, Frame, Publication
+from tilth.schemas.flow import Estimate, Event, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 SHOWN = 4096  # frames between two looks of the progress bar
 SAID = frozenset({"fault", "clock_step", *startup.KINDS})  # events that a person at a replay should read
+
+
+@dataclass(slots=True)
+class Flagged:
+    """Poses that carried a flag."""
+
+    poses: int
+    first_ns: int
+    last_ns: int
 
 
 @dataclass(slots=True)
@@ -39,6 +48,9 @@ class Summary:
     truncated: bool = False
     faults: int = 0  # of the fold
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the last
+    events: list[Event] = field(default_factory=list)
+    flags: dict[str, Flagged] = field(default_factory=dict)
+    unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +142,12 @@ class _Run:
         self._place: Place | None = None  # of the last log
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
+        self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
+        self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
         self.fitter = Retold(machine, lambda kind, text: say(text))
         self._fold = GuardedFold(machine, fitter=self.fitter)
         self._before = _counts(self._fold)
+        self._unknown_before = self._unknown_now()
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         log = open_log(path, IDENTICAL if self._outputs.comparison else (FIT_TOPIC,))
@@ -198,14 +213,24 @@ class _Run:
         for publication, data in told:
             topic = publication.topic
             value = publication.value
-            if isinstance(value, Event) and value.kind in SAID:
-                self._say(value.text)
+            if isinstance(value, Event):
+                self.summary.events.append(value)
+                if value.kind in SAID:
+                    self._say(value.text)
+            elif isinstance(value, Pose):
+                self._flag(value)
             if writer is not None:
                 writer.message(topic, publication.t_ns, data)
             if publish is not None:
                 publish(topic, data)
             if comparison is not None:
                 comparison.recomputed(topic, publication.t_ns, data)
+
+    def _flag(self, pose: Pose) -> None:
+        for flag in pose.flags:
+            seen = self.summary.flags.setdefault(flag, Flagged(0, pose.t_ns, pose.t_ns))
+            seen.poses += 1
+            seen.last_ns = pose.t_ns
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
@@ -233,6 +258,7 @@ class _Run:
         if self._outputs.writer is not None:
             self._outputs.writer.snapshot(t_ns, state_json)
         self._before = _counts(fold)
+        self._unknown_before = self._unknown_now()
 
     def close_counts(self) -> None:
         """Add to the summary what the fold has counted since it was started or its state taken from a log."""
@@ -241,6 +267,10 @@ class _Run:
         self._counts.update(now)
         self._counts.subtract(self._before)
         self._before = now
+        self._unknown.update(self._unknown_now())
+        self._unknown.subtract(self._unknown_before)
+        self._unknown_before = self._unknown_now()
+        self.summary.unknown = {self._origins[key]: n for key, n in self._unknown.most_common() if n > 0}
         self.summary.measurements = self._counts["measurements", ""]
         self.summary.poses = self._counts["poses", ""]
         for (kind, reason), count in self._counts.items():
@@ -248,6 +278,11 @@ class _Run:
                 self.summary.rejected[reason] = count
         self.summary.faults += self._fold.faults
         self._fold.faults = 0
+
+    def _unknown_now(self) -> Counter[tuple[str, int]]:
+        told = self._fold.unknown
+        self._origins |= {(origin.bus, origin.source): origin for origin in told}
+        return Counter({(origin.bus, origin.source): number for origin, number in told.items()})
 
     def _ended(self, log: Log) -> None:
         for reason, count in log.skipped.items():

@@ -5,18 +5,19 @@ takes several frames, read by its row of the table, and told in words (`messages
 machine's receivers and wheel-angle sensor (`measurements`). What cannot be used is counted by reason.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from tilth.schemas.can_id import BROADCAST, CanId, join, split
-from tilth.schemas.fields import count
+from tilth.schemas.fields import Rows, count
 from tilth.schemas.flow import AddressClaim, Frame, Measurement, Message, Origin, WheelAngle, Word
 from tilth.schemas.identity import AddressBook, Sender, split_name
 from tilth.schemas.machine import Machine
 from tilth.schemas.measures import Head, Made, makers_of
 from tilth.schemas.messages import PGNS, Pgn, row
-from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembler, split_fast
+from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembled, Assembler, frames_in_fast, split_fast
 from tilth.schemas.wheel_angle import RUDDER, Sensor, compile_sensor
 
 REASONS: dict[str, str] = {
@@ -41,13 +42,19 @@ REASONS: dict[str, str] = {
 """Every reason in `Decoder.rejected`, in a person's words."""
 
 _CLAIM, _RUDDER = row(60928), row(RUDDER)
-_PLAIN = {row.pgn: row for row in PGNS if row.selector is None}
-_OWN = {(row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.selector is not None}
+_PLAIN = {row.pgn: row for row in PGNS if row.manufacturer is None}
+_OWN = {(row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.manufacturer is not None}
+_NAMING = frozenset(row.pgn for row in PGNS if row.manufacturer is not None and row.selector is None)
+_FAST = frozenset(row.pgn for row in PGNS if row.fast)
 _WANTED = frozenset(row.pgn for row in PGNS)
+_MEASURED = frozenset(row.pgn for row in PGNS if not row.told_only)
 _OF_RECEIVERS = {(row.pgn, row.selector): makers_of(row, anyone=False) for row in PGNS}
 _OF_ANYONE = {(row.pgn, row.selector): makers_of(row, anyone=True) for row in PGNS}
 
 ROUTES = 8192  # identifiers remembered; beyond them the memory starts anew
+
+Unread = tuple[str, int, int]
+"""Bus, source and PGN; for frames of 11 bits -1 and the identifier."""
 
 _Arrival = tuple[Pgn, bytes, int, int]
 """A whole message of the table: row, payload, t_ns and rx_ns of its first frame."""
@@ -75,36 +82,78 @@ class Decoder:
         """
         self.rejected: dict[str, int] = {}
         self._faults: dict[str, int] = {}  # of the message in hand
+        self._passed: dict[tuple[str, int, bool], int] = {}  # frames of identifiers that nobody reads
+        self._foreign: dict[Unread, int] = {}  # frames of manufacturers' own messages that no row reads
         self._addresses = AddressBook(machine.receiver if machine is not None else ())
         self._assembler = Assembler(_WANTED - {_CLAIM.pgn}, self.rejected)
         self._sensor = compile_sensor(machine) if machine is not None else None
         self._routes: dict[tuple[str, int, bool], _Route | None] = {}
 
+    @property
+    def unread(self) -> dict[Unread, int]:
+        """How many of the frames given to `messages` the table does not read."""
+        counts = Counter(self._foreign) + Counter(self._assembler.unwanted)
+        for (bus, can_id, extended), number in self._passed.items():
+            head = split(can_id)
+            counts[(bus, head.source, head.pgn) if extended else (bus, -1, can_id)] += number
+        return dict(counts)
+
+    @property
+    def unknown(self) -> dict[Origin, int]:
+        """Whose messages the count "unknown_source" holds, and how many of each."""
+        return self._addresses.unknown
+
+    def origin(self, bus: str, source: int) -> Origin:
+        """Who has an address, as far as is known."""
+        return self._addresses.sender(bus, source).origin
+
     def messages(self, frame: Frame) -> list[Message]:
         """Messages that this frame completes; none for a frame that nobody wants. Never raises."""
-        route = self._route_of(frame)
+        route = self._route_of(frame, _WANTED)
         if route is None:
+            if not frame.error:
+                key = (frame.bus, frame.can_id, frame.extended)
+                self._passed[key] = self._passed.get(key, 0) + 1
             return []
         told: list[Message] = []
         if route.sensor is not None and route.row is not _RUDDER:
-            angle = route.sensor.read(frame.data)
-            values: dict[str, Word] = {}
-            if isinstance(angle, str):
-                count(self.rejected, angle)
-            else:
-                values["wheel_angle_rad"] = angle
-            told.append(Message(frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None, values))
+            told.append(self._tell_wheel(route, route.sensor, frame))
         arrival = route.read(route, frame) if route.read is not None else None
         if arrival is not None:
-            head, values, repeat, faulty = self._told(route.sender, arrival)
-            if not values and not faulty and arrival[0].words:
-                count(self.rejected, "not_available")
-            told.append(Message(*head, values, repeat))
+            told.append(self._tell(route, arrival))
         return told
+
+    def _tell_wheel(self, route: _Route, sensor: Sensor, frame: Frame) -> Message:
+        angle = sensor.read(frame.data)
+        reason = angle if isinstance(angle, str) else None
+        if reason is not None:
+            count(self.rejected, reason)
+        return Message(
+            frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None,
+            {} if reason is not None else {"wheel_angle_rad": angle},
+            title="wheel-angle sensor", priority=route.can_id.priority,
+            destination=route.can_id.destination, reason=reason,
+        )  # fmt: skip
+
+    def _tell(self, route: _Route, arrival: _Arrival) -> Message:
+        known, payload, _, _ = arrival
+        faults = self._faults
+        dropped: dict[str, Word] = {}
+        values = known.layout.decode(payload, faults, dropped)
+        groups = known.layout.groups(payload, faults) if known.groups else {}
+        reason = next(iter(faults)) if faults else None
+        head, repeat, _ = self._told(route.sender, arrival, values)
+        if reason is None and known.telling.isdisjoint(values):
+            reason = "not_available"
+            count(self.rejected, reason)
+        return Message(
+            *head, values, repeat, known.title, route.can_id.priority, route.can_id.destination,
+            groups, dropped, reason,
+        )  # fmt: skip
 
     def measurements(self, frame: Frame) -> list[Measurement]:
         """Measurements of the messages that this frame completes. Never raises."""
-        route = self._route_of(frame)
+        route = self._route_of(frame, _MEASURED)
         if route is None:
             return []
         found: list[Measurement] = []
@@ -118,7 +167,7 @@ class Decoder:
                 self._measure(route, arrival, found)
         return found
 
-    def _route_of(self, frame: Frame) -> _Route | None:
+    def _route_of(self, frame: Frame, wanted: frozenset[int]) -> _Route | None:
         if frame.error:
             count(self.rejected, "error_frame")
             return None
@@ -128,7 +177,7 @@ class Decoder:
         except KeyError:
             if len(self._routes) >= ROUTES:
                 self._routes.clear()
-            route = self._routes[key] = self._new_route(frame)
+            route = self._routes[key] = self._new_route(frame, wanted)
         if route is not None and route.row is not _CLAIM:
             sender = route.sender
             if sender.contested:
@@ -136,7 +185,7 @@ class Decoder:
             sender.heard_ns = frame.t_ns
         return route
 
-    def _new_route(self, frame: Frame) -> _Route | None:
+    def _new_route(self, frame: Frame, wanted: frozenset[int]) -> _Route | None:
         sensor = self._sensor if self._sensor is not None and self._sensor.hears(frame) else None
         if not frame.extended:
             if sensor is None:
@@ -153,8 +202,8 @@ class Decoder:
             read = self._transfer
         elif can_id.pgn == _CLAIM.pgn:
             read = self._claimed
-        elif can_id.pgn in _WANTED:
-            read = self._fast if known is not None and known.fast else self._single
+        elif can_id.pgn in wanted:
+            read = self._fast if can_id.pgn in _FAST else self._single
         if read is None and sensor is None:
             return None
         return _Route(can_id, self._addresses.sender(frame.bus, can_id.source), read, known, sensor)
@@ -162,27 +211,26 @@ class Decoder:
     def _single(self, route: _Route, frame: Frame) -> _Arrival | None:
         found = route.row
         if found is None:
-            found = self._own(route.sender, route.can_id.pgn, frame.data)
+            found = self._own(route.sender, route.can_id.pgn, frame.data, 1)
         return (found, frame.data, frame.t_ns, frame.rx_ns) if found is not None else None
 
     def _fast(self, route: _Route, frame: Frame) -> _Arrival | None:
         if len(frame.data) > 8:  # a log that holds it assembled
             return self._single(route, frame)
         whole = self._assembler.fast(frame, route.can_id)
-        if whole is None or route.row is None:
-            return None
-        return (route.row, whole.payload, whole.t_ns, whole.rx_ns)
+        return None if whole is None else self._put_together(route, whole, frames_in_fast(whole.payload))
 
     def _control(self, route: _Route, frame: Frame) -> None:
         self._assembler.control(frame, route.can_id)
 
     def _transfer(self, route: _Route, frame: Frame) -> _Arrival | None:
         whole = self._assembler.transfer(frame, route.can_id)
-        if whole is None:
-            return None
+        return None if whole is None else self._put_together(route, whole, 1 + (len(whole.payload) + 6) // 7)
+
+    def _put_together(self, route: _Route, whole: Assembled, frames: int) -> _Arrival | None:
         found = _PLAIN.get(whole.pgn)
         if found is None:
-            found = self._own(route.sender, whole.pgn, whole.payload)
+            found = self._own(route.sender, whole.pgn, whole.payload, frames)
         return (found, whole.payload, whole.t_ns, whole.rx_ns) if found is not None else None
 
     def _claimed(self, route: _Route, frame: Frame) -> _Arrival | None:
@@ -197,18 +245,25 @@ class Decoder:
             return None
         return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
 
-    def _own(self, sender: Sender, pgn: int, payload: bytes) -> Pgn | None:
-        """The row of a manufacturer's own message, by whose the sender is."""
-        if sender.manufacturer is None:
+    def _own(self, sender: Sender, pgn: int, payload: bytes, frames: int) -> Pgn | None:
+        """The row of a manufacturer's own message, by whose it is: its first two bytes or its sender tell."""
+        found = None
+        if pgn in _NAMING:
+            if len(payload) >= 2:
+                found = _OWN.get((int.from_bytes(payload[:2], "little") & 0x7FF, pgn, None))
+        elif sender.manufacturer is None:
             count(self.rejected, "unidentified")
-            return None
-        return _OWN.get((sender.manufacturer, pgn, payload[0])) if payload else None
+        elif payload:
+            found = _OWN.get((sender.manufacturer, pgn, payload[0]))
+        if found is None:
+            key = (sender.bus, sender.source, pgn)
+            self._foreign[key] = self._foreign.get(key, 0) + frames
+        return found
 
-    def _told(self, sender: Sender, arrival: _Arrival) -> tuple[Head, dict[str, Word], bool, bool]:
-        """Head, words, whether the position repeats the one before, whether a fault was counted."""
+    def _told(self, sender: Sender, arrival: _Arrival, values: Mapping[str, Word]) -> tuple[Head, bool, bool]:
+        """Head, whether the position repeats the one before, whether a fault was counted."""
         known, payload, t_ns, rx_ns = arrival
         faults = self._faults
-        values = known.layout.decode(payload, faults)
         faulty = bool(faults)
         if faulty:
             for reason, number in faults.items():
@@ -222,7 +277,7 @@ class Decoder:
         origin = sender.origin if known is not _CLAIM else self._claimant(sender, payload)
         # 253 to 255 are no identifiers but NMEA 2000's "reserved", "out of range" and "not available".
         sid = payload[0] if known.has_sid and payload and payload[0] < 253 else None
-        return (t_ns, rx_ns, origin, known.pgn, sid), values, repeat, faulty
+        return (t_ns, rx_ns, origin, known.pgn, sid), repeat, faulty
 
     def _claimant(self, sender: Sender, payload: bytes) -> Origin:
         name = int.from_bytes(payload[:8], "little")
@@ -235,12 +290,13 @@ class Decoder:
         if sender.sd is not None:
             makes = makes + _OF_RECEIVERS[key] if makes else _OF_RECEIVERS[key]
         if not makes:
-            if arrival[0].wish:
+            if arrival[0].wish or arrival[0].told_only:
                 return
             if route.sensor is None:
-                count(self.rejected, sender.reason if sender.sd is None else "unknown_source")
+                self._refuse(sender)
             return
-        head, values, repeat, faulty = self._told(sender, arrival)
+        values = arrival[0].layout.measured(arrival[1], self._faults)
+        head, repeat, faulty = self._told(sender, arrival, values)
         nothing = not faulty
         for make in makes:
             made = make(head, values, sender.sd, repeat)
@@ -255,6 +311,13 @@ class Decoder:
             count(self.rejected, "repeat")
         elif nothing:
             count(self.rejected, "not_available")
+
+    def _refuse(self, sender: Sender) -> None:
+        """Count a message that would make a measurement if it came from a receiver of the machine file."""
+        reason = sender.reason if sender.sd is None else "unknown_source"
+        count(self.rejected, reason)
+        if reason == "unknown_source":
+            sender.unknown += 1
 
     def _measure_wheel(self, route: _Route, sensor: Sensor, frame: Frame, found: list[Measurement]) -> None:
         angle = sensor.read(frame.data)
@@ -287,14 +350,19 @@ class Decoder:
 
 
 def encode(
-    pgn: int, values: Mapping[str, Word], *, selector: int | None = None, sid: int | None = None
+    pgn: int,
+    values: Mapping[str, Word],
+    *,
+    selector: int | None = None,
+    sid: int | None = None,
+    groups: Mapping[str, Rows] | None = None,
 ) -> bytes:
-    """Payload of a message of the table, from words (or any further field of its row, by its key); what is
-    absent is written as not available.
+    """Payload of a message of the table, from words (or any further field of its row, by its key) and what it
+    repeats; what is absent is written as not available.
 
     Raises ValueError where the table has no such message or a value does not fit.
     """
-    return row(pgn, selector).encode(values if sid is None else {**values, "sid": sid})
+    return row(pgn, selector).encode(values if sid is None else {**values, "sid": sid}, groups)
 
 
 def frames_of(

@@ -8,7 +8,8 @@ way: its devices are those of the industry group "marine".
 from collections.abc import Mapping
 from typing import Final
 
-MARINE: Final = 4
+from tilth.schemas.messages import MARINE, row
+
 AGRICULTURE: Final = 2
 
 # fmt: off
@@ -51,7 +52,7 @@ MANUFACTURERS: Final[Mapping[int, str]] = {
 }
 _MARINE_MANUFACTURERS: Final[Mapping[int, str]] = {
     69: "ARKS Enterprises", 78: "FW Murphy/Enovation Controls", 80: "Twin Disc", 85: "Kohler Power Systems",
-    88: "Hemisphere GPS", 135: "Airmar", 137: "Maretron", 140: "Lowrance", 144: "Mercury Marine",
+    88: "Hemisphere", 135: "Airmar", 137: "Maretron", 140: "Lowrance", 144: "Mercury Marine",
     147: "Nautibus Electronic", 148: "Blue Water Data", 154: "Westerbeke", 157: "ISSPRO",
     161: "Offshore Systems", 163: "Evinrude/BRP", 165: "CPAC Systems", 168: "Xantrex Technology",
     169: "Marlin Technologies", 172: "Yanmar Marine", 174: "Volvo Penta", 176: "Carling Technologies",
@@ -246,3 +247,34 @@ def class_name(device_class: int, industry_group: int) -> str:
     """What kind of machine a device belongs to; "" where that is not known here."""
     classes = {AGRICULTURE: _FARM_CLASSES, MARINE: _MARINE_CLASSES}.get(industry_group, {})
     return classes.get(device_class, "")
+
+
+def name_parts(name: int) -> dict[str, int]:
+    """The numbers in a NAME, by the keys of PGN 60928."""
+    return {key: int(value) for key, value in row(60928).layout.fields(name.to_bytes(8, "little")).items()}
+
+
+def name_words(name: int) -> dict[str, str]:
+    """Its codes in words, by key + "_name"; absent where one is not known here."""
+    parts = name_parts(name)
+    kind, group = parts["device_class"], parts["industry_group"]
+    told = {
+        "manufacturer_name": manufacturer_name(parts["manufacturer"], group),
+        "function_name": function_name(parts["function"], kind, group),
+        "device_class_name": class_name(kind, group),
+        "industry_group_name": INDUSTRY_GROUPS.get(group, ""),
+    }
+    return {key: word for key, word in told.items() if word}
+
+
+def device(name: int) -> str:
+    """Whose a NAME is and what it does, for people, such as "John Deere, navigation, instance 1"."""
+    parts, words = name_parts(name), name_words(name)
+    told = [
+        words.get("manufacturer_name", f"manufacturer {parts['manufacturer']}"),
+        words.get("function_name", f"function {parts['function']}"),
+    ]
+    if parts["industry_group"] == AGRICULTURE and parts["device_class"] > 1:
+        told.append(words.get("device_class_name", f"class {parts['device_class']}"))
+    instance = parts["function_instance"] or parts["device_instance"]
+    return ", ".join([*told, f"instance {instance}"] if instance else told)

@@ -9,7 +9,7 @@ field's `start` is its least significant bit.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,6 +17,9 @@ from tilth.schemas.flow import Word
 
 DEG = math.pi / 180.0
 KMH = 1.0 / 3.6
+
+
+OUT_OF_RANGE = "out_of_range"  # why a value is dropped
 
 
 def count(rejected: dict[str, int], reason: str) -> None:
@@ -58,6 +61,7 @@ class Field:
     names: Mapping[int, str] | None = None  # of an enumeration: raw -> word; others are not available
     no_data: tuple[int, ...] = ()  # raw values that a vendor sends in place of "not available"
     no_data_alone: tuple[int, ...] = ()  # the same, but only while nothing else in the message is available
+    text: bool = False  # characters, filled up at their end; starts at a byte
 
     @property
     def end(self) -> int:
@@ -74,6 +78,8 @@ class Field:
 
     def raw(self, value: Word, family: str) -> int:
         """Raw bits of a value. Raises ValueError where it does not fit."""
+        if self.text:
+            return self._raw_text(value)
         if self.names is not None:
             for raw, name in self.names.items():
                 if name == value:
@@ -84,6 +90,19 @@ class Field:
         if not -(1 << self.bits - 1) * self.signed <= raw < self.limit(family):
             raise ValueError(f"{self.key} = {value!r} does not fit into its {self.bits} bits")
         return raw & (1 << self.bits) - 1
+
+    def _raw_text(self, value: Word) -> int:
+        size = self.bits // 8
+        characters = str(value).encode("latin-1", "replace")
+        if len(characters) > size:
+            raise ValueError(f"{self.key} = {value!r} has more than {size} characters")
+        return int.from_bytes(characters.ljust(size, b" "), "little")
+
+
+def _text(characters: bytes) -> str:
+    """Devices fill up with spaces, zeros, ones or @; what no screen shows is told as a question mark."""
+    told = characters.partition(b"\0")[0].rstrip(b" @\xff").decode("latin-1")
+    return "".join(c if c.isprintable() else "?" for c in told)
 
 
 def _number(key: str, value: Word) -> float:
@@ -101,6 +120,21 @@ class Composed:
     join: Callable[[Mapping[str, Word]], Word | None]  # None: not available; ValueError: out of range
     split: Callable[[Word], Mapping[str, Word]]
     also: tuple[str, ...] = ()  # parts that need not be there
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Fields that a message repeats behind its others, once for each satellite, say."""
+
+    key: str
+    count: str  # the field that says how often: a whole byte
+    start: int  # byte of the first
+    size: int  # bytes of each
+    fields: tuple[Field, ...]  # as they stand in the first byte of one
+
+
+Rows = Sequence[Mapping[str, Word]]
+"""What a Group holds: one mapping for each repetition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +187,10 @@ def _step(field: Field, family: str, allowed: Range) -> _Step:
 class Layout:
     """Fields of one message, compiled: payload to words and back."""
 
-    __slots__ = ("_all", "_alone", "_composed", "_family", "_fields", "_hot", "_needed", "_parts", "_size")
+    __slots__ = (
+        "_all", "_alone", "_composed", "_family", "_fields", "_groups", "_measured", "_needed", "_parts",
+        "_size", "_texts", "_told",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -162,42 +199,90 @@ class Layout:
         family: str,
         size: int,
         words: Mapping[str, Range],
+        measured: frozenset[str] = frozenset(),
+        groups: tuple[Group, ...] = (),
     ) -> None:
-        """size: bytes that `encode` writes; words: the keys that `decode` gives, with their ranges."""
+        """size: bytes that `encode` writes; words: the keys that `decode` gives, with their ranges; measured:
+        those of them that `measured` gives."""
         self._fields = {field.key: field for field in fields}
         self._family = family
         self._size = size
         self._needed = max((field.end + 7) // 8 for field in fields)
         self._composed = composed
         self._parts = {part for rule in composed for part in (*rule.parts, *rule.also)}
-        self._all = [_step(f, family, words.get(f.key, ANYTHING)) for f in self._fields.values()]
-        self._hot = [step for step in self._all if step.key in words or step.key in self._parts]
+        plain = [field for field in fields if not field.text]
+        self._all = [_step(f, family, words.get(f.key, ANYTHING)) for f in plain]
+        self._told = [step for step in self._all if step.key in words or step.key in self._parts]
+        self._measured = [step for step in self._told if step.key in measured or step.key in self._parts]
+        self._texts = [(f.key, f.start // 8, f.end // 8) for f in fields if f.text]
+        self._groups = [(group, _layout_of(group, family)) for group in groups]
         self._alone = [
             (f.key, f.start, (1 << f.bits) - 1, f.no_data_alone) for f in fields if f.no_data_alone
         ]
 
-    def decode(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Word]:
-        """Words that the payload carries; absent where not available. Never raises."""
-        values = self._read(self._hot, payload, rejected)
+    def decode(
+        self, payload: bytes, rejected: dict[str, int], dropped: dict[str, Word] | None = None
+    ) -> dict[str, Word]:
+        """Words that the payload carries; absent where not available. Never raises.
+
+        dropped: takes the words that are outside of their range, so that somebody may see them.
+        """
+        values = self._composed_of(self._read(self._told, payload, rejected, dropped), rejected, dropped)
+        return values | self._read_texts(payload) if self._texts else values
+
+    def measured(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Word]:
+        """Those of the words that measurements are made of."""
+        return self._composed_of(self._read(self._measured, payload, rejected), rejected)
+
+    def fields(self, payload: bytes) -> dict[str, Word]:
+        """Every field of the layout, also those that no word needs, before composing."""
+        return self._read(self._all, payload, {}) | self._read_texts(payload)
+
+    def groups(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Rows]:
+        """What the payload repeats, by the key of the group; absent where it does not say how often."""
+        found: dict[str, Rows] = {}
+        for group, layout in self._groups:
+            number = self._fields[group.count]
+            said = payload[number.start // 8] if number.end <= 8 * len(payload) else 0xFF
+            if said >= number.limit(self._family):
+                continue
+            there = min(said, max(0, len(payload) - group.start) // group.size)
+            if there < said:
+                count(rejected, "short_frame")
+            starts = range(group.start, group.start + there * group.size, group.size)
+            found[group.key] = [layout.decode(payload[at : at + group.size], rejected) for at in starts]
+        return found
+
+    def _composed_of(
+        self, values: dict[str, Word], rejected: dict[str, int], dropped: dict[str, Word] | None = None
+    ) -> dict[str, Word]:
         if not self._composed:
             return values
         for rule in self._composed:
             try:
                 joined = rule.join(values) if all(part in values for part in rule.parts) else None
             except ValueError:
-                count(rejected, "out_of_range")
+                count(rejected, OUT_OF_RANGE)
                 joined = None
+                if dropped is not None:
+                    dropped[rule.key] = " ".join(f"{part}={values[part]:g}" for part in rule.parts)
             if joined is not None:
                 values[rule.key] = joined
         for part in self._parts:
             values.pop(part, None)
         return values
 
-    def fields(self, payload: bytes) -> dict[str, Word]:
-        """Every field of the layout, also those that no word needs, before composing."""
-        return self._read(self._all, payload, {})
+    def _read_texts(self, payload: bytes) -> dict[str, Word]:
+        whole = [(key, payload[start:end]) for key, start, end in self._texts if end <= len(payload)]
+        return {key: told for key, characters in whole if (told := _text(characters))}
 
-    def _read(self, steps: list[_Step], payload: bytes, rejected: dict[str, int]) -> dict[str, Word]:
+    def _read(
+        self,
+        steps: list[_Step],
+        payload: bytes,
+        rejected: dict[str, int],
+        dropped: dict[str, Word] | None = None,
+    ) -> dict[str, Word]:
         if len(payload) < self._needed:
             count(rejected, "short_frame")
             steps = [step for step in steps if step.end <= 8 * len(payload)]
@@ -221,22 +306,26 @@ class Layout:
             if low <= value <= high:
                 values[key] = value
             else:
-                count(rejected, "out_of_range")
+                count(rejected, OUT_OF_RANGE)
+                if dropped is not None:
+                    dropped[key] = value
         if len(values) == 1:
             for key, start, mask, raws in self._alone:
                 if key in values and whole >> start & mask in raws:
                     return {}
         return values
 
-    def encode(self, values: Mapping[str, Word]) -> bytes:
+    def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
         """Payload of words, and of any further field by its key; what is absent is written as not available.
 
-        Raises ValueError for a key that the message does not have and for a value that does not fit.
+        groups: what is repeated, by the key of the group. Raises ValueError for a key that the message does
+        not have and for a value that does not fit.
         """
         parts = dict(values)
         for rule in self._composed:
             if rule.key in parts:
                 parts |= rule.split(parts.pop(rule.key))
+        repeated = self._encode_groups(groups or {}, parts)
         whole = (1 << 8 * self._size) - 1
         for key, value in parts.items():
             field = self._fields.get(key)
@@ -248,4 +337,20 @@ class Layout:
         for field in self._fields.values():
             if field.signed and field.key not in parts:
                 whole &= ~(1 << field.end - 1)
-        return whole.to_bytes(self._size, "little")
+        return whole.to_bytes(self._size, "little") + repeated
+
+    def _encode_groups(self, groups: Mapping[str, Rows], parts: dict[str, Word]) -> bytes:
+        """Bytes of what is repeated; writes into parts how often."""
+        unknown = groups.keys() - {group.key for group, _ in self._groups}
+        if unknown:
+            raise ValueError(f"this message repeats no {', '.join(sorted(unknown))}")
+        repeated = b""
+        for group, layout in self._groups:
+            if group.key in groups:
+                parts[group.count] = len(groups[group.key])
+                repeated += b"".join(layout.encode(row) for row in groups[group.key])
+        return repeated
+
+
+def _layout_of(group: Group, family: str) -> Layout:
+    return Layout(group.fields, (), family, group.size, {field.key: ANYTHING for field in group.fields})

@@ -7,7 +7,7 @@ log's own clock. World frame W: x north, y east. Body frames: x forward, y right
 clockwise from north, right turns and right-hand wheel angles positive, roll positive right side down.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
@@ -83,8 +83,14 @@ class Message:
     origin: Origin
     pgn: int
     sid: int | None  # NMEA 2000 sequence identifier: ties messages of one device to one instant
-    values: Mapping[str, Word]  # keys: schemas.messages.WORDS
+    values: Mapping[str, Word]  # keys: schemas.words.WORDS
     repeat: bool = False  # a position that repeats the one before: not a new measurement
+    title: str = ""  # what the message is called
+    priority: int | None = None  # of its frames
+    destination: int = 255  # 255: everybody
+    groups: Mapping[str, Sequence[Mapping[str, Word]]] = field(default_factory=dict)  # what it repeats
+    dropped: Mapping[str, Word] = field(default_factory=dict)  # words outside of their range
+    reason: str | None = None  # why there is no value, or not every one; a key of schemas.decode.REASONS
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,7 @@ class Sender:
     manufacturer: int | None = None
     sd: Deviation | None = None  # of the receiver that it is; None: it is none of the machine file
     reason: str = "unknown_source"  # why it is none
+    unknown: int = 0  # messages that made no measurement for that reason
     heard_ns: int = 0  # the latest message or claim from it
     contested: bool = False  # two NAMEs claim it: ask `settle` whether that is over
     positions: dict[int, bytes] = field(default_factory=dict)  # by PGN: raw latitude and longitude before
@@ -107,6 +108,11 @@ class AddressBook:
             self._senders[bus, source] = sender
             self._refresh(sender)
         return sender
+
+    @property
+    def unknown(self) -> dict[Origin, int]:
+        """Messages of those who are no receiver of the machine file and were asked for a measurement."""
+        return {s.origin: s.unknown for s in self._senders.values() if s.unknown}
 
     def mount_of(self, bus: str, name: int) -> Mount | None:
         """The receiver of the machine file with that NAME."""
@@ -215,7 +221,13 @@ class AddressBook:
         return {
             "buses": {bus: _dump_bus(book) for bus, book in self._buses.items()},
             "senders": [
-                [s.bus, s.source, s.heard_ns, {str(pgn): raw.hex() for pgn, raw in s.positions.items()}]
+                [
+                    s.bus,
+                    s.source,
+                    s.heard_ns,
+                    {str(pgn): raw.hex() for pgn, raw in s.positions.items()},
+                    s.unknown,
+                ]
                 for s in self._senders.values()
             ],
         }
@@ -224,10 +236,11 @@ class AddressBook:
         """Go on from what `dump` gave. Senders handed out before stay valid."""
         self._buses = {bus: _load_bus(book) for bus, book in state["buses"].items()}
         for sender in self._senders.values():
-            sender.heard_ns, sender.positions = 0, {}
-        for bus, source, heard_ns, positions in state["senders"]:
+            sender.heard_ns, sender.positions, sender.unknown = 0, {}, 0
+        for bus, source, heard_ns, positions, *unknown in state["senders"]:
             sender = self.sender(bus, source)
             sender.heard_ns = heard_ns
+            sender.unknown = sum(unknown)  # logs from before it was counted have none
             sender.positions = {int(pgn): bytes.fromhex(raw) for pgn, raw in positions.items()}
         for sender in self._senders.values():
             self._refresh(sender)

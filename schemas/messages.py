@@ -1,58 +1,16 @@
-"""The table of messages, and the words in which they are told.
+"""The table of messages.
 
 `PGNS` is an extension point: a row is a message, and decoder, encoder, simulator, tests and the fields of
 `tilth decode --json` follow from it. Layouts are cited as facts/can.md cites them.
 """
 
 import datetime
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tilth.schemas.fields import DEG, KMH, Composed, Field, Layout, Range
-from tilth.schemas.flow import FixType, Word
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """What a word means."""
-
-    unit: str
-    meaning: str
-    range: Range = Range()  # noqa: RUF009 (frozen)
-
-
-_ROUNDED = 1e-3  # some devices say 6.2832 for a full turn
-_TURN = Range(0.0, 2.0 * math.pi + _ROUNDED)
-_HALF = Range(-math.pi - _ROUNDED, math.pi + _ROUNDED)
-_QUARTER = Range(-math.pi / 2 - _ROUNDED, math.pi / 2 + _ROUNDED)
-
-WORDS: dict[str, Term] = {
-    "latitude_deg": Term("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
-    "longitude_deg": Term("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
-    "altitude_m": Term("m", "129029: above the ellipsoid; 65256: above mean sea level"),
-    "course_rad": Term("rad", "direction of travel over ground, clockwise from north", _TURN),
-    "speed_mps": Term("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
-    "heading_rad": Term("rad", "direction of facing, clockwise from north", _TURN),
-    "heading_reference": Term("", "north of heading or course: true | magnetic"),
-    "yaw_rate_radps": Term("rad/s", "positive in a right turn", Range(-10.0, 10.0)),
-    "roll_rad": Term("rad", "positive right side down", _HALF),
-    "pitch_rad": Term("rad", "positive nose up", _QUARTER),
-    "yaw_rad": Term("rad", "of 127257, clockwise from a north that the message does not name"),
-    "wheel_angle_rad": Term("rad", "road wheel (or rudder), positive right", _QUARTER),
-    "hand_wheel_angle_rad": Term("rad", "the driver's wheel, positive right (clockwise)"),
-    "curvature_per_m": Term("1/m", "of the path, positive to the driver's right"),
-    "commanded_curvature_per_m": Term(
-        "1/m", "that the steering is asked for, positive to the driver's right"
-    ),
-    "command_status": Term("", "of a guidance command: intended | not_intended to steer"),
-    "direction": Term("", "of travel: forward | reverse"),
-    "utc_ns": Term("ns", "since 1970, UTC"),
-    "fix": Term("", " | ".join(fix.value for fix in FixType)),
-    "satellites": Term("", "used in the solution"),
-    "hdop": Term("", "horizontal dilution of precision", Range(0.0, 400.0)),
-}
-"""Every key of `tilth decode --json` and of Message.values."""
+from tilth.schemas.fields import DEG, KMH, Composed, Field, Group, Layout, Rows
+from tilth.schemas.flow import Word
+from tilth.schemas.words import WORDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,31 +27,35 @@ class Pgn:
     fields: tuple[Field, ...]
     composed: tuple[Composed, ...] = ()
     fast: bool = False  # NMEA 2000 fast packet, else a single frame
+    groups: tuple[Group, ...] = ()  # what it repeats behind its fields
     selector: int | None = None  # byte 0 of a manufacturer's own message
-    manufacturer: int | None = None  # whose own it is
+    manufacturer: int | None = None  # whose own it is; without a selector its first two bytes say so
     wish: bool = False  # asks for something: no measurement, from whomever
+    told_only: bool = False  # no measurement is made of it: the fold does not read it
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
+    telling: frozenset[str] = field(init=False, repr=False, compare=False)  # without any of them it is empty
+    has_sid: bool = field(init=False, repr=False, compare=False)  # byte 0 is a sequence identifier
 
     def __post_init__(self) -> None:
         ranges = {key: term.range for key, term in WORDS.items()}
-        layout = Layout(self.fields, self.composed, self.family, self.size, ranges)
+        measured = frozenset(key for key, term in WORDS.items() if term.measured)
+        layout = Layout(self.fields, self.composed, self.family, self.size, ranges, measured, self.groups)
         keys = {f.key for f in self.fields} | {rule.key for rule in self.composed}
         where = [f for f in self.fields if f.key in ("latitude_deg", "longitude_deg")]
         span = slice(min(f.start for f in where) // 8, max(f.end for f in where) // 8) if where else None
         object.__setattr__(self, "layout", layout)
+        object.__setattr__(self, "telling", keys & measured or keys & WORDS.keys())
         object.__setattr__(self, "words", tuple(word for word in WORDS if word in keys))
         object.__setattr__(self, "position", span)
+        object.__setattr__(self, "has_sid", any(f.key == "sid" for f in self.fields))
 
-    @property
-    def has_sid(self) -> bool:
-        """True where byte 0 is an NMEA 2000 sequence identifier."""
-        return any(f.key == "sid" for f in self.fields)
-
-    def encode(self, values: Mapping[str, Word]) -> bytes:
+    def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
         """Payload of words; what is absent is written as not available. Raises ValueError."""
-        payload = self.layout.encode(values)
+        if self.manufacturer is not None and self.selector is None:
+            values = {**values, "own_of": self.manufacturer, "own_in": MARINE}
+        payload = self.layout.encode(values, groups)
         return payload if self.selector is None else bytes([self.selector]) + payload[1:]
 
 
@@ -168,6 +130,23 @@ STARFIRE_FIX = {
     0: "none", 1: "dgnss", 2: "dgnss", 3: "dgnss", 4: "precise", 5: "precise", 6: "rtk_float", 7: "rtk_fixed",
 }  # fmt: skip
 DEERE = 33
+FURUNO = 1855
+MARINE = 4  # industry group of NMEA 2000's own devices
+GNSS_MODE = {0: "1D", 1: "2D", 2: "3D", 3: "auto"}
+GNSS_SYSTEM = {
+    0: "gps", 1: "glonass", 2: "gps_glonass", 3: "gps_sbas", 4: "gps_sbas_glonass", 5: "chayka",
+    6: "integrated", 7: "surveyed", 8: "galileo",
+}  # fmt: skip
+SATELLITE_SYSTEM = {0: "gps", 1: "glonass", 2: "galileo", 3: "beidou", 4: "qzss"}
+SATELLITE_STATUS = {
+    0: "not_tracked", 1: "tracked", 2: "used", 3: "not_tracked_differential", 4: "tracked_differential",
+    5: "used_differential",
+}  # fmt: skip
+INTEGRITY = {0: "unchecked", 1: "safe", 2: "caution"}  # 3, unsafe, is what many send for "not available"
+DIRECTION_ORDER = {0: "none", 1: "starboard", 2: "port"}
+TIME_SOURCE = {0: "gps", 1: "glonass", 2: "radio", 3: "cesium", 4: "rubidium", 5: "crystal"}
+RANGE_RESIDUAL_MODE = {0: "used_in_solution", 1: "computed_after"}
+CERTIFICATION_LEVEL = {0: "A", 1: "B"}
 
 # What devices send for pitch in place of "not available" (facts/can.md 1.1).
 CFX_750 = (0,)  # -200 deg
@@ -255,15 +234,40 @@ PGNS: tuple[Pgn, ...] = (
         Field("latitude_deg", 56, 64, 1e-16, signed=True),
         Field("longitude_deg", 120, 64, 1e-16, signed=True),
         Field("altitude_m", 184, 64, 1e-6, signed=True),
-        Field("system", 248, 4),
+        Field("gnss_system", 248, 4, names=GNSS_SYSTEM),
         Field("fix", 252, 4, names=METHOD),
-        Field("integrity", 256, 2),
+        Field("integrity", 256, 2, names=INTEGRITY),
         Field("satellites", 264, 8),
         Field("hdop", 272, 16, 0.01, signed=True),
         Field("pdop", 288, 16, 0.01, signed=True),
         Field("geoid_separation_m", 304, 32, 0.01, signed=True),
         Field("reference_stations", 336, 8),
-    ), (NMEA2000_TIME,), fast=True),
+    ), (NMEA2000_TIME,), fast=True, groups=(Group("stations", "reference_stations", 43, 4, (
+        Field("gnss_system", 0, 4, names=GNSS_SYSTEM),
+        Field("station", 4, 12),
+        Field("correction_age_s", 16, 16, 0.01),
+    )),)),
+    Pgn(129539, "GNSS DOPs", "nmea2000", 6, 1000, 8, _CANBOAT, (
+        _SID,
+        Field("desired_mode", 8, 3, names=GNSS_MODE),
+        Field("actual_mode", 11, 3, names=GNSS_MODE),
+        Field("hdop", 16, 16, 0.01, signed=True),
+        Field("vdop", 32, 16, 0.01, signed=True),
+        Field("tdop", 48, 16, 0.01, signed=True),
+    ), told_only=True),
+    Pgn(129540, "GNSS Sats in View", "nmea2000", 6, 1000, 3, _CANBOAT, (
+        _SID,
+        Field("range_residual_mode", 8, 2, names=RANGE_RESIDUAL_MODE),
+        Field("satellites_in_view", 16, 8),
+    ), fast=True, told_only=True, groups=(Group("sky", "satellites_in_view", 3, 12, (
+        Field("prn", 0, 8),
+        Field("elevation_rad", 8, 16, 1e-4, signed=True),
+        Field("azimuth_rad", 24, 16, 1e-4),
+        Field("snr_db", 40, 16, 0.01, signed=True),
+        Field("range_residual_m", 56, 32, 1e-5, signed=True),
+        Field("status", 88, 4, names=SATELLITE_STATUS),
+        Field("satellite_system", 92, 4, names=SATELLITE_SYSTEM),
+    )),)),
     Pgn(127250, "Vessel Heading", "nmea2000", 2, 100, 8, _CANBOAT, (
         _SID,
         Field("heading_rad", 8, 16, 1e-4),
@@ -283,13 +287,13 @@ PGNS: tuple[Pgn, ...] = (
     )),
     Pgn(127245, "Rudder", "nmea2000", 2, 100, 8, _CANBOAT, (
         Field("instance", 0, 8),
-        Field("direction_order", 8, 3),
+        Field("direction_order", 8, 3, names=DIRECTION_ORDER),
         Field("angle_order_rad", 16, 16, 1e-4, signed=True),
         Field("wheel_angle_rad", 32, 16, 1e-4, signed=True),
     )),
     Pgn(126992, "System Time", "nmea2000", 3, 1000, 8, _CANBOAT, (
         _SID,
-        Field("time_source", 8, 4),
+        Field("time_source", 8, 4, names=TIME_SOURCE),
         Field("date_days", 16, 16),
         Field("time_s", 32, 32, 1e-4),
     ), (NMEA2000_TIME,)),
@@ -298,6 +302,24 @@ PGNS: tuple[Pgn, ...] = (
         Field("time_s", 16, 32, 1e-4),
         Field("local_offset_s", 48, 16, 60.0, signed=True),
     ), (NMEA2000_TIME,)),
+    Pgn(126996, "Product Information", "nmea2000", 6, 0, 134, _CANBOAT, (
+        Field("nmea2000_version", 0, 16, 0.001),
+        Field("product_code", 16, 16),
+        Field("model", 32, 256, text=True),
+        Field("software_version", 288, 256, text=True),
+        Field("model_version", 544, 256, text=True),
+        Field("serial_number", 800, 256, text=True),
+        Field("certification_level", 1056, 8, names=CERTIFICATION_LEVEL),
+        Field("load_equivalency", 1064, 8),
+    ), fast=True, told_only=True),
+    # Further fields of it are not known to anybody. It is not smoothed where 127251 of the same device is.
+    Pgn(130842, "Furuno Six Degrees Of Freedom Movement", "nmea2000", 7, 0, 29, _CANBOAT, (
+        Field("own_of", 0, 11),
+        Field("own_in", 13, 3),
+        Field("roll_rate_radps", 120, 32, 1e-3, 0.0, DEG, signed=True),
+        Field("pitch_rate_radps", 152, 32, 1e-3, 0.0, DEG, signed=True),
+        Field("yaw_rate_radps", 184, 32, 1e-3, 0.0, DEG, signed=True),
+    ), fast=True, told_only=True, manufacturer=FURUNO),
 )
 # fmt: on
 

@@ -62,13 +62,14 @@ Key = tuple[str, int, int, int, int]  # bus, source, destination, PGN (0: transp
 class Assembler:
     """All messages on their way."""
 
-    __slots__ = ("_rejected", "_slots", "_wanted")
+    __slots__ = ("_rejected", "_slots", "_wanted", "unwanted")
 
     def __init__(self, wanted: frozenset[int], rejected: dict[str, int]) -> None:
         """wanted: PGNs to put together; rejected: counts to add to."""
         self._wanted = wanted
         self._rejected = rejected
         self._slots: dict[Key, _Slot] = {}
+        self.unwanted: dict[tuple[str, int, int], int] = {}  # frames by bus, source, PGN announced
 
     def fast(self, frame: Frame, can_id: CanId) -> Assembled | None:
         """The message that this fast-packet frame completes, if it does."""
@@ -147,6 +148,8 @@ class Assembler:
         slot.expected, slot.latest = 1, data
         if pgn not in self._wanted:
             slot.open = False
+            sent = (key[0], key[1], pgn)
+            self.unwanted[sent] = self.unwanted.get(sent, 0) + 1 + packets
         elif not 8 < length <= _TP_LONGEST or packets != (length + 6) // 7:
             self._spoil(slot)
 
@@ -235,3 +238,8 @@ def split_fast(payload: bytes, sequence: int) -> list[bytes]:
     for index, at in enumerate(range(6, len(payload), 7), start=1):
         frames.append(bytes([head | index]) + payload[at : at + 7].ljust(7, b"\xff"))
     return frames
+
+
+def frames_in_fast(payload: bytes) -> int:
+    """How many frames a fast packet takes."""
+    return 1 + len(payload) // 7

@@ -2,17 +2,32 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
-from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
+from logs import (
+    MACHINE,
+    MACHINE_FILE,
+    MACHINE_TEXT,
+    SECOND,
+    SECONDS,
+    Live,
+    altered,
+    record,
+    results_of,
+    write_mcap,
+)
 
 from tilth.cli import main
 from tilth.logger.zenoh_session import free_endpoint
-from tilth.replay.readers import frames
+from tilth.replay.readers import frames, open_log
+from tilth.replay.readers_log import Logged
 from tilth.replay.traffic import simulate
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.decode import claim, encode
+from tilth.schemas.flow import PARAMETERS, Frame
+from tilth.schemas.proto import tilth_pb2 as pb
 
 Answer = Callable[..., tuple[int, str, str]]
 
@@ -40,8 +55,8 @@ def test_the_json_summary(live: Live, answer: Answer) -> None:
     assert (status, err, out.count("\n")) == (0, "", 1)
     found = json.loads(out)
     assert list(found) == [
-        "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "estimates", "nuisances",
-        "verify",
+        "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "unknown_sources",
+        "events", "flags", "estimates", "nuisances", "verify",
     ]  # fmt: skip
     assert found["frames"] == len(live.rows)
     assert found["truncated"] is False
@@ -73,6 +88,59 @@ def test_out_and_its_second_time(live: Live, answer: Answer, tmp_path: Path) -> 
     assert out.read_bytes() == before
     status, _, err = answer(live.parts[0], "--out", tmp_path / "no" / "such" / "x.mcap")
     assert status == 2 and "no such file" in err
+
+
+def test_the_json_tells_events_flags_and_strangers(live: Live, answer: Answer, tmp_path: Path) -> None:
+    """A receiver falls silent after 12 s, the clock steps back once, and two strangers speak all the time."""
+    silent = next(r.t_ns for r in live.rows if r.t_ns > live.rows[0].t_ns + 12 * SECOND)
+    position = encode(65267, {"latitude_deg": 41.98, "longitude_deg": -93.64})
+    rows: list[Frame] = []
+    for at, frame in enumerate(live.rows):
+        if frame.t_ns < silent or frame.can_id & 0xFF != 28:
+            rows.append(frame)
+        if at % 40 == 0:
+            rows += [replace(frame, can_id=0x18FEF300 | source, data=position) for source in (90, 91)]
+    name = claim(0xA00017000421FFFF)
+    rows[0:0] = [replace(rows[0], can_id=0x18EEFF00 | 90, data=name)]
+    path = write_mcap(tmp_path / "x.mcap", rows)
+    status, out, _ = answer(path, "--json")
+    found = json.loads(out)
+    assert status == 0 and found["poses"] > 50
+    strangers = found["unknown_sources"]
+    assert [(s["source"], s["name"], s["device"]) for s in strangers if s["source"] in (90, 91)] == [
+        (90, "A00017000421FFFF", "John Deere, navigation"),
+        (91, None, None),
+    ]
+    assert sum(s["messages"] for s in strangers) == found["rejected"]["unknown_source"]
+    flags = found["flags"]
+    (lost,) = (flag for flag in flags if flag.startswith("lost:"))
+    assert 0 < flags[lost]["poses"] < found["poses"]
+    assert silent <= flags[lost]["first_ns"] <= flags[lost]["last_ns"] <= rows[-1].t_ns
+    logged = [json.loads(row) for row in events_of(path, tmp_path)]
+    assert found["events"] == logged and all({"t_ns", "kind", "text"} <= event.keys() for event in logged)
+    _, out, _ = answer(path)
+    assert "of can0 address 90, A00017000421FFFF (John Deere, navigation)" in out and f"poses {lost}" in out
+
+
+def events_of(path: Path, folder: Path) -> list[str]:
+    """The events that a replay writes to its log, each as JSON with the keys of the summary."""
+    out = folder / "again.mcap"
+    assert main(["replay", str(path), "--out", str(out)]) == 0
+    log = open_log(out, ("/event",))
+    with log.file:
+        told = [pb.Event.FromString(r.data) for r in log.records if isinstance(r, Logged)]
+    return [
+        json.dumps(
+            {
+                "t_ns": event.t_ns,
+                "kind": event.kind,
+                "text": event.text,
+                "latitude_deg": event.latitude_deg if event.HasField("latitude_deg") else None,
+                "longitude_deg": event.longitude_deg if event.HasField("longitude_deg") else None,
+            }
+        )
+        for event in told
+    ]
 
 
 def test_a_found_difference_is_exit_1(live: Live, answer: Answer, tmp_path: Path) -> None:

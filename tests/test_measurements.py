@@ -1,5 +1,6 @@
 """From words to measurements: what the receivers say, with which deviation, and what is left out."""
 
+import json
 import math
 from pathlib import Path
 
@@ -10,7 +11,8 @@ from tilth.schemas.decode import REASONS, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.measures import MAKERS
-from tilth.schemas.messages import PGNS, WORDS
+from tilth.schemas.messages import PGNS, Pgn
+from tilth.schemas.words import WORDS
 
 RIG = parse_machine(
     (Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml")
@@ -111,7 +113,32 @@ def test_what_a_receiver_says_becomes_measurements(
 def test_every_message_of_a_receiver_is_in_that_table() -> None:
     assert {(row.pgn, row.selector) for row in PGNS} - {(pgn, selector) for pgn, selector, _, _ in MADE} == {
         (61449, None), (60928, None), (127245, None), (44288, None),
-    }  # fmt: skip
+    } | {(row.pgn, row.selector) for row in PGNS if row.told_only}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", [row for row in PGNS if row.told_only], ids=lambda row: str(row.pgn))
+def test_what_is_only_told_costs_a_measuring_decoder_nothing(row: Pgn) -> None:
+    """It is neither put together nor counted, from a receiver of the machine file or from a stranger."""
+    for source in (OWN, STRANGER):
+        subject = decoder()
+        before = json.dumps(subject.dump()["assembler"])
+        for identifier, data in frames_of(row.pgn, row.encode({}), source):
+            assert subject.measurements(Frame(0, 0, "can0", identifier, True, False, data)) == []
+        assert subject.rejected == {} and json.dumps(subject.dump()["assembler"]) == before
+
+
+def test_strangers_are_named_and_counted() -> None:
+    subject = decoder()
+    name = 0xA00017000421FFFF
+    subject.measurements(Frame(0, 0, "can0", can_id.join(6, 60928, 90), True, False, claim(name)))
+    for source, times in ((STRANGER, 3), (90, 2)):
+        for _ in range(times):
+            heard(subject, 65267, HERE, source=source)
+    assert subject.unknown == {flow.Origin("can0", STRANGER): 3, flow.Origin("can0", 90, name): 2}
+    assert subject.rejected == {"unknown_source": 5}
+    later = decoder()
+    later.load(json.loads(json.dumps(subject.dump())))
+    assert later.unknown == subject.unknown
 
 
 @pytest.mark.parametrize("source", [STRANGER, 28])

@@ -244,7 +244,7 @@ def test_pgn_127245(more: str, frame: Frame, expected: float | str) -> None:
         assert angle.pgn == 127245 and angle.origin.source == 60
         # The message says what the device said; sign and zero are the machine file's.
         (told,) = decoder.messages(frame)
-        assert told.values == {"wheel_angle_rad": pytest.approx(0.1)}
+        assert told.values == {"instance": 0, "wheel_angle_rad": pytest.approx(0.1)}
 
 
 ENCODED = [

@@ -1,0 +1,95 @@
+"""The words in which messages are told: every key of `tilth decode --json` and of Message.values."""
+
+import math
+from dataclasses import dataclass
+
+from tilth.schemas.fields import Range
+from tilth.schemas.flow import FixType
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """What a word means."""
+
+    unit: str
+    meaning: str
+    range: Range = Range()  # noqa: RUF009 (frozen)
+    measured: bool = True  # measurements are made of it; else it is only told
+
+
+_ROUNDED = 1e-3  # some devices say 6.2832 for a full turn
+_TURN = Range(0.0, 2.0 * math.pi + _ROUNDED)
+_HALF = Range(-math.pi - _ROUNDED, math.pi + _ROUNDED)
+_QUARTER = Range(-math.pi / 2 - _ROUNDED, math.pi / 2 + _ROUNDED)
+
+_DILUTION = Range(0.0, 400.0)
+
+
+def _told(meaning: str, unit: str = "") -> Term:
+    return Term(unit, meaning, measured=False)
+
+
+WORDS: dict[str, Term] = {
+    "latitude_deg": Term("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
+    "longitude_deg": Term("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
+    "altitude_m": Term(
+        "m", "129029: above the ellipsoid; 65256: above mean sea level", Range(-11_000.0, 100_000.0)
+    ),
+    "course_rad": Term("rad", "direction of travel over ground, clockwise from north", _TURN),
+    "speed_mps": Term("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
+    "heading_rad": Term("rad", "direction of facing, clockwise from north", _TURN),
+    "heading_reference": Term("", "north of heading or course: true | magnetic"),
+    "yaw_rate_radps": Term("rad/s", "positive in a right turn", Range(-10.0, 10.0)),
+    "roll_rad": Term("rad", "positive right side down", _HALF),
+    "pitch_rad": Term("rad", "positive nose up", _QUARTER),
+    "yaw_rad": Term("rad", "of 127257, clockwise from a north that the message does not name"),
+    "wheel_angle_rad": Term("rad", "road wheel (or rudder), positive right", _QUARTER),
+    "hand_wheel_angle_rad": Term("rad", "the driver's wheel, positive right (clockwise)"),
+    "curvature_per_m": Term("1/m", "of the path, positive to the driver's right"),
+    "commanded_curvature_per_m": Term(
+        "1/m", "that the steering is asked for, positive to the driver's right"
+    ),
+    "command_status": Term("", "of a guidance command: intended | not_intended to steer"),
+    "direction": Term("", "of travel: forward | reverse"),
+    "utc_ns": Term("ns", "since 1970, UTC"),
+    "fix": Term("", " | ".join(fix.value for fix in FixType)),
+    "satellites": Term("", "used in the solution"),
+    "hdop": Term("", "horizontal dilution of precision", _DILUTION),
+    "pdop": Term("", "dilution of precision in three dimensions", _DILUTION, measured=False),
+    "vdop": Term("", "vertical dilution of precision", _DILUTION, measured=False),
+    "tdop": Term("", "dilution of precision in time", _DILUTION, measured=False),
+    "desired_mode": _told("of a GNSS receiver: 1D | 2D | 3D | auto"),
+    "actual_mode": _told("as desired_mode"),
+    "gnss_system": _told("of the solution: gps | glonass | gps_glonass | …"),
+    "integrity": _told("of the solution: unchecked | safe | caution"),
+    "geoid_separation_m": _told("of the geoid from the ellipsoid, positive above it", "m"),
+    "reference_stations": _told("number of them; what is said of each is in stations"),
+    "satellites_in_view": _told("number of them; what is said of each is in sky"),
+    "range_residual_mode": _told("residuals of ranges were used_in_solution | computed_after"),
+    "deviation_rad": _told("of the compass, positive east", "rad"),
+    "variation_rad": _told("of magnetic north from true north, positive east", "rad"),
+    "instance": _told("which of several rudders"),
+    "direction_order": _told("of a rudder: none | starboard | port"),
+    "angle_order_rad": _told("that a rudder is asked for, positive right", "rad"),
+    "time_source": _told("gps | glonass | radio | cesium | rubidium | crystal"),
+    "local_offset_s": _told("of local time from UTC", "s"),
+    "roll_rate_radps": _told("of 130842, as its device counts", "rad/s"),
+    "pitch_rate_radps": _told("of 130842, as its device counts", "rad/s"),
+    "nmea2000_version": _told("of the standard that the device was made to"),
+    "product_code": _told("NMEA's number of the product"),
+    "model": _told("text"),
+    "software_version": _told("text"),
+    "model_version": _told("text"),
+    "serial_number": _told("text"),
+    "certification_level": _told("of NMEA 2000: A | B"),
+    "load_equivalency": _told("current drawn from the bus, in units of 50 mA"),
+    "identity": _told("of a NAME: the device's own number"),
+    "manufacturer": _told("of a NAME: code of SAE J1939 or NMEA 2000"),
+    "device_instance": _told("of a NAME: which of several equal control units"),
+    "function_instance": _told("of a NAME: which of several equal functions"),
+    "function": _told("of a NAME: code"),
+    "device_class": _told("of a NAME: code of the kind of machine"),
+    "system_instance": _told("of a NAME: which of several such machines"),
+    "industry_group": _told("of a NAME: code"),
+    "arbitrary_address": _told("of a NAME: 1 where the device may take another address"),
+}
