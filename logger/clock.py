@@ -98,6 +98,11 @@ class Clock:
         began_wrong = self.t_ns() < EARLIEST_NS
         return self._wall_ahead_ns if began_wrong and self.t_ns() + self._wall_ahead_ns > EARLIEST_NS else 0
 
+    def utc_ns(self, t_ns: int) -> int | None:
+        """UTC at an instant of this clock, as far as it is known by now; None where it is not."""
+        utc_ns = t_ns + self.correction_ns
+        return utc_ns if utc_ns >= EARLIEST_NS else None
+
     def relation(self) -> Relation:
         monotonic_ns = time.monotonic_ns()
         return Relation(

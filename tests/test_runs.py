@@ -193,7 +193,8 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
     assert found.wrong == [] and found.steps_s == [pytest.approx(5.0, abs=0.1)] and found.backwards == 0
     assert main(["verify", "--json", str(paths[1]), str(paths[0])]) == 1  # the wrong way round
     told = json.loads(capsys.readouterr().out)
-    assert any("what is between is missing" in what for what in told[0]["wrong"])
+    assert any("part 1 after part 2; give each once and in order" in what for what in told[0]["wrong"])
+    assert any("what was before it is not here" in what for what in told[0]["wrong"])
     assert told[0]["backwards"] == 1
 
 
