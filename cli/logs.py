@@ -13,7 +13,7 @@ from rich.table import Table
 
 from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
-from tilth.logger.clock import EARLIEST_NS, utc_text
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.runs import Beside, StoredRun
 from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
 
@@ -81,13 +81,13 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
     seen = [found for found in told.values() if found.last_ns]
     states = Counter(found.state for found in told.values())
     events: Counter[str] = sum((found.events for found in told.values()), Counter())
-    sensors = next((found.sensors for found in reversed(seen) if found.sensors), {})  # at the run's end
+    sensors = next((found.sensors for found in reversed(seen) if found.frames and found.sensors), {})
     first_ns = seen[0].first_ns + seen[-1].utc_minus_ns if seen else one.started_ns
-    duration_s = sum(found.last_ns - found.first_ns for found in seen) * 1e-9
+    duration_s = (seen[-1].last_ns - seen[0].first_ns) * 1e-9 if seen else 0.0
     return {
         "run": one.name,
         "began": utc_text(first_ns) if first_ns else "",
-        "began_known": first_ns >= EARLIEST_NS,
+        "began_known": first_ns >= DATED_NS,
         "seconds": duration_s,  # the same, by its older name
         "duration_s": duration_s,
         "bytes": size,

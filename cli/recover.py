@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from tilth.logger.clock import EARLIEST_NS, utc_text
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.recovery import Finished, NoLog, finish
 
 
@@ -38,7 +38,7 @@ def _words(done: Finished) -> str:
     first_ns, last_ns = done.first_ns + done.utc_minus_ns, done.last_ns + done.utc_minus_ns
     if not done.messages:
         span = ""
-    elif first_ns < EARLIEST_NS:  # the computer woke in 1970, and nobody had told it better by then
+    elif first_ns < DATED_NS:  # the computer woke in 1970, and nobody had told it better by then
         span = f", {(last_ns - first_ns) * 1e-9:.1f} s at a time that is not known"
     else:
         span = f", {utc_text(first_ns)} to {utc_text(last_ns)}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tilth.cli import WrongUse
-from tilth.logger.clock import utc_text
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Heard, Survey, survey
 
 GAPS_SHOWN = 3
@@ -55,15 +55,22 @@ def _lines(one: Survey) -> list[str]:
         lines.append(f"  the log's time runs back {one.backwards} times")
     for step_s in one.steps_s:
         lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
-    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
-    moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
-    lines.append(f"  UTC {told}{moved}")
+    lines.append(f"  UTC {_told(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
     lines += [f"  WRONG: {what}" for what in one.wrong]
     if one.being_written:
         lines.append("  being written: read as far as it was on the disk")
     lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")
     return lines
+
+
+def _told(one: Survey) -> str:
+    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
+    if one.first_ns < DATED_NS:
+        known = one.first_ns + one.utc_minus_ns >= DATED_NS
+        return f"{told}; the computer began with a wrong clock" if known else "not known: the clock is wrong"
+    moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
+    return told + moved
 
 
 def _words(one: Survey, heard: Heard) -> str:

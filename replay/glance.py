@@ -1,6 +1,7 @@
 """What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the heads
 of its records."""
 
+import struct
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -22,6 +23,8 @@ WHOLE: Final = "whole"
 BEING_WRITTEN: Final = "being written"  # by another program, now
 UNFINISHED: Final = "unfinished"
 NO_LOG: Final = "no log of tilth"
+_INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
+_ENTRY = 16
 
 
 @dataclass(slots=True)
@@ -141,9 +144,9 @@ def _take(chunks: _Chunks, place: Place, found: Glance, times: list[int]) -> Non
         times += [t for at in (0, 8) if (t := int.from_bytes(head[at : at + 8], "little"))]
         chunks.places.append(place)
     elif place.opcode == Opcode.MESSAGE_INDEX:
-        stream = ReadDataStream(file)
         file.seek(place.body)
-        chunks.counts[len(chunks.places) - 1][stream.read2()] = stream.read4() // 16
+        channel, size = _INDEX.unpack(file.read(_INDEX.size))
+        chunks.counts[len(chunks.places) - 1][channel] = size // _ENTRY
     elif place.opcode == Opcode.METADATA:
         file.seek(place.body)
         _metadata(found, Metadata.read(ReadDataStream(file)))
