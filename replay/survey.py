@@ -77,6 +77,7 @@ class _Reading:
     times: defaultdict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     statuses: list[pb.Status] = field(default_factory=list)
     clocks: list[Mapping[str, str]] = field(default_factory=list)
+    ended: str = ""  # why the last file did
 
 
 def survey(paths: Iterable[Path]) -> list[Survey]:
@@ -102,6 +103,7 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
             damage -= Counter(cut=1, empty=1)
         one.wrong += [f"{path.name}: {_DAMAGE[what].format(count)}" for what, count in sorted(damage.items())]
         reading.clocks += clocks
+        reading.ended = clocks[-1].get("why", "") if clocks else ""
     for one, reading in runs.values():
         _conclude(one, reading)
     return [one for one, _ in runs.values()]
@@ -210,6 +212,8 @@ def _conclude(one: Survey, reading: _Reading) -> None:
         if reading.statuses[0].uptime_s > YOUNG_S:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
+    if reading.ended == ROTATION:
+        one.wrong.append(f"part {one.parts[-1]} is not the last one; what comes after it is not here")
 
 
 def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:
@@ -238,8 +242,6 @@ def _clocks(one: Survey, clocks: list[Mapping[str, str]]) -> None:
     if clocks:
         one.utc_minus_ns = _number(clocks[-1].get("utc_minus_t_ns"))
         one.by_gnss = "gnss_utc_minus_t_ns" in clocks[-1]
-        if clocks[-1].get("why") == ROTATION:
-            one.wrong.append(f"part {one.parts[-1]} is not the last one; what comes after it is not here")
 
 
 def _number(text: str | None) -> int:
