@@ -58,6 +58,8 @@ def _lines(one: Survey) -> list[str]:
     lines.append(f"  UTC {_told(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
     lines += [f"  WRONG: {what}" for what in one.wrong]
+    if one.goes_on_in:
+        lines.append(f"  goes on in {one.goes_on_in}, which was not read")
     if one.being_written:
         lines.append("  being written: read as far as it was on the disk")
     lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")

@@ -1,5 +1,5 @@
-"""What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the heads
-of its records."""
+"""What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the
+heads of its records."""
 
 import struct
 from collections import Counter, defaultdict
@@ -35,7 +35,7 @@ class Glance:
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
-    sensors: dict[str, str] = field(default_factory=dict)  # its state at the last frame; {} where none is told
+    sensors: dict[str, str] = field(default_factory=dict)  # name -> its state at the last frame
     events: Counter[str] = field(default_factory=Counter)  # by kind
     utc_minus_ns: int = 0
     note: str = ""
@@ -67,7 +67,9 @@ def _by_index(reader: McapReader) -> Glance:
         return Glance(NO_LOG)
     counts = summary.statistics.channel_message_counts
     buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
-    found.frames = sum(counts.get(id, 0) for id, channel in summary.channels.items() if channel.topic in buses)
+    found.frames = sum(
+        counts.get(id, 0) for id, channel in summary.channels.items() if channel.topic in buses
+    )
     found.first_ns = summary.statistics.message_start_time
     found.last_ns = summary.statistics.message_end_time
     last = next(reader.iter_messages(buses, reverse=True), None) if buses else None

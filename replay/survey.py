@@ -17,6 +17,7 @@ from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_fin
 from tilth.logger.mcap_log import CAN_TOPIC
 from tilth.logger.recording import ROTATION
 from tilth.logger.recovery import UNREADABLE, is_being_written, is_ours
+from tilth.logger.runs import file_name
 from tilth.schemas.proto import tilth_pb2 as pb
 
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
@@ -56,6 +57,7 @@ class Survey:
     backwards: int = 0  # times that ran back, from one record to the next
     events: list[pb.Event] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)  # with the files themselves, in words
+    goes_on_in: str = ""  # the next file, where it is there and was not given
     being_written: bool = False  # by another program, now: read as far as it was on the disk
 
     @property
@@ -149,7 +151,8 @@ def _records(file: BinaryIO, size: int, damage: Counter[str]) -> Iterator[tuple[
                 yield from messages_in(data, topics)
 
 
-def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, _Row]]:
+def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tuple[int, bytes]]]:
+    """(topic, (t_ns, data)) of the records of a chunk; `topics`, by channel, learns those it defines."""
     start, end = 0, len(data)
     data += bytes(MESSAGE.size)
     while start < end:
@@ -213,7 +216,12 @@ def _conclude(one: Survey, reading: _Reading) -> None:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
     if reading.ended == ROTATION:
-        one.wrong.append(f"part {one.parts[-1]} is not the last one; what comes after it is not here")
+        run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
+        following = one.files[-1].with_name(file_name(run, part + 1))
+        if following.exists():  # it may have begun since the files to be read were named
+            one.goes_on_in = following.name
+        else:
+            one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
 def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:

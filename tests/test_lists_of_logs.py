@@ -1,4 +1,4 @@
-"""Lists of runs and what is said of their files: by all parts, while they are written, beside others' files."""
+"""Lists of runs and what is said of their files: by all parts, while they grow, beside others' files."""
 
 import fcntl
 import json
@@ -170,7 +170,10 @@ def test_other_files_in_the_folder_are_told_apart(tmp_path: Path, capsys: pytest
 
 def test_a_missing_end_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = parts_of(tmp_path / "logs", "alive", "alive")
-    assert main(["verify", str(first)]) == 1
-    assert "part 1 is not the last one" in capsys.readouterr().out
     assert main(["verify", str(first), str(second), str(second)]) == 1
     assert "part 2 after part 2; give each once and in order" in capsys.readouterr().out
+    assert main(["verify", str(first)]) == 0
+    assert f"goes on in {second.name}, which was not read" in capsys.readouterr().out
+    second.unlink()
+    assert main(["verify", str(first)]) == 1
+    assert "part 1 is not the last one; what comes after it is not here" in capsys.readouterr().out

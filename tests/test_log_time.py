@@ -1,9 +1,9 @@
 """What a log's time does is told by all frames that follow, not by one: steps, silences, stamps astray."""
 
-import random
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from circle import demo_machine
 
@@ -47,13 +47,13 @@ def test_a_step_is_said_once_with_its_size_and_all_that_passed_counts(back: floa
 @pytest.mark.parametrize("seed", range(40))
 def test_a_step_among_late_frames_is_said_once(seed: int) -> None:
     """Up to one frame of fifty late by up to eight seconds, all a little out of order, on one bus or two."""
-    draw = random.Random(seed)
-    each, back = draw.choice([0.004, 0.01, 0.05]), draw.choice([0.9, 3.0, 30.0, 10_000.0])
+    draw = np.random.default_rng(seed)
+    each, back = float(draw.choice([0.004, 0.01, 0.05])), float(draw.choice([0.9, 3.0, 30.0, 10_000.0]))
     at = draw.uniform(10.0, 30.0)
     stamps = []
     for t in times(40.0, each):
         late = draw.uniform(0.0, 8.0) if draw.random() < 0.02 else draw.uniform(0.0, 2 * each)
-        stamps.append((t - late - back * (t >= at), draw.choice(["can0", "can1"][: 1 + seed % 2])))
+        stamps.append((t - late - back * (t >= at), f"can{draw.integers(1 + seed % 2)}"))
     said, time = moves(stamps)
     assert said == [pytest.approx(-back, abs=1.1)]
     assert passed(time) == pytest.approx(40.0, abs=1.2)
@@ -119,7 +119,9 @@ def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none()
     assert said == [pytest.approx(15.0, abs=0.02)] and time.astray == 0
     assert passed(time) == pytest.approx(60.0, abs=0.1) and time.silent_ns == pytest.approx(15e9, rel=0.01)
     said, _ = moves([(t, "can0") for t in times(200.0, 15.0)])
-    assert said == [pytest.approx(15.0)] * len(said) and len(said) > 2  # a bus that wakes for a frame now and then
+    assert (
+        said == [pytest.approx(15.0)] * len(said) and len(said) > 2
+    )  # a bus that wakes for a frame now and then
     waited = LogTime()
     for at, taken in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.1, 20.1)):
         frame = Frame(round((START + taken) * 1e9), round((START + at) * 1e9), "can0", 0, True, False, b"")

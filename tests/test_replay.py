@@ -306,9 +306,7 @@ def test_frames_of_a_second_clock_are_neither_steps_nor_time(live: Live, tmp_pat
 def test_a_clock_that_was_set_ahead_is_not_time_that_passed(live: Live, tmp_path: Path) -> None:
     """Of a log that others wrote; in a log of ours the same is a silence, for its clock is never set."""
     half, hour = len(live.rows) // 2, 3_600_000_000_000
-    rows = live.rows[:half] + [
-        replace(r, t_ns=r.t_ns + hour, rx_ns=r.rx_ns + hour) for r in live.rows[half:]
-    ]
+    rows = live.rows[:half] + [replace(r, t_ns=r.t_ns + hour, rx_ns=r.rx_ns + hour) for r in live.rows[half:]]
     foreign, _ = run([as_candump(rows, tmp_path / "x.log")])
     assert foreign.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
     parts = record(tmp_path, rows, 1).parts
