@@ -131,7 +131,7 @@ def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none()
 def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
     """Messages that nobody wants, of a clock 7.5 s behind, among those of a rig."""
     machine = demo_machine()
-    given = list(simulate(machine, 3, 12.0, Scenario(other_traffic=False)))
+    given = list(simulate(machine, 3, 9.0, Scenario(other_traffic=False)))
     late = [
         replace(frame, t_ns=frame.t_ns - 7_456_000_000, rx_ns=frame.rx_ns - 7_456_000_000, can_id=0x18FF0001)
         for frame in given[::9]
@@ -144,5 +144,5 @@ def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
     out = [p for f in given for p in step(alone, f)]
     assert [p for _, _, f in mixed for p in step(among, f)] == out
     assert among.rejected["other_time"] == len(late) and "clock_step" not in among.rejected
-    assert alone.poses == among.poses > 40 and alone.rejected.get("other_time") is None
+    assert alone.poses == among.poses > 20 and alone.rejected.get("other_time") is None
     assert not [p for p in out if isinstance(p.value, Event) and p.value.kind in ("gap", "clock_step")]
