@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from rich.table import Table
 
 from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
-from tilth.logger.clock import utc_text
-from tilth.logger.recovery import unfinished
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.runs import Beside, StoredRun
-from tilth.replay.survey import glance
+from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
+
+NOT_ALIVE = (("lost", "lost"), ("no_data", "without data"), ("waiting", "never heard"))
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -47,8 +49,7 @@ def run(args: argparse.Namespace) -> int:
         beside.keep = beside.keep if keep is None else keep
         beside.notes += [text] if text else []
         one.note(beside)
-    busy = set(unfinished(args.folder)) if args.folder.is_dir() else set()
-    rows = [_row(one, busy) for one in chosen(args.folder, names or None)]
+    rows = [row for one in chosen(args.folder, names or None) if (row := _row(one)) is not None]
     if args.json:
         print(json.dumps(rows, indent=1, ensure_ascii=False))
         return 0
@@ -66,41 +67,67 @@ def _beside(one: StoredRun) -> Beside:
         raise WrongUse(str(error)) from None
 
 
-def _row(one: StoredRun, unfinished_files: set[Path]) -> dict[str, Any]:
+def _row(one: StoredRun) -> dict[str, Any] | None:
+    """What is told of a run, by all its files; None where they have gone since they were listed."""
     beside = _beside(one)
-    told = [found for path in one.files if (found := glance(path)) is not None]
-    events: Counter[str] = sum((each.events for each in told), Counter())
-    worst = min(told, key=lambda each: each.alive - each.sensors, default=None)
-    copied = sum(path.name in beside.copied for path in one.files)
-    first = told[0].first_ns + told[-1].utc_minus_ns if told else one.started_ns
+    told: dict[str, Glance] = {}
+    size = 0
+    for path in one.files:
+        with suppress(FileNotFoundError):  # the recorder renames a run, or makes room, at any time
+            size += path.stat().st_size
+            told[path.name] = glance(path)
+    if not told:
+        return None
+    seen = [found for found in told.values() if found.last_ns]
+    states = Counter(found.state for found in told.values())
+    events: Counter[str] = sum((found.events for found in told.values()), Counter())
+    sensors = next((found.sensors for found in reversed(seen) if found.frames and found.sensors), {})
+    first_ns = seen[0].first_ns + seen[-1].utc_minus_ns if seen else one.started_ns
+    duration_s = (seen[-1].last_ns - seen[0].first_ns) * 1e-9 if seen else 0.0
     return {
         "run": one.name,
-        "began": utc_text(first) if first else "",
-        "seconds": sum((each.last_ns - each.first_ns) * 1e-9 for each in told),
-        "bytes": sum(path.stat().st_size for path in one.files),
-        "files": len(one.files),
-        "frames": sum(each.frames for each in told),
-        "alive": worst.alive if worst else 0,
-        "sensors": worst.sensors if worst else 0,
-        "lost": list(worst.lost) if worst else [],
+        "began": utc_text(first_ns) if first_ns else "",
+        "began_known": first_ns >= DATED_NS,
+        "seconds": duration_s,  # the same, by its older name
+        "duration_s": duration_s,
+        "bytes": size,
+        "files": len(told),
+        "missing_parts": one.missing_parts,
+        "frames": sum(found.frames for found in told.values()),
+        "alive": sum(state == "alive" for state in sensors.values()),
+        "sensors": len(sensors),
+        "sensor_states": sensors,
+        "lost": [name for name, state in sensors.items() if state != "alive"],
         "events": dict(events),
-        "unfinished": sum(path in unfinished_files for path in one.files),
-        "recording": len(one.files) - len(told) > sum(path in unfinished_files for path in one.files),
-        "copied": copied,
+        "unfinished": states[UNFINISHED],
+        "recording": states[BEING_WRITTEN] > 0,
+        "no_log": [name for name, found in told.items() if found.state == NO_LOG],
+        "copied": sum(name in beside.copied for name in told),
         "keep": beside.keep,
-        "notes": [*({each.note for each in told} - {""}), *beside.notes],
+        "notes": [*dict.fromkeys(found.note for found in seen if found.note), *beside.notes],
     }
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    minutes, seconds = divmod(round(row["seconds"]), 60)
-    what = [f"{', '.join(row['lost'])} lost"] if row["lost"] else []
+    minutes, seconds = divmod(round(row["duration_s"]), 60)
+    what = [
+        f"{', '.join(names)} {word}"
+        for state, word in NOT_ALIVE
+        if (names := [name for name, now in row["sensor_states"].items() if now == state])
+    ]
     what += [f"{kind} {count}" for kind, count in sorted(row["events"].items())]
-    state = ["recording"] * row["recording"] + ["unfinished: tilth recover"] * bool(row["unfinished"])
-    copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
-    state += ([copied] if row["copied"] else []) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]
     return [
-        row["run"], row["began"], f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}",
+        row["run"], row["began"] if row["began_known"] else "not known",
+        f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}",
         f"{row['bytes'] / 1e6:.1f}", str(row["frames"]), f"{row['alive']}/{row['sensors']}",
-        ", ".join(what), ", ".join(state),
+        ", ".join(what), ", ".join(_state(row)),
     ]  # fmt: skip
+
+
+def _state(row: dict[str, Any]) -> list[str]:
+    missing = ", ".join(map(str, row["missing_parts"]))
+    state = ["recording"] * row["recording"] + ["unfinished: tilth recover"] * bool(row["unfinished"])
+    state += [f"part {missing} missing"] if missing else []
+    state += [f"{name} is {NO_LOG}" for name in row["no_log"]]
+    copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
+    return state + [copied] * bool(row["copied"]) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]

@@ -9,7 +9,7 @@ import zenoh
 from tilth.cli import WrongUse
 from tilth.client.link import ENDPOINT, Alive, living
 from tilth.client.refusal import holder_of, try_key
-from tilth.logger.clock import utc_text
+from tilth.logger.clock import EARLIEST_NS, utc_text
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -62,10 +62,17 @@ def run(args: argparse.Namespace) -> int:
     for reply in replies:
         if reply.ok:
             event = pb.Event.FromString(reply.ok.payload.to_bytes())
-            print(f"{utc_text(event.t_ns)} marked: {event.text}")
+            print(f"{_when(event)} marked: {event.text}")
             return 0
         raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before marking again")
+
+
+def _when(event: pb.Event) -> str:
+    if event.HasField("utc_ns"):
+        return utc_text(event.utc_ns)
+    # A daemon of before told its own clock alone; one of now that tells no UTC does not know it yet.
+    return utc_text(event.t_ns) if event.t_ns >= EARLIEST_NS else "at a time that is not known yet,"
 
 
 def _heard(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:

@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
         for why in done.left:
             print(f"tilth offload: left: {why}", file=sys.stderr)
             status = 1
-        print(f"{one.name}: {done.copied} files copied and compared, {done.there} were there already")
+        files = "file" if done.copied == 1 else "files"
+        print(f"{one.name}: {done.copied} {files} copied and compared, {done.there} there already")
     return status
 
 

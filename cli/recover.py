@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from tilth.logger.clock import utc_text
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.recovery import Finished, NoLog, finish
 
 
@@ -35,6 +35,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _words(done: Finished) -> str:
     what = "was whole" if done.was_whole else "finished now"
-    span = f", {utc_text(done.first_ns)} to {utc_text(done.last_ns)}" if done.messages else ""
+    first_ns, last_ns = done.first_ns + done.utc_minus_ns, done.last_ns + done.utc_minus_ns
+    if not done.messages:
+        span = ""
+    elif first_ns < DATED_NS:  # the computer woke in 1970, and nobody had told it better by then
+        span = f", {(last_ns - first_ns) * 1e-9:.1f} s at a time that is not known"
+    else:
+        span = f", {utc_text(first_ns)} to {utc_text(last_ns)}"
     damaged = f"; {done.unreadable_bytes} bytes of it cannot be read" if done.unreadable_bytes else ""
     return f"{done.path}: {what}: {done.messages} messages{span}{damaged}"

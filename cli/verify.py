@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from tilth.cli import WrongUse
-from tilth.logger.clock import utc_text
+from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Heard, Survey, survey
 
 GAPS_SHOWN = 3
+STEPPED = "clock_stepped"  # a fault that the steps themselves tell
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,27 +42,37 @@ def run(args: argparse.Namespace) -> int:
 
 def _lines(one: Survey) -> list[str]:
     size = sum(path.stat().st_size for path in one.files) / 1e6
-    seconds = (one.last_ns - one.first_ns) * 1e-9
     name = one.files[0].name.rpartition("_")[0] or one.files[0].name
     if not one.run:
-        return one.wrong or [f"{name}: no log of tilth"]
+        return one.wrong or [f"{one.files[0].name}: is being written; nothing is in it yet"]
     files = _many(len(one.files), "file")
-    lines = [f"{name}: {files}, {size:.1f} MB, {seconds:.1f} s from {_utc(one, one.first_ns)}"]
+    lines = [f"{name}: {files}, {size:.1f} MB, {one.duration_s:.1f} s from {_utc(one, one.first_ns)}"]
     if one.note:
         lines.append(f"  note: {one.note}")
     lines += [f"  {_name(topic):<18} {_words(one, heard)}" for topic, heard in one.heard.items()]
-    lines += [f"  {reason}: {count}" for reason, count in one.faults.items()]
+    lines += [f"  {reason}: {count}" for reason, count in one.faults.items() if reason != STEPPED]
     if one.backwards:
         lines.append(f"  the log's time runs back {one.backwards} times")
     for step_s in one.steps_s:
         lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
-    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
-    moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
-    lines.append(f"  UTC {told}{moved}")
+    lines.append(f"  UTC {_told(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
     lines += [f"  WRONG: {what}" for what in one.wrong]
+    if one.goes_on_in:
+        lines.append(f"  goes on in {one.goes_on_in}, which was not read")
+    if one.being_written:
+        lines.append("  being written: read as far as it was on the disk")
     lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")
     return lines
+
+
+def _told(one: Survey) -> str:
+    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
+    if one.first_ns < DATED_NS:
+        known = one.first_ns + one.utc_minus_ns >= DATED_NS
+        return f"{told}; the computer began with a wrong clock" if known else "not known: the clock is wrong"
+    moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
+    return told + moved
 
 
 def _words(one: Survey, heard: Heard) -> str:
@@ -90,6 +101,14 @@ def _utc(one: Survey, t_ns: int) -> str:
 def _plain(one: Survey) -> dict[str, Any]:
     plain: dict[str, Any] = {each.name: getattr(one, each.name) for each in fields(one)}
     plain["files"] = [str(path) for path in one.files]
-    plain["heard"] = {topic: asdict(heard) for topic, heard in one.heard.items()}
-    plain["events"] = [{"t_ns": e.t_ns, "kind": e.kind, "text": e.text} for e in one.events]
-    return plain | {"good": one.good}
+    plain["heard"] = {topic: _plain_heard(heard) for topic, heard in one.heard.items()}
+    plain["events"] = [
+        {"t_ns": e.t_ns, "utc": _utc(one, e.t_ns), "kind": e.kind, "text": e.text} for e in one.events
+    ]
+    began = _utc(one, one.first_ns) if one.first_ns else ""
+    return plain | {"began": began, "duration_s": one.duration_s, "good": one.good}
+
+
+def _plain_heard(heard: Heard) -> dict[str, Any]:
+    """`gaps`: [t_ns, s] of each."""
+    return asdict(heard) | {"longest_gap_s": max((length for _, length in heard.gaps), default=0.0)}

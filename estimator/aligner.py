@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from tilth.estimator import latency, plausibility
 from tilth.estimator.geometry import to_plane
 from tilth.estimator.latency import Latency
+from tilth.estimator.log_time import SILENCE_NS
 from tilth.estimator.track import NEAR_NS, Sample, Track
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
@@ -31,7 +32,6 @@ from tilth.schemas.machine import Machine
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
 LOST_NS = 1_000_000_000  # no usable position for this long
-SILENCE_NS = 10_000_000_000  # nobody spoke: no poses of what nobody saw
 FARTHEST = 5_000.0  # m from the origin: beyond, grid north leaves true north by more than a milliradian
 AGREEING = 100.0  # m: two positions that may both be true
 MOUNTS = tuple(Mount)

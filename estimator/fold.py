@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tilth.estimator import aligner, consistency, recorder, startup, warm
-from tilth.estimator.aligner import SILENCE_NS, Aligner
+from tilth.estimator import aligner, consistency, log_time, recorder, startup, warm
+from tilth.estimator.aligner import Aligner
 from tilth.estimator.consistency import Consistency
 from tilth.estimator.drawing import body_frames, drawing
 from tilth.estimator.estimators import ROW, rows_for
 from tilth.estimator.geometry import to_degrees
+from tilth.estimator.log_time import LogTime
 from tilth.estimator.plain import from_plain, to_plain
 from tilth.estimator.pose import poses
 from tilth.estimator.recommend import PREFERRED, disagreement, recommend
@@ -28,7 +29,6 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
 from tilth.schemas.machine import Machine
 
-REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
 DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
 
 _FLAG_TEXT = {
@@ -65,11 +65,16 @@ class State:
     poses: int = 0
     clock_steps: int = 0
     not_numbers: int = 0  # measurements that were refused for it
-    latest_ns: int = 0  # greatest t_ns since the last step back of the clock
+    time: LogTime = field(default_factory=LogTime)  # of the log
     flags: tuple[str, ...] = ()  # of the last pose
     place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
     disagree: bool = False  # whether the methods do
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest, as it was published
+
+    @property
+    def latest_ns(self) -> int:
+        """Greatest t_ns since the last step back of the log's clock."""
+        return self.time.latest_ns
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -77,6 +82,8 @@ class State:
         counts = dict(self.decoder.rejected)
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
+        if self.time.astray:
+            counts["other_time"] = self.time.astray
         if self.not_numbers:
             counts["not_a_number"] = self.not_numbers
         return counts
@@ -103,7 +110,7 @@ def keep(state: State, t_ns: int) -> dict[str, Kept]:
 def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
     """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
     told = warm.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
-    state.latest_ns = t_ns
+    state.time.latest_ns = t_ns
     state.kept = {method: before for method, before in kept.items() if told.get(method) == ""}
     state.consistency.confirmed = bool(state.kept)  # only then something had been kept
     state.kept_ns = t_ns - round(elapsed_s * 1e9)
@@ -132,16 +139,17 @@ def _estimates_now(state: State) -> dict[str, Estimate]:
 def step(state: State, frame: Frame) -> list[Publication]:
     """Take one frame: change the state in place, return what is to be published, in order."""
     out: list[Publication] = []
-    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
-    if frame.t_ns < state.latest_ns - REWIND_NS:
-        _clock_stepped(state, frame, out)
-    elif state.latest_ns and now_ns > state.latest_ns + SILENCE_NS:  # not of frames that only waited
-        seconds = (now_ns - state.latest_ns) * 1e-9
-        out.append(
-            Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", f"no frame for {seconds:.1f} s"))
-        )
-    state.latest_ns = max(frame.t_ns, state.latest_ns)
     state.frames += 1
+    moved_ns = log_time.follow(state.time, frame)
+    if moved_ns is None:  # who has which address is learned from it all the same, but not where anything is
+        state.decoder.measurements(frame)
+        return out
+    if moved_ns < 0:
+        _clock_stepped(state, frame.t_ns, moved_ns, out)
+    elif moved_ns > 0:
+        text = f"no frame for {moved_ns * 1e-9:.1f} s"
+        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
+    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
     placed = False
     for measurement in state.decoder.measurements(frame):
         placed |= _take(state, frame.t_ns, measurement, out)
@@ -305,9 +313,8 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     return out
 
 
-def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
+def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
     """Time ran back: what was kept belongs to another time. What was learned of the soil stays."""
-    seconds = (state.latest_ns - frame.t_ns) * 1e-9
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
     _use_turn_rates(state)
@@ -315,12 +322,11 @@ def _clock_stepped(state: State, frame: Frame, out: list[Publication]) -> None:
     recorder.clock_stepped(state.record)
     consistency.clock_stepped(state.consistency)
     state.place = None
-    state.kept_ns += frame.t_ns - state.latest_ns
+    state.kept_ns += by_ns
     for row in rows_for(state.machine):
-        row.clock_stepped(state.estimators[row.method], frame.t_ns - state.latest_ns)
-    state.latest_ns = frame.t_ns
-    text = f"the clock of the log stepped back by {seconds:.1f} s; positions are aligned anew"
-    out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "clock_step", text)))
+        row.clock_stepped(state.estimators[row.method], by_ns)
+    text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
+    out.append(Publication(t_ns, "/event", Event(t_ns, "clock_step", text)))
 
 
 _REBUILT = frozenset({"machine", "decoder", "estimators", "estimates"})

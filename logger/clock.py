@@ -16,6 +16,7 @@ NEWEST_NS = -1_000_000  # nor one this far in the future; a little, because two 
 LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
 EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
+DATED_NS = 315_532_800_000_000_000  # 1980-01-01: a time before is of a clock that nobody has set
 HEARD = 8  # times told by receivers before they are believed, and at most so many times that are remembered:
 REMEMBERED = 64
 
@@ -97,6 +98,11 @@ class Clock:
             return ahead_ns if abs(ahead_ns) > WRONG_NS else 0
         began_wrong = self.t_ns() < EARLIEST_NS
         return self._wall_ahead_ns if began_wrong and self.t_ns() + self._wall_ahead_ns > EARLIEST_NS else 0
+
+    def utc_ns(self, t_ns: int) -> int | None:
+        """UTC at an instant of this clock, as far as it is known by now; None where it is not."""
+        utc_ns = t_ns + self.correction_ns
+        return utc_ns if utc_ns >= EARLIEST_NS else None
 
     def relation(self) -> Relation:
         monotonic_ns = time.monotonic_ns()

@@ -268,7 +268,8 @@ class Daemon:
     def _note_marks(self) -> None:
         """Log what an operator asked to be noted; publish and answer when it is on the disk, not before."""
         for mark in self._marks.asked():
-            event = Event(self._clock.t_ns(), KIND, mark.text, *self._fold.place_deg)
+            t_ns = self._clock.t_ns()
+            event = Event(t_ns, KIND, mark.text, *self._fold.place_deg, self._clock.utc_ns(t_ns))
             self._recording.message("/event", event.t_ns, CHANNEL["/event"].encode(event))
             self._recording.settle(partial(self._marks.settle, mark, event))
         for mark, event, refusal in self._marks.settled():

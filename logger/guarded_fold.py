@@ -97,7 +97,7 @@ class GuardedFold:
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """What a frame causes, with its bytes as logged and published."""
-        if frame.t_ns < self._resume_ns:
+        if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
             return []
         try:
             publications = self._adopt(frame.t_ns) if self._decided else []

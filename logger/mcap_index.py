@@ -40,6 +40,7 @@ class Content:
     covered: int = 0  # bytes found under private records, of an earlier recovery
     end: int = 0  # of the last whole record
     header: bool = False
+    utc_minus_ns: int = 0  # by the last record of the clocks: what gives UTC, added to log times
 
 
 def ending(content: Content, end: int) -> Iterator[bytes]:

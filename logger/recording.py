@@ -26,6 +26,7 @@ ROOM_BYTES = 16e6  # above what is left alone: less is not worth a file
 SLOW_S = 2.0  # at one write or sync
 MOST_WAITING = 64_000_000  # bytes kept in memory for a disk that does not take them: minutes of a full bus
 SAMPLE_NS = 20 * SECOND_NS  # of recording before its rate is believed
+ROTATION = "rotation"  # why a file ended: the run goes on in the next one
 MOST_KEPT = 1000  # messages kept while ignition is off
 
 Report = Callable[[str, str], None]  # kind and text of an event
@@ -206,7 +207,7 @@ class Recording:
             self._finish(writer, "ignition off")
             self.resting = True
         elif self._is_due(writer) or self._is_misnamed():
-            self._finish(writer, "rotation")
+            self._finish(writer, ROTATION)
             self._open(with_state=True)
 
     def _flush(self, writer: LogWriter) -> None:

@@ -63,6 +63,7 @@ class Finished:
     messages: int
     first_ns: int  # log_time of the first and the last message; 0 where there is none
     last_ns: int
+    utc_minus_ns: int  # what gives UTC, added to them, as far as it was known when the file ended
     unreadable_bytes: int  # still in the file, in records that readers pass over
 
 
@@ -87,6 +88,7 @@ def finish(path: Path) -> Finished:
             messages=content.counts.total(),
             first_ns=min(times, default=0),
             last_ns=max(times, default=0),
+            utc_minus_ns=content.utc_minus_ns,
             unreadable_bytes=content.covered + sum(end - start for start, end in content.bad),
         )
 
@@ -100,22 +102,24 @@ def unfinished(folder: Path) -> list[Path]:
         try:
             with path.open("rb") as file:
                 size = file.seek(0, io.SEEK_END)
-                if not is_finished(file, size) and _is_free(file) and _is_ours(file, size):
+                if not is_finished(file, size) and not is_being_written(file) and is_ours(file, size):
                     found.append(path)
         except OSError:  # it will be found again
             continue
     return found
 
 
-def _is_free(file: BinaryIO) -> bool:
+def is_being_written(file: BinaryIO) -> bool:
+    """Whether another program holds it for writing, as the recorder does until a file is whole."""
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return False
-    return True
+        return True
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
 
 
-def _is_ours(file: BinaryIO, size: int) -> bool:
+def is_ours(file: BinaryIO, size: int) -> bool:
     """Whether tilth began to write it; a file of which nothing reached the disk may be."""
     file.seek(0)
     head = file.read(_LONGEST_HEADER)
@@ -177,8 +181,10 @@ def _take(content: Content, file: BinaryIO, place: Place) -> bool:
             case Opcode.MESSAGE_INDEX:
                 _message_index(content, place, MessageIndex.read(stream))
             case Opcode.METADATA:
-                name = Metadata.read(stream).name
-                content.metadata.append(MetadataIndex(place.start, place.end - place.start, name))
+                told = Metadata.read(stream)
+                if told.name == "clock":
+                    content.utc_minus_ns = int(told.metadata.get("utc_minus_t_ns", "0"))
+                content.metadata.append(MetadataIndex(place.start, place.end - place.start, told.name))
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 _define(content, place.opcode, body)
             case _:

@@ -49,6 +49,12 @@ class StoredRun:
     files: tuple[Path, ...]
 
     @property
+    def missing_parts(self) -> list[int]:
+        """Numbers of those before the last one that are not there."""
+        there = {int(path.stem.rpartition("_")[2]) for path in self.files}
+        return sorted(set(range(1, max(there))) - there)
+
+    @property
     def beside_path(self) -> Path:
         return self.folder / f"{self.name}.json"
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tilth.estimator import startup
+from tilth.estimator import log_time, startup
+from tilth.estimator.log_time import LogTime
 from tilth.logger.fitting import Retold
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.mcap_log import LogWriter, machine_sha256
@@ -44,7 +45,8 @@ class Summary:
     measurements: int = 0
     poses: int = 0
     rejected: dict[str, int] = field(default_factory=dict)  # reason -> count, of the readers and of the fold
-    duration_ns: int = 0  # of the logs' own stamps, gaps between logs and steps back left out
+    duration_ns: int = 0  # that passed in the logs: gaps between them and steps of their clocks left out,
+    # and of logs that others wrote also silences, which nobody can tell from a clock that was set ahead
     truncated: bool = False
     faults: int = 0  # of the fold
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the last
@@ -60,7 +62,7 @@ class Outputs:
     writer: LogWriter | None = None
     publish: Callable[[str, bytes], None] | None = None  # topic, payload
     comparison: Comparison | None = None
-    pace: Callable[[int], None] | None = None  # waits for the time of a frame, t_ns
+    pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
     progress: Callable[[int], None] | None = None  # is told the bytes read so far
 
 
@@ -173,17 +175,16 @@ class _Run:
     def _records(self, log: Log, buses: Mapping[str, str]) -> None:
         pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
         summary = self.summary
-        last_ns: int | None = None
+        time, before_ns = LogTime(), summary.duration_ns
         for record in on_buses_of(self._machine, log, buses, self._say):
             if self._anew:
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
-                t_ns = record.t_ns
-                if last_ns is not None and t_ns > last_ns:
-                    summary.duration_ns += t_ns - last_ns
-                last_ns = t_ns
+                log_time.follow(time, record)
+                even_ns = time.silent_ns if self.fitter.own else 0  # a clock of tilth's is never set
+                summary.duration_ns = before_ns + time.passed_ns + even_ns
                 if pace is not None:
-                    pace(t_ns)
+                    pace(time.latest_ns)
                 summary.frames += 1
                 self._frame(record)
                 if progress is not None and summary.frames % SHOWN == 0:

@@ -1,4 +1,4 @@
-"""What is in a run's files: read whole and checked (`survey`), or at a glance by their index (`glance`)."""
+"""What is in a run's files: read whole and checked."""
 
 import io
 from collections import Counter, defaultdict
@@ -11,17 +11,19 @@ from typing import BinaryIO, Final
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel, Metadata
 
 from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
 from tilth.logger.mcap_log import CAN_TOPIC
-from tilth.logger.recovery import UNREADABLE
+from tilth.logger.recording import ROTATION
+from tilth.logger.recovery import UNREADABLE, is_being_written, is_ours
+from tilth.logger.runs import file_name
 from tilth.schemas.proto import tilth_pb2 as pb
 
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
 SHORTEST_S: Final = 0.5  # a gap; and longer than
 SPACINGS: Final = 4.0  # times the usual spacing
+DROPPED: Final = "dropped on "  # a bus: how faults begin that cost frames
 YOUNG_S: Final = 3.0  # a daemon's first status: what it counts was counted in this run
 
 
@@ -55,11 +57,19 @@ class Survey:
     backwards: int = 0  # times that ran back, from one record to the next
     events: list[pb.Event] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)  # with the files themselves, in words
+    goes_on_in: str = ""  # the next file, where it is there and was not given
+    being_written: bool = False  # by another program, now: read as far as it was on the disk
+
+    @property
+    def duration_s(self) -> float:
+        """By the log's own clock, which nobody sets."""
+        return (self.last_ns - self.first_ns) * 1e-9
 
     @property
     def good(self) -> bool:
-        """Whether all that was received is in it and can be read."""
-        return not (self.wrong or self.faults or self.backwards)
+        """Whether all that was received is in it and can be read. A clock that was set costs nothing."""
+        lost = any(reason == "not_recorded" or reason.startswith(DROPPED) for reason in self.faults)
+        return not (self.wrong or lost or self.backwards)
 
 
 @dataclass(slots=True)
@@ -69,6 +79,7 @@ class _Reading:
     times: defaultdict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     statuses: list[pb.Status] = field(default_factory=list)
     clocks: list[Mapping[str, str]] = field(default_factory=list)
+    ended: str = ""  # why the last file did
 
 
 def survey(paths: Iterable[Path]) -> list[Survey]:
@@ -78,6 +89,7 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
         metadata, clocks, damage = dict[str, Mapping[str, str]](), list[Mapping[str, str]](), Counter[str]()
         one, reading = None, _Reading()
         with path.open("rb") as file:
+            being_written = is_being_written(file)
             for topic, row in _records(file, path.stat().st_size, damage):
                 if isinstance(row, Metadata):
                     metadata.setdefault(row.name, row.metadata)
@@ -88,8 +100,12 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
                 _take(one, reading, topic, *row)
         if one is None:
             one, reading = _run_of(runs, path, metadata)
+        if being_written:
+            one.being_written = True
+            damage -= Counter(cut=1, empty=1)
         one.wrong += [f"{path.name}: {_DAMAGE[what].format(count)}" for what, count in sorted(damage.items())]
         reading.clocks += clocks
+        reading.ended = clocks[-1].get("why", "") if clocks else ""
     for one, reading in runs.values():
         _conclude(one, reading)
     return [one for one, _ in runs.values()]
@@ -99,6 +115,8 @@ _DAMAGE = {
     "cut": "was left unfinished; `tilth recover` finishes it",
     "chunk": "chunks that cannot be read ({})",
     "bytes": "bytes that cannot be read ({})",
+    "empty": "is empty: nothing of it reached the disk",
+    "foreign": "is no log of tilth",
     "mcap": "is no MCAP file",
 }
 
@@ -109,7 +127,10 @@ def _records(file: BinaryIO, size: int, damage: Counter[str]) -> Iterator[tuple[
     """("", metadata) and (topic, (t_ns, data)) of a whole file."""
     topics: dict[int, str] = {}
     if file.read(len(MAGIC)) != MAGIC:
-        damage["mcap"] += 1
+        damage["empty" if is_ours(file, size) else "mcap"] += 1
+        return
+    if not is_ours(file, size):
+        damage["foreign"] += 1
         return
     if not is_finished(file, size):
         damage["cut"] += 1
@@ -127,10 +148,11 @@ def _records(file: BinaryIO, size: int, damage: Counter[str]) -> Iterator[tuple[
             except DAMAGE:
                 damage["chunk"] += 1
             else:
-                yield from _messages(data, topics)
+                yield from messages_in(data, topics)
 
 
-def _messages(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, _Row]]:
+def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tuple[int, bytes]]]:
+    """(topic, (t_ns, data)) of the records of a chunk; `topics`, by channel, learns those it defines."""
     start, end = 0, len(data)
     data += bytes(MESSAGE.size)
     while start < end:
@@ -152,9 +174,11 @@ def _run_of(
     one, reading = runs.setdefault(told.get("id", str(path)), (Survey(), _Reading()))
     one.run, one.note = told.get("id", ""), told.get("note", "")
     one.machine = metadata.get("machine", {}).get("name", "")
-    part = int(told.get("part", "0"))
-    if one.parts and part != one.parts[-1] + 1:
+    part = _number(told.get("part"))
+    if one.parts and part > one.parts[-1] + 1:
         one.wrong.append(f"{path.name}: part {part} after part {one.parts[-1]}; what is between is missing")
+    elif one.parts and part <= one.parts[-1]:
+        one.wrong.append(f"{path.name}: part {part} after part {one.parts[-1]}; give each once and in order")
     elif not one.parts and part > 1:
         one.wrong.append(f"{path.name}: part {part} comes first; what was before it is not here")
     one.files.append(path)
@@ -191,6 +215,13 @@ def _conclude(one: Survey, reading: _Reading) -> None:
         if reading.statuses[0].uptime_s > YOUNG_S:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
+    if reading.ended == ROTATION:
+        run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
+        following = one.files[-1].with_name(file_name(run, part + 1))
+        if following.exists():  # it may have begun since the files to be read were named
+            one.goes_on_in = following.name
+        else:
+            one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
 def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:
@@ -205,7 +236,7 @@ def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:
 
 
 def _counted(status: pb.Status) -> Counter[str]:
-    counts = Counter({f"dropped on {bus.name}": bus.lost_frames for bus in status.buses})
+    counts = Counter({f"{DROPPED}{bus.name}": bus.lost_frames for bus in status.buses})
     counts.update({fault.reason: fault.count for fault in status.faults})
     return +counts
 
@@ -213,66 +244,17 @@ def _counted(status: pb.Status) -> Counter[str]:
 def _clocks(one: Survey, clocks: list[Mapping[str, str]]) -> None:
     ahead = None
     for told in clocks:
-        before, ahead = ahead, int(told["realtime_ns"]) - int(told["t_ns"])
+        before, ahead = ahead, _number(told.get("realtime_ns")) - _number(told.get("t_ns"))
         if told.get("why") == "step" and before is not None:
             one.steps_s.append((ahead - before) * 1e-9)
     if clocks:
-        one.utc_minus_ns = int(clocks[-1].get("utc_minus_t_ns", "0"))
+        one.utc_minus_ns = _number(clocks[-1].get("utc_minus_t_ns"))
         one.by_gnss = "gnss_utc_minus_t_ns" in clocks[-1]
 
 
-@dataclass(frozen=True, slots=True)
-class Glance:
-    """What the index and the last status tell of a file."""
-
-    first_ns: int
-    last_ns: int
-    frames: int
-    alive: int  # sensors, at its last frame
-    sensors: int
-    lost: tuple[str, ...]  # those that were not
-    events: Counter[str]  # by kind
-    utc_minus_ns: int
-    note: str
-
-
-def glance(path: Path) -> Glance | None:
-    """None for a file without index: one that is being written, or was left unfinished. Raises OSError."""
-    with path.open("rb") as file:
-        if not is_finished(file, path.stat().st_size):
-            return None
-        file.seek(0)
-        try:
-            return _glance(file)
-        except DAMAGE:
-            return None
-
-
-def _glance(file: BinaryIO) -> Glance | None:
-    reader = make_reader(file)
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        return None
-    counts = summary.statistics.channel_message_counts
-    buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
-    frames = sum(counts.get(id, 0) for id, channel in summary.channels.items() if channel.topic in buses)
-    last = next(reader.iter_messages(buses, reverse=True), None) if buses else None
-    until_ns = last[2].log_time + 1 if last else None
-    told = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
-    status = pb.Status.FromString(told[2].data) if told else pb.Status()
-    sensors = {receiver.mount.replace("_", " "): receiver.state for receiver in status.receivers}
-    if told:
-        sensors["wheel angle"] = status.wheel_angle.state
-    events = Counter(pb.Event.FromString(row.data).kind for _, _, row in reader.iter_messages(["/event"]))
-    metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    return Glance(
-        first_ns=summary.statistics.message_start_time,
-        last_ns=summary.statistics.message_end_time,
-        frames=frames,
-        alive=sum(state == "alive" for state in sensors.values()),
-        sensors=len(sensors),
-        lost=tuple(name for name, state in sensors.items() if state != "alive"),
-        events=events,
-        utc_minus_ns=int(metadata.get("clock", {}).get("utc_minus_t_ns", "0")),
-        note=metadata.get("run", {}).get("note", ""),
-    )
+def _number(text: str | None) -> int:
+    """0 for what is none: metadata bear no checksum."""
+    try:
+        return int(text or "0")
+    except ValueError:
+        return 0

@@ -119,7 +119,7 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
 
 def _encode_event(event: flow.Event) -> bytes:
     message = pb.Event(t_ns=event.t_ns, kind=event.kind, text=event.text)
-    _set_present(message, event, ("latitude_deg", "longitude_deg"))
+    _set_present(message, event, ("latitude_deg", "longitude_deg", "utc_ns"))
     return message.SerializeToString()
 
 

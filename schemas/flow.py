@@ -313,6 +313,7 @@ class Event:
     text: str
     latitude_deg: float | None = None  # of the tractor's CG, where that matters
     longitude_deg: float | None = None
+    utc_ns: int | None = None  # of a mark: when it was made, as far as UTC was known then
 
 
 @dataclass(frozen=True, slots=True)

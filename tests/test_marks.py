@@ -1,7 +1,9 @@
 """Marks of an operator: on the disk before anybody is told, refused with a reason otherwise."""
 
+import calendar
 import shutil
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +13,7 @@ import zenoh
 from loopback import free_port, machine_text, records_of, rig, session, udp_bus
 
 from tilth.cli import main
+from tilth.logger.clock import HEARD
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.recovery import finish
@@ -60,6 +63,29 @@ def noted(folder: Path, cut: Path) -> list[str]:
     shutil.copy(path, copy)
     finish(copy)
     return [event.text for event in records_of(copy, "/event", pb.Event) if event.kind == "mark"]
+
+
+def test_a_mark_tells_utc_where_the_computer_woke_in_1970(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wall = time.time_ns
+    truth_ns = wall()
+    behind_ns = truth_ns - 20_000_000_000
+    monkeypatch.setattr(time, "time_ns", lambda: wall() - behind_ns)
+    machine, text = rig(tmp_path, udp_bus("can0", free_port()))
+    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay())
+    path = tmp_path / "m.toml"
+    path.write_text(text)
+    with turning(daemon):
+        assert main(["mark", "too early", "--machine", str(path)]) == 0
+        assert "at a time that is not known yet, marked: too early" in capsys.readouterr().out
+        for k in range(HEARD):
+            t_ns = daemon._clock.t_ns()
+            daemon._clock.told(t_ns + k, t_ns + k + behind_ns)
+        assert main(["mark", "a stone", "--machine", str(path)]) == 0
+        said = capsys.readouterr().out.split()[0]
+    told_ns = calendar.timegm(time.strptime(said, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000
+    assert -1_000_000_000 <= told_ns - truth_ns < 120_000_000_000
 
 
 def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(

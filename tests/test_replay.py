@@ -287,6 +287,35 @@ def test_a_clock_that_steps_back(live: Live, tmp_path: Path) -> None:
     assert len(said) == 1 and "stepped back" in said[0]
 
 
+def test_frames_of_a_second_clock_are_neither_steps_nor_time(live: Live, tmp_path: Path) -> None:
+    """A recorder wrote some frames with the time of another clock, seven seconds behind."""
+    rows = [replace(r, t_ns=r.t_ns // 1000 * 1000, rx_ns=r.t_ns // 1000 * 1000) for r in live.rows]
+    alone, _ = run([as_candump(rows, tmp_path / "alone.log")])
+    mixed = []
+    for i, row in enumerate(rows):
+        mixed.append(row)
+        if i % 7 == 0:
+            mixed.append(replace(row, t_ns=row.t_ns - 7_456_000_000, can_id=0x18FF0001))
+    summary, said = run([as_candump(mixed, tmp_path / "mixed.log")])
+    assert len(said) == 1 and "is taken for can0" in said[0]
+    assert summary.rejected["other_time"] == len(mixed) - len(rows)
+    assert (summary.poses, summary.duration_ns) == (alone.poses, alone.duration_ns)
+    assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
+
+
+def test_a_clock_that_was_set_ahead_is_not_time_that_passed(live: Live, tmp_path: Path) -> None:
+    """Of a log that others wrote; in a log of ours the same is a silence, for its clock is never set."""
+    half, hour = len(live.rows) // 2, 3_600_000_000_000
+    rows = live.rows[:half] + [replace(r, t_ns=r.t_ns + hour, rx_ns=r.rx_ns + hour) for r in live.rows[half:]]
+    foreign, _ = run([as_candump(rows, tmp_path / "x.log")])
+    assert foreign.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
+    parts = record(tmp_path, rows, 1).parts
+    comparison = Comparison()
+    own, _ = run(parts, comparison=comparison)
+    assert comparison.difference == ""
+    assert own.duration_ns == pytest.approx(SECONDS * 1e9 + hour, rel=0.001)
+
+
 def test_a_cut_log_replays_as_far_as_it_is_whole(live: Live, tmp_path: Path) -> None:
     content = live.parts[0].read_bytes()
     path = tmp_path / "cut.mcap"

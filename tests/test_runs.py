@@ -91,16 +91,16 @@ def test_copies_are_compared_resumed_and_noted(
     (stick / f"{paths[1].name}.partial").write_bytes(content[:2500] + bytes(300))
     arguments = ["offload", str(stick), "--log", str(logs)]
     assert main(arguments) == 0
-    assert "3 files copied and compared, 0 were there" in capsys.readouterr().out
+    assert "3 files copied and compared, 0 there" in capsys.readouterr().out
     for path in paths:  # the third was finished before
         assert (stick / path.name).read_bytes() == path.read_bytes()
     assert not list(stick.glob("*.partial")) and (stick / f"{NAME}.json").exists()
     assert may_go(only(logs), None, None)
     assert main(arguments) == 0
-    assert "0 files copied and compared, 3 were there" in capsys.readouterr().out
+    assert "0 files copied and compared, 3 there" in capsys.readouterr().out
     (stick / paths[0].name).unlink()
     assert main(arguments) == 0
-    assert "1 files copied and compared, 2 were there" in capsys.readouterr().out
+    assert "1 file copied and compared, 2 there" in capsys.readouterr().out
     assert survey([stick / path.name for path in paths])[0].machine == MACHINE.name
 
 
@@ -135,7 +135,7 @@ def test_what_is_being_recorded_and_full_sticks_are_said(
         fcntl.flock(file, fcntl.LOCK_EX)
         assert main(["offload", str(stick), "--log", str(logs)]) == 1
         out, err = capsys.readouterr()
-        assert "is being recorded" in err and "1 files copied" in out and not may_go(only(logs), None, None)
+        assert "is being recorded" in err and "1 file copied" in out and not may_go(only(logs), None, None)
         assert main(["logs", str(logs)]) == 0
         assert "recording, 1 of 2 copied" in capsys.readouterr().out
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
@@ -193,7 +193,8 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
     assert found.wrong == [] and found.steps_s == [pytest.approx(5.0, abs=0.1)] and found.backwards == 0
     assert main(["verify", "--json", str(paths[1]), str(paths[0])]) == 1  # the wrong way round
     told = json.loads(capsys.readouterr().out)
-    assert any("what is between is missing" in what for what in told[0]["wrong"])
+    assert any("part 1 after part 2; give each once and in order" in what for what in told[0]["wrong"])
+    assert any("what was before it is not here" in what for what in told[0]["wrong"])
     assert told[0]["backwards"] == 1
 
 
@@ -277,4 +278,9 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     assert abs(found.first_ns + found.utc_minus_ns - truth_ns) < 5_000_000_000
     assert main(["logs", str(folder), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
-    assert row["began"][:10].replace("-", "") == unused_name(folder, "x", truth_ns)[2:10]
+    today = unused_name(folder, "x", truth_ns)[2:10]
+    assert row["began"][:10].replace("-", "") == today
+    second = sorted(folder.glob("*.mcap"))[1]
+    second.write_bytes(second.read_bytes()[:-100])
+    assert main(["recover", str(second)]) == 0
+    assert capsys.readouterr().out.replace("-", "").count(f" {today}T") == 2

@@ -235,18 +235,20 @@ class FitOutcome(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ...) -> None: ...
 
 class Event(_message.Message):
-    __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg")
+    __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     TEXT_FIELD_NUMBER: _ClassVar[int]
     LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    UTC_NS_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     kind: str
     text: str
     latitude_deg: float
     longitude_deg: float
-    def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ...) -> None: ...
+    utc_ns: int
+    def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., utc_ns: _Optional[int] = ...) -> None: ...
 
 class BusStatus(_message.Message):
     __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason", "stamp", "controller", "errors", "failures", "silences", "load")

@@ -1,0 +1,175 @@
+"""What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the
+heads of its records."""
+
+import struct
+from collections import Counter, defaultdict
+from collections.abc import Container, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import McapReader, make_reader
+from mcap.records import Metadata
+
+from tilth.logger.mcap_file import DAMAGE, Place, body_of, is_finished, unpacked, walk
+from tilth.logger.mcap_log import CAN_TOPIC
+from tilth.logger.recovery import is_being_written, is_ours
+from tilth.replay.survey import messages_in
+from tilth.schemas.proto import tilth_pb2 as pb
+
+WHOLE: Final = "whole"
+BEING_WRITTEN: Final = "being written"  # by another program, now
+UNFINISHED: Final = "unfinished"
+NO_LOG: Final = "no log of tilth"
+_INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
+_ENTRY = 16
+
+
+@dataclass(slots=True)
+class Glance:
+    """What a file tells. Times are log times, ns; 0 where there is no message."""
+
+    state: str  # one of those above
+    first_ns: int = 0
+    last_ns: int = 0
+    frames: int = 0
+    sensors: dict[str, str] = field(default_factory=dict)  # name -> its state at the last frame
+    events: Counter[str] = field(default_factory=Counter)  # by kind
+    utc_minus_ns: int = 0
+    note: str = ""
+
+
+def glance(path: Path) -> Glance:
+    """Raises OSError where it cannot be read."""
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        if not is_finished(file, size):
+            if not is_ours(file, size):
+                return Glance(NO_LOG)
+            found = Glance(BEING_WRITTEN if is_being_written(file) else UNFINISHED)
+            return _by_heads(file, size, found)
+        file.seek(0)
+        try:
+            reader = make_reader(file)
+            if "tilth" not in reader.get_header().library:
+                return Glance(NO_LOG)
+            return _by_index(reader)
+        except DAMAGE:
+            return Glance(NO_LOG)
+
+
+def _by_index(reader: McapReader) -> Glance:
+    found = Glance(WHOLE)
+    summary = reader.get_summary()
+    if summary is None or summary.statistics is None:
+        return Glance(NO_LOG)
+    counts = summary.statistics.channel_message_counts
+    buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
+    found.frames = sum(
+        counts.get(id, 0) for id, channel in summary.channels.items() if channel.topic in buses
+    )
+    found.first_ns = summary.statistics.message_start_time
+    found.last_ns = summary.statistics.message_end_time
+    last = next(reader.iter_messages(buses, reverse=True), None) if buses else None
+    until_ns = last[2].log_time + 1 if last else None
+    told = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
+    if told:
+        found.sensors = _sensors(told[2].data)
+    found.events = _kinds(row.data for _, _, row in reader.iter_messages(["/event"]))
+    for record in reader.iter_metadata():
+        _metadata(found, record)
+    return found
+
+
+def _sensors(data: bytes) -> dict[str, str]:
+    status = pb.Status.FromString(data)
+    sensors = {receiver.mount.replace("_", " "): receiver.state for receiver in status.receivers}
+    return sensors | {"wheel angle": status.wheel_angle.state}
+
+
+def _kinds(events: Iterable[bytes]) -> Counter[str]:
+    return Counter(pb.Event.FromString(data).kind for data in events)
+
+
+def _metadata(found: Glance, record: Metadata) -> None:
+    if record.name == "clock":
+        found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
+    elif record.name == "run":
+        found.note = record.metadata.get("note", "")
+
+
+@dataclass(slots=True)
+class _Chunks:
+    """The chunks of a file without index, and which of them hold what."""
+
+    file: BinaryIO
+    places: list[Place] = field(default_factory=list)
+    counts: defaultdict[int, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+    topics: dict[int, str] = field(default_factory=dict)  # of the channels met so far
+
+    def messages(self, number: int, wanted: Container[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, t_ns, data) of a chunk. Raises one of DAMAGE."""
+        for topic, (t_ns, data) in messages_in(
+            unpacked(body_of(self.file, self.places[number])), self.topics
+        ):
+            if wanted is None or topic in wanted:
+                yield topic, t_ns, data
+
+    def holding(self, topics: Container[str]) -> list[int]:
+        return [n for n, row in self.counts.items() if any(self.topics.get(id, "") in topics for id in row)]
+
+
+def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
+    """As far as it is whole; what is damaged is passed over, for `tilth verify` says it."""
+    chunks = _Chunks(file)
+    times: list[int] = []
+    for place in walk(file, size):
+        try:
+            _take(chunks, place, found, times)
+        except DAMAGE:
+            continue
+    found.first_ns, found.last_ns = min(times, default=0), max(times, default=0)
+    try:
+        _look_into(chunks, found)
+    except DAMAGE:
+        return found
+    return found
+
+
+def _take(chunks: _Chunks, place: Place, found: Glance, times: list[int]) -> None:
+    file = chunks.file
+    if place.opcode == Opcode.CHUNK:
+        file.seek(place.body)
+        head = file.read(16)
+        times += [t for at in (0, 8) if (t := int.from_bytes(head[at : at + 8], "little"))]
+        chunks.places.append(place)
+    elif place.opcode == Opcode.MESSAGE_INDEX:
+        file.seek(place.body)
+        channel, size = _INDEX.unpack(file.read(_INDEX.size))
+        chunks.counts[len(chunks.places) - 1][channel] = size // _ENTRY
+    elif place.opcode == Opcode.METADATA:
+        file.seek(place.body)
+        _metadata(found, Metadata.read(ReadDataStream(file)))
+
+
+def _look_into(chunks: _Chunks, found: Glance) -> None:
+    """Open the few chunks that define channels or hold what is wanted of them."""
+    for number, row in chunks.counts.items():
+        if any(id not in chunks.topics for id in row):
+            for _ in chunks.messages(number):
+                pass
+    buses = {topic for topic in chunks.topics.values() if topic.startswith(CAN_TOPIC)}
+    found.frames = sum(
+        n for row in chunks.counts.values() for id, n in row.items() if chunks.topics.get(id) in buses
+    )
+    for number in chunks.holding({"/event"}):
+        found.events += _kinds(data for _, _, data in chunks.messages(number, {"/event"}))
+    with_frames = chunks.holding(buses)[-1:]
+    until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
+    for number in reversed(chunks.holding({"/status"})):
+        told = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
+        if told:
+            found.sensors = _sensors(told[-1])
+            return

@@ -1,0 +1,148 @@
+"""What a log's time does is told by all frames that follow, not by one: steps, silences, stamps astray."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from circle import demo_machine
+
+from tilth.estimator.fold import initial, step
+from tilth.estimator.log_time import LogTime, follow
+from tilth.replay.tractor import Scenario
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import Event, Frame
+
+START = 1_700_000_000.0
+Stamps = list[tuple[float, str]]  # s since the start, bus
+
+
+def times(until_s: float, each_s: float, from_s: float = 0.0) -> list[float]:
+    return [from_s + i * each_s for i in range(round((until_s - from_s) / each_s))]
+
+
+def moves(stamps: Iterable[tuple[float, str]]) -> tuple[list[float], LogTime]:
+    """What is said, s, of frames with these stamps."""
+    time, said = LogTime(), []
+    for at, bus in stamps:
+        t_ns = round((START + at) * 1e9)
+        moved = follow(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
+        said += [moved * 1e-9] if moved else []
+    return said, time
+
+
+def passed(time: LogTime) -> float:
+    return time.passed_ns * 1e-9
+
+
+@pytest.mark.parametrize("back", [0.8, 1.0, 2.0, 7.456, 60.0, 3600.0])
+@pytest.mark.parametrize("each", [0.005, 0.05])
+def test_a_step_is_said_once_with_its_size_and_all_that_passed_counts(back: float, each: float) -> None:
+    before, after = times(30.0, each), times(60.0, each, 30.0)
+    said, time = moves([(t, "can0") for t in before] + [(t - back, "can0") for t in after])
+    assert said == [pytest.approx(-back, abs=2 * each)]
+    assert passed(time) == pytest.approx(60.0, abs=0.2) and time.astray == 0
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_step_among_late_frames_is_said_once(seed: int) -> None:
+    """Up to one frame of fifty late by up to eight seconds, all a little out of order, on one bus or two."""
+    draw = np.random.default_rng(seed)
+    each, back = float(draw.choice([0.004, 0.01, 0.05])), float(draw.choice([0.9, 3.0, 30.0, 10_000.0]))
+    at = draw.uniform(10.0, 30.0)
+    stamps = []
+    for t in times(40.0, each):
+        late = draw.uniform(0.0, 8.0) if draw.random() < 0.02 else draw.uniform(0.0, 2 * each)
+        stamps.append((t - late - back * (t >= at), f"can{draw.integers(1 + seed % 2)}"))
+    said, time = moves(stamps)
+    assert said == [pytest.approx(-back, abs=1.1)]
+    assert passed(time) == pytest.approx(40.0, abs=1.2)
+
+
+def test_every_one_of_several_steps_is_said() -> None:
+    stamps = [(t - 100.0 * k, "can0") for k in range(5) for t in times(10.0, 0.01)]
+    said, time = moves(stamps)
+    assert said == [pytest.approx(-110.0, abs=0.1)] * 4
+    assert passed(time) == pytest.approx(50.0, abs=0.2)
+
+
+@pytest.mark.parametrize("apart", [0.6, 1.0, 7.456, 3600.0])
+@pytest.mark.parametrize("buses", [("can0", "can0"), ("can0", "can1")])
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("each", [(0.01, 0.01), (0.087, 0.011), (1.0, 0.1), (0.1, 1.0)])
+def test_two_clocks_in_one_log_are_no_steps(
+    apart: float, buses: tuple[str, str], first: int, each: tuple[float, float]
+) -> None:
+    """Whichever comes first, on one bus or on two, and whichever speaks more often."""
+    rows = [(t, t, buses[0]) for t in times(62.6, each[0])] + [
+        (t + 0.004, t - apart, buses[1]) for t in times(62.6, each[1])
+    ]
+    rows.sort()
+    beginning = next(i for i, row in enumerate(rows) if (row[0] != row[1]) == bool(first))
+    said, time = moves([(stamp, bus) for _, stamp, bus in rows[beginning:]])
+    assert [move for move in said if move < 0] == []
+    assert len(said) <= 1  # that of the second clock is far ahead of the first: a silence, once
+    assert passed(time) == pytest.approx(62.6, abs=apart + 1.5 if apart < 10 else 3.0)
+
+
+def assembled() -> Stamps:
+    """A message now and then that took so long to come and bears the time of its first frame."""
+    rows = [(t, t) for t in times(120.0, 0.01)]
+    rows += [(t + 0.001, t - t % 12.0) for t in times(120.0, 0.7, 12.0)]
+    return [(stamp, "can0") for _, stamp in sorted(rows)]
+
+
+def jittered() -> Stamps:
+    return [(t - 0.1 * (i * 7919 % 5), "can0") for i, t in enumerate(times(120.0, 0.01))]
+
+
+def in_blocks() -> Stamps:
+    """A recorder that writes three seconds of one bus, then the same three seconds of the other."""
+    return [(t + 3.0 * k, bus) for k in range(40) for bus in ("can0", "can1") for t in times(3.0, 0.01)]
+
+
+def gone_wrong() -> Stamps:
+    """Bursts of a few frames whose stamps are an hour ahead, or zero."""
+    wrong = {5: 3600.0, 6: 3600.01, 7: 3600.02, 400: -START, 401: -START, 9000: 7200.0}
+    return [(wrong.get(i, t), "can0") for i, t in enumerate(times(120.0, 0.01))]
+
+
+@pytest.mark.parametrize("stamps", [assembled, jittered, in_blocks, gone_wrong])
+def test_stamps_out_of_order_are_neither_steps_nor_time(stamps: Callable[[], Stamps]) -> None:
+    said, time = moves(stamps())
+    assert said == []
+    assert passed(time) == pytest.approx(120.0, abs=0.5)
+
+
+def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none() -> None:
+    said, time = moves([(t, "can0") for t in [*times(30.0, 0.01), *times(75.0, 0.01, 45.0)]])
+    assert said == [pytest.approx(15.0, abs=0.02)] and time.astray == 0
+    assert passed(time) == pytest.approx(60.0, abs=0.1) and time.silent_ns == pytest.approx(15e9, rel=0.01)
+    said, _ = moves([(t, "can0") for t in times(200.0, 15.0)])
+    assert (
+        said == [pytest.approx(15.0)] * len(said) and len(said) > 2
+    )  # a bus that wakes for a frame now and then
+    waited = LogTime()
+    for at, taken in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.1, 20.1)):
+        frame = Frame(round((START + taken) * 1e9), round((START + at) * 1e9), "can0", 0, True, False, b"")
+        assert follow(waited, frame) == 0
+
+
+def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
+    """Messages that nobody wants, of a clock 7.5 s behind, among those of a rig."""
+    machine = demo_machine()
+    given = list(simulate(machine, 3, 9.0, Scenario(other_traffic=False)))
+    late = [
+        replace(frame, t_ns=frame.t_ns - 7_456_000_000, rx_ns=frame.rx_ns - 7_456_000_000, can_id=0x18FF0001)
+        for frame in given[::9]
+    ]
+    mixed = sorted(
+        [*((f.t_ns, 0, f) for f in given), *((f.t_ns + 7_456_000_000, 1, f) for f in late)],
+        key=lambda row: row[:2],
+    )
+    alone, among = initial(machine), initial(machine)
+    out = [p for f in given for p in step(alone, f)]
+    assert [p for _, _, f in mixed for p in step(among, f)] == out
+    assert among.rejected["other_time"] == len(late) and "clock_step" not in among.rejected
+    assert alone.poses == among.poses > 20 and alone.rejected.get("other_time") is None
+    assert not [p for p in out if isinstance(p.value, Event) and p.value.kind in ("gap", "clock_step")]
