@@ -48,16 +48,18 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
         file = path.open("rb")
     except OSError as error:
         raise ForeignLog(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    log = Log(path, "", file, path.stat().st_size, topics)
+    log = Log(path, "", file, path.stat().st_size, topics=topics)
     try:
+        log.packed = file.read(len(readers_stream.PACKED)) == readers_stream.PACKED
         kind = _kind(log)
-        if _packed(log) and kind.by_path:
+        if log.packed and kind.by_path:
             raise ForeignLog(f"{path}: {kind.name} inside gzip; unpack it first")
     except BaseException:
         file.close()
         raise
     log.form = kind.name
-    log.records = _closing(log, kind.read(log, _stream(log)))
+    stream = _stream(log) if log.packed or kind.line or kind.by_path else readers_stream.before_zeros(log)
+    log.records = _closing(log, kind.read(log, stream))
     return log
 
 
@@ -81,16 +83,10 @@ def place(log: Log) -> Place:
     return Place((found.get("id", ""), found.get("started_utc", "")), int(part))
 
 
-def _packed(log: Log) -> bool:
-    log.file.seek(0)
-    packed = log.file.read(2) == readers_stream.PACKED
-    log.file.seek(0)
-    return packed
-
-
 def _stream(log: Log) -> BinaryIO:
     """The log's bytes from the first on, unpacked where gzip packed them."""
-    return readers_stream.unpacked(log) if _packed(log) else log.file
+    log.file.seek(0)
+    return readers_stream.unpacked(log) if log.packed else log.file
 
 
 def _closing(log: Log, records: Iterator[Record]) -> Iterator[Record]:
@@ -150,9 +146,8 @@ def _kind(log: Log) -> Kind:
     """What kind of log this is."""
     if log.size == 0:
         raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
-    packed = _packed(log)
     head = _stream(log).read(len(MCAP0_MAGIC) * 2)
-    if packed and not head:
+    if log.packed and not head:
         raise ForeignLog(f"{log.path}: a gzip file that is damaged, or cut off at its head; {readable()}")
     for kind in KINDS:
         if head.startswith(kind.magics):

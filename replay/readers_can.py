@@ -206,7 +206,6 @@ def blf(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     import can
     from can.io.blf import BLFParseError
 
-    log.truncated = True
     try:
         reader = can.BLFReader(stream)
         count = 0
@@ -218,8 +217,10 @@ def blf(log: Log, stream: BinaryIO) -> Iterator[Frame]:
             else:
                 log.skip(found)
     except (*_DAMAGE, BLFParseError):
+        log.truncated = True
         return
-    log.truncated = reader.file_size > log.size or (count > 0 and reader.object_count == 0)
+    fewer = not log.packed and reader.file_size > log.size
+    log.truncated = log.truncated or fewer or (count > 0 and reader.object_count == 0)
 
 
 class _Incomplete(logging.Handler):

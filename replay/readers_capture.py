@@ -43,21 +43,32 @@ def pcap(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(
             f"{log.path}: a capture of link type {link & _LINK_TYPE}, not of SocketCAN ({SOCKETCAN})"
         )
+    for stamp_ns, packet in _records(log, stream, order, unit_ns):
+        yield from _kept(log, _frame(packet, stamp_ns, "can0"))
+
+
+def _records(log: Log, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
+    """(ns, packet) up to the end, or to what is no record: sets log.truncated."""
     record = struct.Struct(order + "IIII")
     while head := stream.read(record.size):
+        log.truncated = True  # until it is known to be whole
         if len(head) < record.size:
-            log.truncated = True
             return
         seconds, units, length, _ = record.unpack(head)
-        packet = stream.read(length) if 0 < length <= _MOST else b""
-        if len(packet) < length or not length:
-            log.truncated = True
+        if not 0 < length <= _MOST:
             return
-        found = _frame(packet, seconds * 1_000_000_000 + units * unit_ns, "can0")
-        if isinstance(found, Frame):
-            yield found
-        else:
-            log.skip(found)
+        packet = stream.read(length)
+        if len(packet) < length:
+            return
+        log.truncated = False
+        yield seconds * 1_000_000_000 + units * unit_ns, packet
+
+
+def _kept(log: Log, found: Frame | str) -> Iterator[Frame]:
+    if isinstance(found, Frame):
+        yield found
+    else:
+        log.skip(found)
 
 
 def _frame(packet: bytes, t_ns: int, bus: str) -> Frame | str:
@@ -103,11 +114,7 @@ def pcapng(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         if kind == _INTERFACE and len(body) >= 8:
             _add_interface(section, body)
         elif kind in (_OLD_PACKET, _SIMPLE_PACKET, _PACKET_BLOCK):
-            found = _packet(section, kind, body)
-            if isinstance(found, Frame):
-                yield found
-            else:
-                log.skip(found)
+            yield from _kept(log, _packet(section, kind, body))
     if section.links and SOCKETCAN not in section.links:
         links = ", ".join(map(str, sorted(section.links)))
         raise OtherKind(f"{log.path}: a capture of link type {links}, not of SocketCAN ({SOCKETCAN})")
@@ -129,7 +136,7 @@ def _block(log: Log, stream: BinaryIO, section: _Section) -> tuple[int, bytes] |
     if not 12 <= length <= _MOST or length % 4:
         return None
     rest = stream.read(length - len(head))
-    if len(rest) < length - len(head):
+    if len(rest) < length - len(head) or rest[-4:] != head[4:8]:  # its length stands at both of its ends
         return None
     log.truncated = False
     return kind, head[8:] + rest[:-4]

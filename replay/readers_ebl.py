@@ -93,7 +93,7 @@ def _pieces(log: Log, stream: BinaryIO) -> Iterator[Piece]:
                     yield None, part
             elif len(mark) <= _MOST:
                 mark += part
-    log.truncated = mark is not None or escaped or last == 0
+    log.truncated = log.truncated or mark is not None or escaped or last == 0
 
 
 class _Messages:

@@ -85,6 +85,7 @@ class Log:
     form: str  # in a person's words
     file: BinaryIO
     size: int  # bytes
+    packed: bool = False  # by gzip
     topics: Container[str] = ()  # whose results, logged live, are among the records
     records: Iterator[Record] = field(default_factory=lambda: iter(()))
     truncated: bool = False  # the end is missing

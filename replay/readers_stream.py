@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 PACKED: Final = b"\x1f\x8b"  # how gzip begins
 CHUNK: Final = 16 * 1024
 BUFFER: Final = 64 * 1024
+TAIL: Final = 64  # zeros that are too many for the end of any record
 _GZIP: Final = 31  # zlib's number for: gzip, with its header
 _ZEROS: Final = re.compile(rb"\0+")
 
@@ -26,6 +27,26 @@ def unpacked(log: Log) -> BinaryIO:
 def without_zeros(log: Log, stream: BinaryIO) -> BinaryIO:
     """A text's bytes: zero bytes at the end are a cut, others make an unreadable line of where they are."""
     return _stream(_text(log, stream))
+
+
+def written(log: Log) -> int:
+    """How many bytes a power cut has left of what was not packed: a long run of zeros at its end is none."""
+    end = log.size
+    while end:
+        start = max(0, end - BUFFER)
+        log.file.seek(start)
+        block = log.file.read(end - start).rstrip(b"\0")
+        end = start + len(block)
+        if block:
+            break
+    log.file.seek(0)
+    return end if log.size - end >= TAIL else log.size
+
+
+def before_zeros(log: Log) -> BinaryIO:
+    """A binary log's bytes up to the zeros at its end; log.truncated says that there are such."""
+    end = written(log)
+    return log.file if end == log.size else _stream(_limited(log, end))
 
 
 class _Chunks(io.RawIOBase):
@@ -84,6 +105,13 @@ def _up_to_damage(member: "zlib._Decompress", piece: bytes) -> Iterator[bytes]:
             return
         if found:
             yield found
+
+
+def _limited(log: Log, left: int) -> Iterator[bytes]:
+    while left and (piece := log.file.read(min(left, BUFFER))):
+        left -= len(piece)
+        yield piece
+    log.truncated = True
 
 
 def _text(log: Log, stream: BinaryIO) -> Iterator[bytes]:

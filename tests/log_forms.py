@@ -156,7 +156,8 @@ def n2k_ascii(captured: Sequence[Frame]) -> bytes:
 
 def terminal(captured: Sequence[Frame]) -> bytes:
     return b"".join(
-        f" ({f.t_ns // SECOND}.000000)  can0  {f.can_id:08X}   [{len(f.data)}]  {f.data.hex(' ').upper()}\n".encode()
+        f" ({f.t_ns // SECOND}.000000)  can0  {f.can_id:08X}   [{len(f.data)}]  ".encode()
+        + f"{f.data.hex(' ').upper()}\n".encode()
         for f in captured
     )
 
