@@ -56,7 +56,9 @@ def test_gzip_cut_or_damaged_anywhere_gives_what_is_there_and_says_it(
     found, said, _ = read(path, packed[:at])
     assert said and found == wanted[: len(found)]
     damaged, said, _ = read(path, packed[:at] + b"\xff\x00\xff\x00" * 30)
-    assert said and (name == "blf" or damaged[: max(0, len(found) - 1)] == found[:-1])  # it packs many into one
+    assert said and (
+        name == "blf" or damaged[: max(0, len(found) - 1)] == found[:-1]
+    )  # it packs many into one
     assert read(path, packed)[:2] == (wanted, False)
     assert read(path, packed + gzip.compress(b"", mtime=0) + bytes(9))[:2] == (wanted, False)
 
