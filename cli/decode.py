@@ -225,6 +225,8 @@ def _tell_end(log: Log, count: Counter[str]) -> None:
         count[f"rejected {reason}"] += number
     if log.truncated:
         _say(f"{log.path}: cut off; decoded as far as it is whole")
+    if log.note:
+        _say(f"{log.path}: {log.note}")
 
 
 def _tell_counts(count: Counter[str]) -> None:

@@ -1,4 +1,5 @@
-"""`tilth simulate`: a scenario driven by the virtual tractor, its frames as a log, the truth beside it."""
+"""`tilth simulate`: a scenario driven by the virtual tractor, its frames as a log, the truth beside it, or in
+real time on a bus."""
 
 import argparse
 import json
@@ -6,6 +7,7 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -13,23 +15,34 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tilth.cli import WrongUse, say_unusual
+from tilth.logger.bus_opening import check_interface
+from tilth.logger.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.replay.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.replay.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
+from tilth.replay.tractor import drive
 from tilth.schemas.machine import Machine, parse_machine
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "simulate",
-        help="drive a scenario and write its log, and the truth beside it",
+        help="drive a scenario: write its log and the truth beside it, or put it on a bus",
         description="Drive a scenario file (examples/scenarios/ has some) on the nonlinear model and write "
-        "the frames that a recorder would have taken. LOG.truth.json and LOG.truth.csv say what was true.",
+        "the frames that a recorder would have taken; LOG.truth.json and LOG.truth.csv say what was true. Or "
+        "send them in real time on a bus on which no receiver is heard; docs/buses.md says which.",
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.toml")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="LOG", help="new file; .mcap, or .log for candump text"
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--out", type=Path, metavar="LOG", help="new file; .mcap, or .log for candump text")
+    where.add_argument(
+        "--bus",
+        action="append",
+        default=[],
+        metavar="INTERFACE:CHANNEL[,key=value…]",
+        help="send in real time there, such as socketcan:vcan0; once for each bus of the machine file",
     )
+    parser.add_argument("--send", action="store_true", help="also where it leaves this computer: on a wire")
     parser.add_argument("--seed", type=int, metavar="N", help="another rig and another drive (the file's)")
     parser.add_argument("--seconds", type=float, metavar="N", help="of driving (the file's)")
     parser.add_argument("--machine", type=Path, metavar="M.toml", help="(the file's, or the packaged one)")
@@ -38,6 +51,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     source = _source(args)
+    if args.bus:
+        return _on_buses(args, source)
+    if args.send:
+        raise WrongUse("--send is of --bus; a log is not sent")
     _check_out(args.out)
     say_unusual("simulate", source.machine)
     with ExitStack() as stack:
@@ -52,6 +69,50 @@ def run(args: argparse.Namespace) -> int:
             return 1
     _tell(source, simulated, args.json)
     return 0
+
+
+def _on_buses(args: argparse.Namespace, source: Source) -> int:
+    """1 where it was not sent, or not to its end."""
+    import_can()
+    from tilth.cli.discover import parse_buses
+    from tilth.replay.on_a_bus import CannotSend, send, stays_here
+
+    given, names = parse_buses(args.bus), [bus.name for bus in source.machine.bus]
+    if len(given) != len(names):
+        raise WrongUse(f"--bus: {len(given)} given, the machine file has {len(names)}: {', '.join(names)}")
+    for bus in given:
+        check_interface(bus)
+        if not (args.send or stays_here(bus)):
+            raise WrongUse(
+                f"--bus {bus.interface}:{bus.channel} leaves this computer; on a tractor's bus this would be "
+                "taken for its receivers. Give --send if it is a bus of your own on a bench"
+            )
+    with ExitStack() as stack:
+        progress = _progress(stack, source.seconds) if sys.stderr.isatty() else lambda what, at_s: None
+        scenario = replace(source.scenario, clock_offset_s=0.0)
+        try:
+            truth = drive(
+                source.machine, source.seed, source.seconds, scenario,
+                progress=lambda seconds: progress("driving", seconds),
+            )  # fmt: skip
+        except ValueError as error:
+            raise WrongUse(f"this machine cannot be driven: {error}") from None
+    try:
+        sent = send(source.machine, truth, dict(zip(names, given, strict=True)), _say)
+    except CannotSend as error:
+        _say(str(error))
+        return 1
+    if args.json:
+        told = {"seed": source.seed, "seconds": source.seconds, "frames": sent.frames, "late": sent.late}
+        print(json.dumps({**told, "stopped": sent.stopped, "parameters": truth.parameters}))
+    _say(f"{sent.frames} frames sent" + (f", {sent.late} of them late" if sent.late else ""))
+    if sent.stopped:
+        _say(f"stopped: {sent.stopped}")
+    return int(bool(sent.stopped))
+
+
+def _say(text: str) -> None:
+    print(f"tilth simulate: {text}", file=sys.stderr)
 
 
 def _source(args: argparse.Namespace) -> Source:

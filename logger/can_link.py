@@ -15,7 +15,7 @@ _NEWLINK = 16
 _REQUEST = 1
 _IFNAME = 3
 _LINKINFO = 18
-_INFO_DATA = 2
+_INFO_KIND, _INFO_DATA = 1, 2
 _BITTIMING, _STATE, _RESTART_MS = 1, 4, 6
 _HEADER = struct.Struct("=IHHII")  # length, type, flags, sequence, port
 _INTERFACE = struct.Struct("=BxHiII")  # struct ifinfomsg
@@ -36,6 +36,18 @@ class Link:
 
 def ask(interface: str) -> Link | None:
     """None where the kernel does not say: no CAN controller (vcan has none), no such interface."""
+    answer = _answer(interface)
+    return None if answer is None else parse(answer)
+
+
+def is_virtual(interface: str) -> bool:
+    """Whether no wire is behind an interface: a vcan."""
+    answer = _answer(interface)
+    return answer is not None and _info(answer).get(_INFO_KIND, b"").rstrip(b"\0") == b"vcan"
+
+
+def _answer(interface: str) -> bytes | None:
+    """What the kernel says of an interface; None where it says nothing."""
     name = interface.encode()[:15] + b"\0"
     attribute = _ATTRIBUTE.pack(_ATTRIBUTE.size + len(name), _IFNAME) + name + b"\0" * (-len(name) % 4)
     body = _INTERFACE.pack(socket.AF_UNSPEC, 0, 0, 0, 0) + attribute
@@ -44,25 +56,26 @@ def ask(interface: str) -> Link | None:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, 0) as one:
             one.settimeout(_WAIT_S)
             one.send(header + body)
-            return parse(one.recv(_ANSWER_BYTES))
+            return one.recv(_ANSWER_BYTES)
     except OSError:
         return None
 
 
 def parse(answer: bytes) -> Link | None:
     """The link of a RTM_NEWLINK message, None where that tells of no CAN controller."""
-    if len(answer) < _HEADER.size or _HEADER.unpack_from(answer)[1] != _NEWLINK:
-        return None
-    found: dict[int, bytes] = {}
-    for kind, data in _attributes(answer[_HEADER.size + _INTERFACE.size :]):
-        if kind == _LINKINFO:
-            for inner, rows in _attributes(data):
-                if inner == _INFO_DATA:
-                    found = dict(_attributes(rows))
+    found = dict(_attributes(_info(answer).get(_INFO_DATA, b"")))
     numbers = {kind: int.from_bytes(found[kind][:4], sys.byteorder) for kind in found}
     if _STATE not in numbers:
         return None
     return Link(numbers.get(_BITTIMING, 0), numbers[_STATE], numbers.get(_RESTART_MS, 0))
+
+
+def _info(answer: bytes) -> dict[int, bytes]:
+    """What a RTM_NEWLINK message says of the kind of link, {} where it is none."""
+    if len(answer) < _HEADER.size or _HEADER.unpack_from(answer)[1] != _NEWLINK:
+        return {}
+    links = dict(_attributes(answer[_HEADER.size + _INTERFACE.size :]))
+    return dict(_attributes(links.get(_LINKINFO, b"")))
 
 
 def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:

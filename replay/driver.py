@@ -293,6 +293,8 @@ class _Run:
         if log.truncated:
             self.summary.truncated = True
             self._say(f"{log.path}: cut off; replayed as far as it is whole")
+        if log.note:
+            self._say(f"{log.path}: {log.note}")
         if log.skipped.get("damaged_chunk"):
             self._say(f"{log.path}: {log.skipped['damaged_chunk']} damaged parts of it were left out")
 

@@ -1,27 +1,30 @@
 """Opens a log of CAN frames, whatever wrote it; the kind is told by its content, not by its name.
 
 Frames come in file order and are never sorted. Their t_ns are the log's own stamps: nanoseconds since 1970
-where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs. A bus is called what the
-log calls it, "can<channel>" where that is a number, "can0" where nothing is said. Remote frames and CAN FD
-frames longer than 8 bytes are counted in `skipped`.
+where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs and in EBL. A bus is called
+what the log calls it, "can<channel>" where that is a number, "can0" where nothing is said. Remote frames, CAN
+FD frames longer than 8 bytes and frames whose stamp is before 1970 or after 2262 are counted in `skipped`.
 """
 
-import gzip
 import re
-import zlib
 from collections.abc import Callable, Container, Iterator
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, Final, NamedTuple
 
 from mcap.writer import MCAP0_MAGIC
 
-from tilth.replay import canboat_text, mcap_reader, readers_can
-from tilth.replay.readers_log import READABLE, EmptyLog, ForeignLog, Log, Place, Record
+from tilth.replay import (
+    mcap_reader,
+    readers_can,
+    readers_capture,
+    readers_ebl,
+    readers_stream,
+    readers_text,
+)
+from tilth.replay.readers_log import EmptyLog, ForeignLog, Log, OtherKind, Place, Record
 from tilth.schemas.flow import Frame
 
-_SNIFFED = 64 * 1024  # bytes looked at: comments before the first frame may be long
-_ASC = re.compile(r"(date\s+\w+\s+\S|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
-_CSV = "timestamp,arbitration_id,extended,remote,error,dlc,data"
+_SNIFFED = 64 * 1024  # bytes looked at, comments not counted
 
 Reader = Callable[[Log, BinaryIO], Iterator[Record]]
 
@@ -45,17 +48,25 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
         file = path.open("rb")
     except OSError as error:
         raise ForeignLog(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    log = Log(path, "", file, path.stat().st_size, topics)
+    log = Log(path, "", file, path.stat().st_size, topics=topics)
     try:
-        stream, head = _unpacked(log)
-        log.form, read = _kind(log, head)
-        if stream is not file and read in _BY_PATH:
-            raise ForeignLog(f"{path}: {log.form} inside gzip; unpack it first")
+        log.packed = file.read(len(readers_stream.PACKED)) == readers_stream.PACKED
+        kind = _kind(log)
+        if log.packed and kind.by_path:
+            raise ForeignLog(f"{path}: {kind.name} inside gzip; unpack it first")
     except BaseException:
         file.close()
         raise
-    log.records = _closing(log, read(log, stream))
+    log.form = kind.name
+    stream = _stream(log) if log.packed or kind.line or kind.by_path else readers_stream.before_zeros(log)
+    log.records = _closing(log, kind.read(log, stream))
     return log
+
+
+def readable() -> str:
+    """What a person should know who gave something else, in one sentence."""
+    names = list(dict.fromkeys(kind.listed or kind.name for kind in KINDS))
+    return f"tilth reads {', '.join(names[:-1])} and {names[-1]}, packed by gzip too"
 
 
 def metadata(log: Log) -> dict[str, dict[str, str]]:
@@ -72,29 +83,34 @@ def place(log: Log) -> Place:
     return Place((found.get("id", ""), found.get("started_utc", "")), int(part))
 
 
-def _unpacked(log: Log) -> tuple[BinaryIO, bytes]:
-    """The log's bytes, unpacked where gzip packed them, and the first of them."""
-    if log.size == 0:
-        raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
-    packed = log.file.read(2) == b"\x1f\x8b"
+def _stream(log: Log) -> BinaryIO:
+    """The log's bytes from the first on, unpacked where gzip packed them."""
     log.file.seek(0)
-    stream = cast(BinaryIO, gzip.GzipFile(fileobj=log.file)) if packed else log.file
-    try:
-        head = stream.read(_SNIFFED)
-    except (EOFError, OSError, zlib.error):
-        raise ForeignLog(f"{log.path}: a damaged gzip file; {READABLE}") from None
-    stream.seek(0)
-    return stream, head
+    return readers_stream.unpacked(log) if log.packed else log.file
 
 
 def _closing(log: Log, records: Iterator[Record]) -> Iterator[Record]:
     with log.file:
-        first = next(records, None)
-        if first is not None:
-            yield first
-            yield from records
-        elif not log.truncated:
-            raise EmptyLog(f"{log.path}: no frame is in it")
+        try:
+            first = next(records, None)
+            if first is not None:
+                yield first
+                yield from records
+            elif not log.truncated:
+                raise EmptyLog(f"{log.path}: no frame is in it")
+        except OtherKind as error:
+            raise ForeignLog(f"{error}; {readable()}") from None
+
+
+class Kind(NamedTuple):
+    """One kind of log: how it begins, or by what a line of it is known, and who reads it."""
+
+    name: str
+    read: Reader
+    magics: tuple[bytes, ...] = ()
+    line: re.Pattern[str] | None = None
+    by_path: bool = False  # needs the file itself, not a stream
+    listed: str = ""  # to a person, if not by its name
 
 
 def _mcap(log: Log, stream: BinaryIO) -> Iterator[Record]:
@@ -102,47 +118,67 @@ def _mcap(log: Log, stream: BinaryIO) -> Iterator[Record]:
 
 
 def _lines(log: Log, stream: BinaryIO) -> Iterator[Record]:
-    with readers_can.text(stream) as lines:
-        yield from canboat_text.frames(lines, log)
+    with readers_can.text(log, stream) as lines:
+        yield from readers_text.frames(lines, log)
 
 
-MCAP = "MCAP"
-_BINARY: tuple[tuple[bytes, str, Reader], ...] = (
-    (MCAP0_MAGIC, MCAP, _mcap),
-    (b"LOGG", "BLF", readers_can.blf),
-    (b"MDF     ", "MF4", readers_can.mf4),
-    (b"UnFinMF ", "MF4", readers_can.mf4),
-    (b"SQLite format 3\0", "SQLite", readers_can.sqlite),
+_ASC = re.compile(r"(date\s+\w+\s+\S|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
+_CSV = re.compile(r"timestamp,arbitration_id,extended,remote,error,dlc,data\s*$")
+
+MCAP: Final = "MCAP"
+KINDS: Final = (
+    Kind(MCAP, _mcap, (MCAP0_MAGIC,), by_path=True, listed="its own .mcap logs"),
+    *(Kind(form.name, _lines, line=form.pattern) for form in readers_text.FORMS if form.name),
+    Kind("ASC", readers_can.asc, line=_ASC),
+    Kind("BLF", readers_can.blf, (b"LOGG",)),
+    Kind("TRC", readers_can.trc, line=re.compile(r";\$FILEVERSION")),
+    Kind("MF4", readers_can.mf4, (b"MDF     ", b"UnFinMF "), by_path=True),
+    Kind("CSV", readers_can.csv, line=_CSV, listed="the CSV files of python-can"),
+    Kind("SQLite", readers_can.sqlite, (b"SQLite format 3\0",), by_path=True, listed="its SQLite files"),
+    Kind("pcap", readers_capture.pcap, tuple(readers_capture.PCAP), listed="pcap and pcapng of SocketCAN"),
+    Kind("pcapng", readers_capture.pcapng, (readers_capture.PCAPNG,), listed="pcap and pcapng of SocketCAN"),
+    Kind("EBL", readers_ebl.ebl, (readers_ebl.MAGIC,), listed="Actisense's EBL"),
 )
-_BY_PATH = (_mcap, readers_can.mf4, readers_can.sqlite)  # need the file itself, not a stream
+_BY_NAME: Final = {kind.name: kind for kind in KINDS}
 
 
-def _kind(log: Log, head: bytes) -> tuple[str, Reader]:
-    """What kind of log begins with `head`, and how it is read."""
-    for magic, name, reader in _BINARY:
-        if head.startswith(magic):
-            return name, reader
+def _kind(log: Log) -> Kind:
+    """What kind of log this is."""
+    if log.size == 0:
+        raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
+    head = _stream(log).read(len(MCAP0_MAGIC) * 2)
+    if log.packed and not head:
+        raise ForeignLog(f"{log.path}: a gzip file that is damaged, or cut off at its head; {readable()}")
+    for kind in KINDS:
+        if head.startswith(kind.magics):
+            return kind
     if MCAP0_MAGIC.startswith(head):  # cut off within its first eight bytes
-        return MCAP, _mcap
-    if b"\0" not in head:
-        lines = head.decode("utf-8", "replace").splitlines()
-        found = _text_kind(lines, log.path.suffixes)
-        if found is not None:
-            return found
-        if all(not line.strip() or line.startswith("#") for line in lines):
-            raise EmptyLog(f"{log.path}: nothing but comments; no frame is in it")
-    raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {READABLE}")
+        return _BY_NAME[MCAP]
+    found = _text_kind(log)
+    log.truncated = False  # what looking has found will be found again
+    log.skipped.clear()
+    return found
 
 
-def _text_kind(lines: list[str], suffixes: list[str]) -> tuple[str, Reader] | None:
-    for line in lines:
-        form = canboat_text.form_of(line)
-        if form is not None:
-            return form, _lines
-        if _ASC.match(line):
-            return "ASC", readers_can.asc
-        if line.startswith(";$FILEVERSION") or (line.startswith(";") and ".trc" in suffixes):
-            return "TRC", readers_can.trc
-        if line.strip() == _CSV:
-            return "CSV", readers_can.csv
-    return None
+def _text_kind(log: Log) -> Kind:
+    """By the first lines of a text that are no comments."""
+    lines = readers_stream.without_zeros(log, _stream(log))
+    left = _SNIFFED
+    comments = 0
+    told = False
+    while left > 0 and (line := lines.readline(_SNIFFED)):
+        text = line.decode("utf-8-sig", "replace")
+        for kind in KINDS:
+            if kind.line is not None and kind.line.match(text):
+                return kind
+        if text.startswith(";") and ".trc" in log.path.suffixes:
+            return _BY_NAME["TRC"]
+        if text.isspace() or text.startswith("#"):
+            comments += 1
+        else:
+            left -= len(line)
+            told = True
+    if told:
+        raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {readable()}")
+    what = "nothing but comments" if comments else "nothing but zero bytes, as a power cut leaves them"
+    raise EmptyLog(f"{log.path}: {what}; no frame is in it")

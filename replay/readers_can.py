@@ -7,6 +7,7 @@ at the first line that they cannot read; here such a line is counted and reading
 
 import io
 import logging
+import re
 import sqlite3
 import struct
 import zlib
@@ -17,7 +18,8 @@ from functools import lru_cache
 from io import BufferedReader
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from tilth.replay.readers_log import READABLE, ForeignLog, Log
+from tilth.replay.readers_log import UNREADABLE, ForeignLog, Log, OtherKind, stamp_fault
+from tilth.replay.readers_stream import without_zeros
 from tilth.schemas.flow import Frame
 
 if TYPE_CHECKING:
@@ -34,14 +36,17 @@ _DAMAGE = (
     struct.error,
     zlib.error,
 )
+_ASC_HEAD = ("date ", "base ", "begin ", "end ", "//", "internal ", "no internal ")
+_STAMPED = re.compile(r"\d+(\.\d+)?\s")
+# Types of lines that are no frames: bus state, error counters, errors, remarks; an identifier of bus state.
+_TRC_EVENTS = frozenset(("Warng", "Error", "Event", "ST", "EC", "ER", "EV", "FFFFFFFF"))
 _NO_FRAME = ("end", "//", ";")  # how lines begin that are no frame and may end a file without its line end
-_UNREADABLE = "unreadable_line"
 
 Shift = Callable[[], float]
 
 
-def text(stream: BinaryIO) -> TextIO:
-    return io.TextIOWrapper(stream, encoding="utf-8", errors="replace")
+def text(log: Log, stream: BinaryIO) -> TextIO:
+    return io.TextIOWrapper(without_zeros(log, stream), encoding="utf-8-sig", errors="replace")
 
 
 def _no_shift() -> float:
@@ -55,10 +60,11 @@ def _frame(message: "can.Message", shift_s: float = 0.0) -> Frame | str:
     if len(message.data) > 8:
         return "can_fd_frame"
     if len(message.data) < message.dlc and not message.is_error_frame:
-        return _UNREADABLE
+        return UNREADABLE
     t_ns = round((message.timestamp + shift_s) * 1e6) * 1000
-    if t_ns < 0:
-        return "negative_time_stamp"
+    fault = stamp_fault(t_ns)
+    if fault:
+        return fault
     channel = message.channel
     bus = f"can{channel}" if isinstance(channel, int) else str(channel or "can0")
     data = bytes(message.data)
@@ -68,11 +74,17 @@ def _frame(message: "can.Message", shift_s: float = 0.0) -> Frame | str:
 
 
 class _Lines:
-    """Lines of a text log as the file that a reader of python-can expects, and the last one it was given."""
+    """Lines of a text log as the file that a reader of python-can expects, and the last one it was given.
 
-    def __init__(self, stream: BinaryIO) -> None:
-        self._lines = text(stream)
+    A line from which the reader makes nothing is counted by what `silent` calls it; "" is one that may be so.
+    """
+
+    def __init__(self, log: Log, stream: BinaryIO, silent: Callable[[str], str]) -> None:
+        self._log = log
+        self._lines = text(log, stream)
+        self._silent = silent
         self._first: list[str] = []
+        self._settled = True  # it is known what became of the last one
         self.last = ""
         self.count = 0
 
@@ -82,9 +94,19 @@ class _Lines:
     def __next__(self) -> str:
         if self._first:
             return self._first.pop()
+        if not self._settled and not self.cut():
+            reason = self._silent(self.last)
+            if reason:
+                self._log.skip(reason)
+        self._settled = True
         self.last = next(self._lines)
+        self._settled = False
         self.count += 1
         return self.last
+
+    def settle(self) -> None:
+        """The last one gave a message, or an error."""
+        self._settled = True
 
     def begin_again(self) -> None:
         """Before a reader is iterated once more: it takes the first line for a header."""
@@ -108,8 +130,9 @@ def _from_text(
             count = lines.count
             try:
                 for message in reader:
+                    lines.settle()
                     found = _frame(message, shift())
-                    if lines.cut() and (found == _UNREADABLE or lines.last[-2:-1].isspace()):
+                    if lines.cut() and (found == UNREADABLE or lines.last[-2:-1].isspace()):
                         break  # the last line lost bytes, or half of one
                     if isinstance(found, Frame):
                         taken = lines.last
@@ -118,18 +141,19 @@ def _from_text(
                         log.skip(found)
                 break
             except _DAMAGE:
+                lines.settle()
                 if not lines.cut():
-                    log.skip(_UNREADABLE)
+                    log.skip(UNREADABLE)
                 if taken:
                     lines.begin_again()
-    log.truncated = lines.cut() and lines.last is not taken
+    log.truncated = log.truncated or (lines.cut() and lines.last is not taken)
 
 
 def asc(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     """Vector's ASC. Its date has no zone: read as UTC, a log gives the same stamps everywhere."""
     import can
 
-    lines = _Lines(stream)
+    lines = _Lines(log, stream, _silent_in_asc)
     reader = can.ASCReader(cast(TextIO, lines), relative_timestamp=False)
 
     def shift() -> float:
@@ -142,6 +166,14 @@ def asc(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     return _from_text(log, lines, reader, shift)
 
 
+def _silent_in_asc(line: str) -> str:
+    """Headers and comments are nothing; what has a time stamp is an event of another kind."""
+    line = line.strip().lower()
+    if not line or line.startswith(_ASC_HEAD) or line.endswith("start of measurement"):
+        return ""
+    return "other_event" if _STAMPED.match(line) else UNREADABLE
+
+
 @lru_cache(maxsize=4)
 def _local_as_utc(start_s: float) -> float:
     """What to add where python-can took a date for one of this computer's time zone, s."""
@@ -151,14 +183,21 @@ def _local_as_utc(start_s: float) -> float:
 def trc(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     import can
 
-    lines = _Lines(stream)
+    logging.getLogger("can.io.trc").setLevel(logging.ERROR)  # of lines that are counted here
+    lines = _Lines(log, stream, _silent_in_trc)
     return _from_text(log, lines, can.TRCReader(cast(TextIO, lines)))
+
+
+def _silent_in_trc(line: str) -> str:
+    if line.isspace() or line.startswith(";"):
+        return ""
+    return "other_event" if _TRC_EVENTS.intersection(line.split()[1:4]) else UNREADABLE
 
 
 def csv(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     import can
 
-    lines = _Lines(stream)
+    lines = _Lines(log, stream, lambda line: "")
     return _from_text(log, lines, can.CSVReader(cast(TextIO, lines)))
 
 
@@ -167,7 +206,6 @@ def blf(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     import can
     from can.io.blf import BLFParseError
 
-    log.truncated = True
     try:
         reader = can.BLFReader(stream)
         count = 0
@@ -179,8 +217,10 @@ def blf(log: Log, stream: BinaryIO) -> Iterator[Frame]:
             else:
                 log.skip(found)
     except (*_DAMAGE, BLFParseError):
+        log.truncated = True
         return
-    log.truncated = reader.file_size > log.size or (count > 0 and reader.object_count == 0)
+    fewer = not log.packed and reader.file_size > log.size
+    log.truncated = log.truncated or fewer or (count > 0 and reader.object_count == 0)
 
 
 class _Incomplete(logging.Handler):
@@ -212,7 +252,7 @@ def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         count_channel_groups(cast(BufferedReader, log.file))
         yield from _from_binary(log, can.MF4Reader(str(log.path)))
     except (*_DAMAGE, MdfException):
-        raise ForeignLog(f"{log.path}: an MF4 file whose index is missing or damaged; {READABLE}") from None
+        raise OtherKind(f"{log.path}: an MF4 file whose index is missing or damaged") from None
     finally:
         logger.removeHandler(ear)
     log.truncated = log.truncated or ear.heard
@@ -224,7 +264,7 @@ def sqlite(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     try:
         yield from _from_binary(log, can.SqliteReader(log.path))
     except sqlite3.Error:
-        raise ForeignLog(f"{log.path}: an SQLite file that python-can did not write; {READABLE}") from None
+        raise OtherKind(f"{log.path}: an SQLite file that python-can did not write") from None
 
 
 def _from_binary(log: Log, reader: "can.MF4Reader | can.SqliteReader") -> Iterator[Frame]:

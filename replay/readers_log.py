@@ -8,10 +8,8 @@ from typing import BinaryIO
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
-READABLE = (
-    "tilth reads its own .mcap logs, candump -l, ASC, BLF, TRC, MF4, the CSV and SQLite files of python-can "
-    "and canboat's plain text"
-)
+UNREADABLE = "unreadable_line"
+LATEST_NS = 2**63 - 1  # stamps are kept in 64 bits
 
 
 class LogError(Exception):
@@ -28,6 +26,10 @@ class ForeignLog(LogError):
     """It is no log of CAN frames, or of a kind that nobody here can read."""
 
     status = 2
+
+
+class OtherKind(ForeignLog):
+    """So, and a person should be told what is read; `readers` adds it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +66,16 @@ class Place:
 Record = Frame | Snapshot | Logged
 
 
+def stamp_fault(t_ns: int) -> str:
+    """Why a frame cannot have this stamp; "" where it can."""
+    if t_ns < 0:
+        return "negative_time_stamp"  # before 1970
+    return "time_stamp_after_2262" if t_ns > LATEST_NS else ""
+
+
 @dataclass(slots=True)
 class Log:
-    """A log opened for reading; `truncated` and `skipped` are complete once `records` is used up.
+    """A log opened for reading; `truncated`, `skipped` and `note` are complete once `records` is used up.
 
     Records come in the order of the file, which is the order in which they were processed, and are never
     sorted, whatever their stamps say.
@@ -76,10 +85,12 @@ class Log:
     form: str  # in a person's words
     file: BinaryIO
     size: int  # bytes
+    packed: bool = False  # by gzip
     topics: Container[str] = ()  # whose results, logged live, are among the records
     records: Iterator[Record] = field(default_factory=lambda: iter(()))
     truncated: bool = False  # the end is missing
     skipped: dict[str, int] = field(default_factory=dict)  # what was no frame for the decoder -> count
+    note: str = ""  # what else a person should know of it
 
     def skip(self, reason: str) -> None:
         self.skipped[reason] = self.skipped.get(reason, 0) + 1

@@ -63,7 +63,9 @@ def candidates(
 ) -> Iterator[WheelCandidate]:
     """Every word of one identifier's frames that may be a wheel angle; yaw: yaw rate in rad/s."""
     seconds = (times_ns[-1] - times_ns[0]) * 1e-9
-    if len(data) < FEWEST_SAMPLES or len(data) < SLOWEST_HZ * seconds or len({len(d) for d in data}) != 1:
+    if not 0.0 < seconds <= len(data) / SLOWEST_HZ:  # 0 where a log has no stamps
+        return
+    if len(data) < FEWEST_SAMPLES or len({len(d) for d in data}) != 1:
         return
     times = np.array(times_ns, np.int64)
     for start_byte, byte_order, words in _words(data, extended and split(can_id).pgn == RUDDER):
