@@ -13,6 +13,7 @@ from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
+from tilth.logger.zenoh_session import refuse_open
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -37,6 +38,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
     machine, text = read_machine(args.machine)
+    if not args.no_zenoh:
+        refuse_open(machine)
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:

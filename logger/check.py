@@ -15,7 +15,7 @@ from zenoh import ZError
 from tilth.logger.buses import Buses, Source
 from tilth.logger.clock import Clock
 from tilth.logger.status import LOW_HOURS, hours_left
-from tilth.logger.zenoh_session import try_session, why
+from tilth.logger.zenoh_session import Open, try_session, why
 from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
 
@@ -148,10 +148,12 @@ def _synchronised() -> bool | None:
 def _zenoh(machine: Machine) -> Finding:
     try:
         note = try_session(machine)
+    except Open as error:
+        return Finding("zenoh", PROBLEM, why(error))
     except ZError as error:
         return Finding("zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh")
     if note:
         return Finding("zenoh", NOTE, note)
     if machine.zenoh.config is not None:
-        return Finding("zenoh", OK, f"for those who have keys of {machine.zenoh.config}")
+        return Finding("zenoh", OK, f"only for this computer and who has a key, by {machine.zenoh.config}")
     return Finding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")
