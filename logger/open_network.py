@@ -1,7 +1,7 @@
 """What in a Zenoh configuration lets in everybody who reaches this computer over a network.
 
-Judged by what is configured, whoever wrote it: keys of `tilth keys`, mutual TLS or passwords of somebody's own
-keep others out; TLS without a client's certificate does not.
+Judged by what is configured, whoever wrote it: keys of `tilth keys`, mutual TLS or passwords of somebody's
+own keep others out; TLS without a client's certificate does not.
 """
 
 import contextlib

@@ -39,8 +39,8 @@ def configured(machine: Machine) -> tuple[zenoh.Config, list[str]]:
     opened = f"open to everybody on this network: {'; '.join(ways)}"
     if not machine.zenoh.open:
         raise Open(
-            f"{machine.zenoh.config} makes it {opened}. Make keys with `tilth keys`; if all may read, mark and "
-            "speak in its name, say so in the machine file as well: [zenoh] open = true"
+            f"{machine.zenoh.config} makes it {opened}. Make keys with `tilth keys`; if all may read, mark "
+            "and speak in its name, say so in the machine file as well: [zenoh] open = true"
         )
     return config, [*notes, f"{opened}. All there may read, mark and speak in its name"]
 

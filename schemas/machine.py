@@ -254,8 +254,8 @@ class Zenoh(_Section):
     )
     open: bool = Field(
         default=False,
-        description="true: it is meant that everybody on the network may read, mark and speak in the daemon's "
-        "name, where listen, connect or config lets them in without keys",
+        description="true: it is meant that everybody on the network may read, mark and speak in the "
+        "daemon's name, where listen, connect or config lets them in without keys",
     )
 
     @model_validator(mode="after")
