@@ -1,7 +1,7 @@
 """A door before a WebSocket server that would let in whoever connects.
 
-It reads who asks, and then is but a wire. The server behind it listens on an address of loopback that is drawn
-anew each time, where no page in a browser finds it by trying.
+It reads who asks, and then is but a wire. The server behind it listens on an address of loopback that is
+drawn anew each time, where no page in a browser finds it by trying.
 """
 
 import asyncio
