@@ -15,7 +15,7 @@ from zenoh import ZError
 from tilth.logger.buses import Buses, Source
 from tilth.logger.clock import Clock
 from tilth.logger.status import LOW_HOURS, hours_left
-from tilth.logger.zenoh_session import Open, try_session, why
+from tilth.logger.zenoh_session import refusal, try_session, why
 from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
 
@@ -146,10 +146,10 @@ def _synchronised() -> bool | None:
 
 
 def _zenoh(machine: Machine) -> Finding:
+    if refused := refusal(machine):
+        return Finding("zenoh", PROBLEM, refused)
     try:
         note = try_session(machine)
-    except Open as error:
-        return Finding("zenoh", PROBLEM, why(error))
     except ZError as error:
         return Finding("zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh")
     if note:

@@ -7,19 +7,20 @@ from pathlib import Path
 import zenoh
 
 from tilth.logger.open_network import endpoints, is_local, told, ways_in
-from tilth.schemas.machine import Machine, MachineError, Zenoh
-
-
-class Open(zenoh.ZError):
-    """It would be open to everybody on the network, and the machine file does not say that this is meant."""
+from tilth.schemas.machine import Machine, Zenoh
 
 
 def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
     """The session, where it listens, and what is unusual about it, "" if nothing is.
 
-    Without zenoh.config and zenoh.open it speaks on loopback only. Raises zenoh.ZError; of these, Open.
+    Without zenoh.config and zenoh.open it speaks on loopback only. Raises zenoh.ZError, also
+    where `refusal` has something to say.
     """
-    config, notes = configured(machine)
+    config, notes = _own(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
+    if refused := _refusal(machine, config):
+        raise zenoh.ZError(refused)
+    if opened := _opened(config):
+        notes.append(f"{opened}. All there may read, mark and speak in its name")
     wanted = endpoints(config, "listen")
     listen = [free_endpoint(endpoint) for endpoint in wanted]
     config.insert_json5("listen/endpoints", json.dumps(listen))
@@ -30,32 +31,28 @@ def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
     return zenoh.open(config), listen, "; ".join([*notes, *[taken] * (listen != wanted)])
 
 
-def configured(machine: Machine) -> tuple[zenoh.Config, list[str]]:
-    """How the session is to be, and what is unusual about it. Raises zenoh.ZError; of these, Open."""
-    config, notes = _own(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
-    ways = ways_in(config)
-    if not ways:
-        return config, notes
-    opened = f"open to everybody on this network: {'; '.join(ways)}"
-    if not machine.zenoh.open:
-        raise Open(
-            f"{machine.zenoh.config} makes it {opened}. Make keys with `tilth keys`; if all may read, mark "
-            "and speak in its name, say so in the machine file as well: [zenoh] open = true"
-        )
-    return config, [*notes, f"{opened}. All there may read, mark and speak in its name"]
-
-
-def refuse_open(machine: Machine) -> None:
-    """Raises MachineError where the network would be let in and the machine file does not say so.
-
-    What else is wrong with the configuration is no reason not to record.
-    """
+def refusal(machine: Machine) -> str:
+    """Why there is to be no session although one could be had: everybody on the network would be let in, and
+    the machine file does not say that this is meant. "" where that is not so; nothing is opened."""
+    if machine.zenoh.config is None:
+        return ""
     try:
-        configured(machine)
-    except Open as error:
-        raise MachineError(why(error)) from None
+        return _refusal(machine, _shared(machine)[0])
     except zenoh.ZError:
-        return  # told by whoever opens the session
+        return ""  # said by whoever opens it
+
+
+def _refusal(machine: Machine, config: zenoh.Config) -> str:
+    opened = "" if machine.zenoh.open else _opened(config)
+    return opened and (
+        f"{machine.zenoh.config} makes it {opened}. Make keys with `tilth keys`; if all may read, mark "
+        "and speak in its name, say so in the machine file as well: [zenoh] open = true"
+    )
+
+
+def _opened(config: zenoh.Config) -> str:
+    ways = ways_in(config)
+    return f"open to everybody on this network: {'; '.join(ways)}" if ways else ""
 
 
 def try_session(machine: Machine) -> str:

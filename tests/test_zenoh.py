@@ -14,11 +14,11 @@ from loopback import START_NS, answers, free_port, rig, session, udp_bus
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.open_network import is_local, ways_in
-from tilth.logger.zenoh_session import Open, free_endpoint, open_session, refuse_open, try_session
+from tilth.logger.zenoh_session import free_endpoint, open_session, refusal, try_session
 from tilth.logger.zenoh_sink import STALE_NS, ZenohSink
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
-from tilth.schemas.machine import Machine, MachineError, Zenoh
+from tilth.schemas.machine import Machine, Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEYED = [channel for channel in CHANNELS if channel.key is not None]
@@ -237,24 +237,24 @@ def test_a_configuration_that_lets_in_everybody_is_used_only_where_that_is_said_
     once = with_zenoh(config=str(path))
     for refused in (open_session, try_session):
         with pytest.raises(
-            Open, match=rf"open to everybody on this network: it listens on .*:{port} without"
+            zenoh.ZError, match=rf"open to everybody on this network: it listens on .*:{port} without"
         ):
             refused(once)
-    with pytest.raises(MachineError, match=r"foreign.json5 makes it open .* \[zenoh\] open = true"):
-        refuse_open(once)
+    said = refusal(once)
+    assert "foreign.json5 makes it open to everybody" in said and "[zenoh] open = true" in said
     for twice in (with_zenoh(config=str(path), open=True), with_zenoh(listen=listen["endpoints"], open=True)):
-        refuse_open(twice)
+        assert refusal(twice) == ""
         opened, listening, note = open_session(twice)
         assert listening == listen["endpoints"] and "All there may read, mark and speak" in note
         with session([f"tcp/127.0.0.1:{port}"]) as other:
             assert [str(zid) for zid in other.info.peers_zid()] == [str(opened.info.zid())]
         opened.close()
     left_out = with_zenoh(listen=listen["endpoints"])
-    refuse_open(left_out)
+    assert refusal(left_out) == ""
     opened, listening, note = open_session(left_out)
     opened.close()
     assert listen["endpoints"][0] not in listening and "open = true if that is meant" in note
-    refuse_open(with_zenoh(config=str(tmp_path / "none.json5")))  # no reason not to record
+    assert refusal(with_zenoh(config=str(tmp_path / "none.json5"))) == ""  # no reason not to record
 
 
 def test_the_machine_file_listens_on_this_computer_only_unless_it_says_more() -> None:
