@@ -86,8 +86,8 @@ def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
 
 
 def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAMETERS) -> tuple[str, ...]:
-    """In words with their 95 % range: each parameter that the data and the prior determine; of the others, ratios,
-    products or further combinations that are. Shapes (n, n), (n,), (n)."""
+    """In words with their 95 % range: each parameter that the data and the prior determine; of the others,
+    ratios, products or further combinations that are. Shapes (n, n), (n,), (n)."""
     prior: Array = np.diag(prior_sd**2)
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
