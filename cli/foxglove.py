@@ -11,6 +11,7 @@ from tilth.cli.hearing import add_address, add_daemon, check_address, say_who_re
 from tilth.client.link import base_key, living, open_session
 from tilth.monitor.addresses import urls
 from tilth.monitor.origin import Refusal
+from tilth.schemas.invocation import installing
 
 PORT = 8765  # where such viewers look first
 LOOK_S = 0.5
@@ -61,9 +62,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name != "foxglove":
             raise
-        raise WrongUse(
-            "this needs one package more: pip install 'tilth[foxglove]', or uv sync --extra foxglove"
-        ) from None
+        raise WrongUse(f"this needs one package more: {installing('foxglove')}") from None
     try:
         base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
         session = open_session(args.connect, args.config)

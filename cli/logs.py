@@ -16,6 +16,7 @@ from tilth.logger.clock import utc_text
 from tilth.logger.recovery import unfinished
 from tilth.logger.runs import Beside, StoredRun
 from tilth.replay.survey import glance
+from tilth.schemas.invocation import command
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
 
@@ -96,7 +97,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
     minutes, seconds = divmod(round(row["seconds"]), 60)
     what = [f"{', '.join(row['lost'])} lost"] if row["lost"] else []
     what += [f"{kind} {count}" for kind, count in sorted(row["events"].items())]
-    state = ["recording"] * row["recording"] + ["unfinished: tilth recover"] * bool(row["unfinished"])
+    state = ["recording"] * row["recording"] + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
     state += ([copied] if row["copied"] else []) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]
     return [

@@ -12,6 +12,8 @@ from typing import Final, NamedTuple, TypeVar
 
 import zenoh
 
+from tilth.schemas.invocation import command
+
 ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _ENDPOINT: Final = re.compile(r"[a-z-]+/.")
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
@@ -58,7 +60,7 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
         why = str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
         if config is not None:
             raise ValueError(
-                f"{config}: {why}; give a Zenoh configuration, or a key of `tilth keys`"
+                f"{config}: {why}; give a Zenoh configuration, or a key of `{command('keys')}`"
             ) from None
         raise ValueError(f"{endpoint}: {why}; an endpoint looks like {ENDPOINT}") from None
 

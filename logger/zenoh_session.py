@@ -7,6 +7,7 @@ from pathlib import Path
 import zenoh
 
 from tilth.logger.open_network import endpoints, is_local, told, ways_in
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, Zenoh
 
 
@@ -45,8 +46,8 @@ def refusal(machine: Machine) -> str:
 def _refusal(machine: Machine, config: zenoh.Config) -> str:
     opened = "" if machine.zenoh.open else _opened(config)
     return opened and (
-        f"{machine.zenoh.config} makes it {opened}. Make keys with `tilth keys`; if all may read, mark "
-        "and speak in its name, say so in the machine file as well: [zenoh] open = true"
+        f"{machine.zenoh.config} makes it {opened}. Make keys with `{command('keys')}`; if all may read, "
+        "mark and speak in its name, say so in the machine file as well: [zenoh] open = true"
     )
 
 
@@ -101,8 +102,9 @@ def _own(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
     if not left_out:
         return config, []
     return config, [
-        f"{', '.join(left_out)} is not used, anybody on that network could read and answer; make keys "
-        "with `tilth keys` and name them as config in [zenoh], or say there open = true if that is meant"
+        f"{', '.join(left_out)} is not used, anybody on that network could read and answer; make "
+        f"keys with `{command('keys')}` and name them as config in [zenoh], or say there open = true if "
+        "that is meant"
     ]
 
 
@@ -114,7 +116,9 @@ def _shared(machine: Machine) -> tuple[zenoh.Config, list[str]]:
         config = zenoh.Config.from_file(path)
     except (OSError, zenoh.ZError) as error:
         reason = why(error) if isinstance(error, zenoh.ZError) else (error.strerror or str(error)).lower()
-        raise zenoh.ZError(f"{path}: {reason}; give the daemon.json that `tilth keys` has made") from None
+        raise zenoh.ZError(
+            f"{path}: {reason}; give the daemon.json that `{command('keys')}` has made"
+        ) from None
     made = (told(config, "metadata") or {}).get("tilth", {})
     wanted = (machine.zenoh.prefix, machine.name)
     made_for = (made.get("prefix"), made.get("machine"))

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
 from tilth.replay.readers_log import READABLE, ForeignLog, Log
 from tilth.schemas.flow import Frame
+from tilth.schemas.invocation import installing
 
 if TYPE_CHECKING:
     import can
@@ -198,9 +199,7 @@ def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         import asammdf
         from asammdf.blocks.utils import MdfException, count_channel_groups
     except ImportError:
-        raise ForeignLog(
-            f"{log.path}: reading MF4 needs one package more: pip install 'tilth[mf4]'"
-        ) from None
+        raise ForeignLog(f"{log.path}: reading MF4 needs one package more: {installing('mf4')}") from None
     import can
 
     asammdf.set_global_option("raise_on_incomplete_blocks", False)

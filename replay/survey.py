@@ -17,6 +17,7 @@ from mcap.records import Channel, Metadata
 from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
 from tilth.logger.mcap_log import CAN_TOPIC
 from tilth.logger.recovery import UNREADABLE
+from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
@@ -88,7 +89,11 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
                 _take(one, reading, topic, *row)
         if one is None:
             one, reading = _run_of(runs, path, metadata)
-        one.wrong += [f"{path.name}: {_DAMAGE[what].format(count)}" for what, count in sorted(damage.items())]
+        recover = command("recover")
+        one.wrong += [
+            f"{path.name}: {_DAMAGE[what].format(count, recover=recover)}"
+            for what, count in sorted(damage.items())
+        ]
         reading.clocks += clocks
     for one, reading in runs.values():
         _conclude(one, reading)
@@ -96,7 +101,7 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
 
 
 _DAMAGE = {
-    "cut": "was left unfinished; `tilth recover` finishes it",
+    "cut": "was left unfinished; `{recover}` finishes it",
     "chunk": "chunks that cannot be read ({})",
     "bytes": "bytes that cannot be read ({})",
     "mcap": "is no MCAP file",
