@@ -224,7 +224,7 @@ def hidden(case: Case, bench: Bench) -> list[Line]:
     z, sd = np.array([m.error / m.sd for m in made]), np.mean([m.sd for m in made], axis=0)
     bias, wide = z.mean(axis=0), sd / runs.mean_bound(case, made)
     return [
-        Line("bias", figures(bias) + f" (± {1 / math.sqrt(len(made)):.2f})", "≤ 1 published sd",
+        Line("bias", f"{figures(bias)} (± {1.96 / math.sqrt(len(made)):.2f}, 95 %)", "≤ 1 published sd",
              bool(np.all(np.abs(bias) <= 1.0)), bias.tolist()),
         Line("sd over the bound with these nuisances", figures(wide), "≤ 1.5", bool(np.all(wide <= 1.5)),
              wide.tolist()),

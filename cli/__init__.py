@@ -8,12 +8,15 @@ import argparse
 import importlib
 import math
 import os
+import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import NoReturn
 
 from tilth.logger.lean_can import import_can
+from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual
 
@@ -60,7 +63,7 @@ def duration(text: str) -> float:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"tilth{self.prog.removeprefix(command())}: {message}; see {self.prog} --help\n")
 
 
 class _Version(argparse.Action):
@@ -86,11 +89,25 @@ def say_unusual(command: str, machine: Machine) -> None:
         print(f"tilth {command}: machine file: {text}", file=sys.stderr)
 
 
+def _started(program: str, environment: Mapping[str, str]) -> list[str]:
+    """What a person typed before the name of a command."""
+    if "UV_RUN_RECURSION_DEPTH" in environment:  # `uv run` says so to what it starts
+        return ["uv", "run", "tilth"]
+    if Path(program).name != "tilth":  # part of another program
+        return ["tilth"]
+    found = shutil.which("tilth", path=environment.get("PATH"))
+    if found and Path(program).exists() and Path(program).samefile(found):
+        return ["tilth"]
+    return [program]
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in argv (without the program's name; sys.argv where None). Returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
+    started_as(_started(sys.argv[0], os.environ))
     parser = _Parser(
-        prog="tilth", description="Records a tractor's CAN buses and estimates how the soil holds the tyres."
+        prog=command(),
+        description="Records a tractor's CAN buses and estimates how the soil holds the tyres.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="say which version this is")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

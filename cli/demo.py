@@ -16,6 +16,7 @@ from tilth.cli import WrongUse, duration
 from tilth.logger.display import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.replay.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
+from tilth.schemas.invocation import command
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -127,7 +128,7 @@ def _page(endpoint: str) -> Callable[[], None]:
     assert page.stdout is not None
     with page.stdout as lines:
         address = lines.readline().strip()
-    _say(f"watch it at {address}" if address else "there is no page: `tilth monitor` says why")
+    _say(f"watch it at {address}" if address else f"there is no page: `{command('monitor')}` says why")
 
     def end() -> None:
         page.terminate()
@@ -150,6 +151,8 @@ def _tell(demo: Demo) -> None:
     console.print(f"{demo.frames_sent} frames sent, {demo.summary.recorded} logged{lost}.")
     if files:
         console.print(f"Log:    {files}", soft_wrap=True, highlight=False)
-        console.print(f"Replay: tilth replay {files}", soft_wrap=True, highlight=False)
+        console.print(
+            f"Replay: {command('replay', *map(str, demo.summary.log_files))}", soft_wrap=True, highlight=False
+        )
     else:
         console.print("No log was written.")

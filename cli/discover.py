@@ -19,6 +19,7 @@ from tilth.replay.readers import frames
 from tilth.replay.readers_log import LogError
 from tilth.replay.turn_rates import in_words
 from tilth.schemas.flow import Frame
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 
 MESSAGES_SHOWN = 8
@@ -132,7 +133,8 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
             args.out.write_text(text, encoding="utf-8")
         except OSError as error:
             raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
-        _say(f"the draft is in {args.out}; fill in the lines marked FILL IN, then: tilth check {args.out}")
+        then = command("check", str(args.out))
+        _say(f"the draft is in {args.out}; fill in the lines marked FILL IN, then: {then}")
     if args.json:
         print(json.dumps(as_json(findings, text)))
         return

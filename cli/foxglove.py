@@ -3,14 +3,19 @@
 import argparse
 import signal
 import threading
+from http import HTTPStatus
 from importlib import resources
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_address, add_daemon, check_address
+from tilth.cli.hearing import add_address, add_daemon, check_address, say_who_reaches
 from tilth.client.link import base_key, living, open_session
+from tilth.monitor.addresses import urls
+from tilth.monitor.origin import Refusal
+from tilth.schemas.invocation import installing
 
 PORT = 8765  # where such viewers look first
 LOOK_S = 0.5
+MOST_REFUSALS = 50  # said, of who is not let in
 LAYOUT = "foxglove/tilth.json"
 
 
@@ -24,6 +29,30 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     add_daemon(parser)
     add_address(parser, PORT)
+    parser.add_argument(
+        "--allow-origin",
+        action="append",
+        default=[],
+        metavar="ORIGIN",
+        help="of a viewer in a browser that may connect, such as https://app.foxglove.dev; viewers with a "
+        "window of their own need none",
+    )
+
+
+class _Refusals:
+    """Said once each: a page that is refused tries again and again."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def __call__(self, refusal: Refusal, origin: str) -> None:
+        who = f"a viewer at {origin[:80]}" if origin and origin.isprintable() else "a viewer"
+        line = f"{who} is refused: {refusal.why}"
+        if refusal.status == HTTPStatus.FORBIDDEN and who != "a viewer":
+            line += f"; to let it in: --allow-origin {origin[:80]}"
+        if line not in self._said and len(self._said) < MOST_REFUSALS:
+            self._said.add(line)
+            print(line, flush=True)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,22 +62,23 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name != "foxglove":
             raise
-        raise WrongUse(
-            "this needs one package more: pip install 'tilth[foxglove]', or uv sync --extra foxglove"
-        ) from None
+        raise WrongUse(f"this needs one package more: {installing('foxglove')}") from None
     try:
         base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
         session = open_session(args.connect, args.config)
     except ValueError as error:
         raise WrongUse(str(error)) from None
     try:
-        server = Server(args.host, args.port)
+        server = Server(args.host, args.port, args.allow_origin, _Refusals())
     except OSError as error:
         session.close()
-        raise WrongUse(f"--host {args.host} --port {args.port}: {error}; give others") from None
+        why = error.strerror or str(error)
+        raise WrongUse(f"--host {args.host} --port {args.port}: {why}; give others") from None
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    print(f"ws://{args.host}:{server.port}   open this connection in Foxglove or Lichtblick", flush=True)
+    for url in urls("ws", args.host, server.port):
+        print(f"{url}   open this connection in Foxglove or Lichtblick", flush=True)
+    say_who_reaches(args.host, "may see what is served")
     print(f"and import this layout: {resources.files('tilth.deploy').joinpath(LAYOUT)}", flush=True)
     try:
         if not base:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tilth.cli import WrongUse
 from tilth.client.link import ENDPOINT
+from tilth.monitor.addresses import is_loopback
 
 
 def add_daemon(parser: argparse.ArgumentParser) -> None:
@@ -39,3 +40,9 @@ def check_address(args: argparse.Namespace) -> None:
     """Raises WrongUse."""
     if not 0 <= args.port <= 65535:
         raise WrongUse(f"--port {args.port}: give a number from 0 to 65535")
+
+
+def say_who_reaches(host: str, may: str) -> None:
+    """Of a server on an address: nobody is asked for a key there."""
+    if not is_loopback(host):
+        print(f"everybody in the networks of this computer {may}", flush=True)

@@ -16,6 +16,7 @@ from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.runs import Beside, StoredRun
 from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
+from tilth.schemas.invocation import command
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
 
@@ -126,7 +127,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 def _state(row: dict[str, Any]) -> list[str]:
     missing = ", ".join(map(str, row["missing_parts"]))
-    state = ["recording"] * row["recording"] + ["unfinished: tilth recover"] * bool(row["unfinished"])
+    state = ["recording"] * row["recording"] + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
     state += [f"part {missing} missing"] if missing else []
     state += [f"{name} is {NO_LOG}" for name in row["no_log"]]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"

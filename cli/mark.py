@@ -11,6 +11,7 @@ from tilth.client.link import ENDPOINT, Alive, living
 from tilth.client.refusal import holder_of, try_key
 from tilth.logger.clock import EARLIEST_NS, utc_text
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -54,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
             raise WrongUse(f"no daemon can be reached: {try_key(args.config).text}") from None
         where = args.endpoint or ", ".join(endpoints)
         raise WrongUse(
-            f"no daemon can be reached at {where}; is `tilth run` running? An endpoint looks like {ENDPOINT}"
+            f"no daemon can be reached at {where}; is `{command('run')}` running? "
+            f"An endpoint looks like {ENDPOINT}"
         ) from None
     with session:
         key = _heard(session, prefix, name, args.config).base(prefix) + "/mark"
@@ -86,7 +88,7 @@ def _heard(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> 
         raise WrongUse(f"several daemons are heard: {heard}; say with --machine which of them")
     if key is not None:
         raise WrongUse(try_key(key).text)
-    raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `tilth run` running?")
+    raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `{command('run')}` running?")
 
 
 def _of_key(path: Path) -> tuple[str, str]:

@@ -3,7 +3,8 @@
 import argparse
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_address, add_daemon, check_address
+from tilth.cli.hearing import add_address, add_daemon, check_address, say_who_reaches
+from tilth.monitor.addresses import urls
 from tilth.monitor.heard import Heard
 from tilth.monitor.server import listening_socket, serve
 
@@ -34,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
         listener.close()
         raise WrongUse(str(error)) from None
     host, port = listener.getsockname()[:2]
-    everywhere = host in ("0.0.0.0", "::")
-    shown = "ADDRESS-OF-THIS-COMPUTER" if everywhere else f"[{host}]" if ":" in host else host
-    print(f"http://{shown}:{port}/", flush=True)
+    for url in urls("http", host, port):
+        print(f"{url}/", flush=True)
+    say_who_reaches(host, "may see the page and mark: notes in the log of the run")
     try:
         serve(heard, str(args.config or args.connect), listener)
     finally:

@@ -28,6 +28,7 @@ from tilth.replay.readers_rig import bus_names, machine_in
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine
+from tilth.schemas.spread import of_logarithm, plus_minus
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
 
@@ -235,15 +236,11 @@ def _table(title: str, estimate: Estimate) -> Table:
         table.add_column(heading, overflow="fold")
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
         unit = "N/rad" if name.startswith("C_") else "m"
-        shown = "-" if p.value is None else f"{_with_sd(p.value, p.sd)} {unit}"
+        shown = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
         table.add_row(name, shown, p.status.name.lower(), p.reason)
     for name, (value, sd) in estimate.nuisances.items():
-        table.add_row(name, _with_sd(value, sd), "nuisance", "")
+        table.add_row(name, plus_minus(value, sd), "nuisance", "")
     return table
-
-
-def _with_sd(value: float, sd: float | None) -> str:
-    return f"{value:.4g}" if sd is None else f"{value:.4g} ± {sd:.2g}"
 
 
 def _say(text: str) -> None:

@@ -9,11 +9,12 @@ from collections import deque
 from pathlib import Path
 from types import FrameType
 
-from tilth.cli import duration
+from tilth.cli import WrongUse, duration
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
+from tilth.logger.zenoh_session import refusal
 from tilth.schemas.plausible import unusual
 
 
@@ -39,6 +40,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
     machine, text = read_machine(args.machine)
+    if refused := "" if args.no_zenoh else refusal(machine):
+        raise WrongUse(refused)
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:

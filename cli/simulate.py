@@ -21,6 +21,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.replay.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.replay.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
 from tilth.replay.tractor import drive
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
 
 
@@ -174,7 +175,7 @@ def _tell(source: Source, simulated: Simulated, as_json: bool) -> None:
     if source.scenario.purpose:
         console.print(source.scenario.purpose, highlight=False)
     console.print(f"{simulated.frames} frames of {source.seconds:g} s, seed {source.seed}", highlight=False)
-    machine = "" if log.suffix == ".mcap" else " --machine M.toml"
+    machine = [] if log.suffix == ".mcap" else ["--machine", "M.toml"]
     for what, path in (("Log:   ", log), ("Truth: ", described), ("       ", table)):
         console.print(f"{what} {path}", soft_wrap=True, highlight=False)
-    console.print(f"Replay: tilth replay {log}{machine}", soft_wrap=True, highlight=False)
+    console.print(f"Replay: {command('replay', str(log), *machine)}", soft_wrap=True, highlight=False)

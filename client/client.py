@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Self
 import zenoh
 
 from tilth.client.latest import Latest, Linear, Staleness, judge, linear
-from tilth.client.link import ENDPOINT, base_key, open_session
+from tilth.client.link import ENDING_S, ENDPOINT, Link, base_key, open_session
 from tilth.client.received import HeardRig, Refused, answered_age, estimate_of, event_of, rig_of_message
 from tilth.schemas.flow import Estimate, Event
 
@@ -33,7 +33,11 @@ class _Held(NamedTuple):
 
 
 class Client:
-    """Made by `Client.connect`; close it, or use it as a context. Any thread may call any method."""
+    """Made by `Client.connect`. Any thread may call any method.
+
+    Use it as a context: `with Client.connect(…) as client:`. One that is never closed is closed when the
+    program ends, after an exception too, and does not keep it from ending.
+    """
 
     def __init__(self, session: zenoh.Session, base: str, method: str, stale: Staleness) -> None:
         """For `connect`, and for a program that has a session already: `close` closes it."""
@@ -52,10 +56,11 @@ class Client:
         self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING)
         self._caller = threading.Thread(target=self._call, name="tilth.client", daemon=True)
         self._caller.start()
-        self._session = session
-        self._session.declare_subscriber(self._key, self._take_sample)
-        self._session.declare_subscriber(f"{base}/event", self._take_event)
-        self._session.liveliness().declare_subscriber(f"{base}/alive", self._take_token, history=True)
+        self._link = Link(session)
+        self._link.hear(session.declare_subscriber(self._key), self._take_sample)
+        self._link.hear(session.declare_subscriber(f"{base}/event"), self._take_event)
+        tokens = session.liveliness().declare_subscriber(f"{base}/alive", history=True)
+        self._link.hear(tokens, self._take_token)
 
     @classmethod
     def connect(
@@ -141,12 +146,12 @@ class Client:
             if self._closed:
                 return
             self._closed = True
-        self._session.close()
+        self._link.close()
         while not self._calls.empty():
             self._calls.get_nowait()
         self._calls.put(None)
         if threading.current_thread() is not self._caller:
-            self._caller.join(1.0)
+            self._caller.join(ENDING_S)
 
     def __enter__(self) -> Self:
         return self
@@ -156,7 +161,7 @@ class Client:
     ) -> None:
         self.close()
 
-    # What follows runs in threads of Zenoh's.
+    # What follows runs in threads that hear.
 
     def _take_sample(self, sample: zenoh.Sample) -> None:
         with self._refusing():
@@ -231,8 +236,14 @@ class Client:
             if not self._alive or self._closed:
                 return
             self._nearest_s = None
-        self._session.get(f"{self._base}/rig", self._take_rig, timeout=5.0)
-        self._session.get(self._key, partial(self._take_reply, time.monotonic()), timeout=5.0)
+        asked_s = time.monotonic()
+        try:
+            rigs = self._link.session.get(f"{self._base}/rig", timeout=5.0)
+            estimates = self._link.session.get(self._key, timeout=5.0)
+        except zenoh.ZError:
+            return  # closed meanwhile
+        self._link.hear(rigs, self._take_rig)
+        self._link.hear(estimates, partial(self._take_reply, asked_s))
 
     def _refusing(self) -> "_Refusing":
         return _Refusing(self._lock, self._refused)

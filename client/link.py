@@ -1,17 +1,27 @@
 """A Zenoh session that hears one daemon: it opens at once, and connects as soon and as often as it can. And
 who lives at its other end."""
 
+import atexit
 import json
+import logging
 import re
+import threading
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import zenoh
+
+from tilth.schemas.invocation import command
 
 ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _ENDPOINT: Final = re.compile(r"[a-z-]+/.")
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0}
+ENDING_S: Final = 1.0  # longest wait for a thread that was told to end
+_SAID: Final = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 
 def base_key(machine: str, prefix: str, replay: bool) -> str:
@@ -50,9 +60,46 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
         why = str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
         if config is not None:
             raise ValueError(
-                f"{config}: {why}; give a Zenoh configuration, or a key of `tilth keys`"
+                f"{config}: {why}; give a Zenoh configuration, or a key of `{command('keys')}`"
             ) from None
         raise ValueError(f"{endpoint}: {why}; an endpoint looks like {ENDPOINT}") from None
+
+
+class Link:
+    """A session and the threads that hear over it. It ends at the latest with the program."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.session = session
+        self._lock = threading.Lock()
+        self._threads: list[threading.Thread] = []
+        atexit.register(self.close)  # before Python is taken down under its threads
+
+    def hear(self, come: Iterable[T], take: Callable[[T], None]) -> None:
+        """Hand over each that comes to a subscriber or as an answer, in a thread of its own.
+
+        Callbacks of Zenoh's run in threads that keep a program from ending; these do not.
+        """
+        thread = threading.Thread(target=_take_each, args=(come, take), name="tilth.hear", daemon=True)
+        with self._lock:
+            self._threads = [*filter(threading.Thread.is_alive, self._threads), thread]
+            thread.start()
+
+    def close(self) -> None:
+        """Close the session, which ends its threads; wait for them, but not for the caller's own."""
+        atexit.unregister(self.close)
+        self.session.close()
+        with self._lock:
+            threads = [thread for thread in self._threads if thread is not threading.current_thread()]
+        for thread in threads:
+            thread.join(ENDING_S)
+
+
+def _take_each(come: Iterable[T], take: Callable[[T], None]) -> None:
+    for one in come:
+        try:
+            take(one)
+        except Exception:  # whatever a stranger sent: what comes next must be heard
+            _SAID.exception("what came over Zenoh could not be taken")
 
 
 class Alive(NamedTuple):

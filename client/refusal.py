@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.client.link import open_session
+from tilth.schemas.invocation import command
 
 WAIT_S: Final = 2.0
 _TOLD_S: Final = 0.7  # a refusal comes after the handshake, and at once
 _ALERTS: Final = (
     ("CERTIFICATE_REQUIRED", "it wants a certificate and this file has none; ask for a key of your own"),
-    ("CERTIFICATE_EXPIRED", "this key has expired; ask for it to be renewed (tilth keys --renew)"),
+    ("CERTIFICATE_EXPIRED", "this key has expired; ask for it to be renewed ({renew})"),
     ("UNKNOWN_CA", "this key is of another authority; ask for one of this machine's"),
     ("DECRYPT_ERROR", "this key is of another authority; ask for one of this machine's"),
     ("BAD_CERTIFICATE", "it does not take this certificate; ask for a new one"),
@@ -80,7 +81,7 @@ def _content(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except (ValueError, LookupError, TypeError, AttributeError):
         pass
-    raise ValueError(f"{path}: no key of a person or program that `tilth keys` has made")
+    raise ValueError(f"{path}: no key of a person or program that `{command('keys')}` has made")
 
 
 def _handshake(endpoint: str, tls: dict[str, str]) -> str:
@@ -103,7 +104,10 @@ def _handshake(endpoint: str, tls: dict[str, str]) -> str:
         return f"who listens there has no certificate of this machine's authority ({error.verify_message})"
     except ssl.SSLError as error:
         reason = str(error.reason)
-        return next((text for alert, text in _ALERTS if alert in reason), f"refused: {reason.lower()}")
+        return next(
+            (text.format(renew=command("keys", "--renew")) for alert, text in _ALERTS if alert in reason),
+            f"refused: {reason.lower()}",
+        )
     except OSError as error:
         return f"not reached: {(error.strerror or str(error)).lower()}"
     return ""

@@ -23,6 +23,7 @@ from tilth.estimator.record import EAST, HEADING, INPUTS, NORTH, ROWS, VELOCITY,
 from tilth.estimator.unknowns import AT, NAMES, NOISE, SIX
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
+from tilth.schemas.spread import share
 
 Array = NDArray[np.float64]
 
@@ -80,8 +81,8 @@ def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
 
 
 def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAMETERS) -> tuple[str, ...]:
-    """In words with their sd: each parameter that the data and the prior determine; of the others, ratios,
-    products or further combinations that are. Shapes (n, n), (n,), (n)."""
+    """In words with their 95 % range: each parameter that the data and the prior determine; of the others,
+    ratios, products or further combinations that are. Shapes (n, n), (n,), (n)."""
     prior: Array = np.diag(prior_sd**2)
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
@@ -154,12 +155,6 @@ def _combination(weights: Array, names: Sequence[str]) -> str:
 
 def _power(name: str, exponent: float) -> str:
     return name if exponent == 1.0 else f"{name}^{exponent:.1f}"
-
-
-def share(sd: float) -> str:
-    """An sd of a logarithm in words."""
-    percent = 100 * float(sd)
-    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
 
 
 # What would help.
@@ -309,19 +304,19 @@ def advise(
     known = not asked
     if known:
         asked = [int(np.argmax(now))]
-    names, sds = _and([PARAMETERS[k] for k in asked]), ", ".join(share(now[k]) for k in asked)
+    names = _and([PARAMETERS[k] for k in asked])
     if len(asked) == len(PARAMETERS):
         start = f"none of {names} is determined"
     else:
         state = "is known least" if known else f"{'is' if len(asked) == 1 else 'are'} not determined"
-        start = f"{names} {state} ({sds})"
+        start = f"{names} {state}: {share(*now[asked])}"
     after = {c: predicted(covariance, told)[asked] for c, told in table.items()}
     chosen = _choose(after, now[asked])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
     words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
     them = "it" if len(asked) == 1 else "them"
-    return f"{start}; {SECONDS:g} s of {words} would bring {them} to {', '.join(map(share, after[chosen]))}"
+    return f"{start}; {SECONDS:g} s of {words} would bring {them} to {share(*after[chosen])}"
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:

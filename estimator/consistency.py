@@ -24,6 +24,7 @@ from tilth.estimator.tracker import TrackerState
 from tilth.estimator.wheel_check import WheelCheck
 from tilth.schemas.flow import Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.spread import interval, plus_minus
 
 Array = NDArray[np.float64]
 
@@ -251,15 +252,13 @@ def _in_words(machine: Machine, name: str, now: Misfit) -> str:
     off, sd = float(now.off[k]), float(now.sd[k])
     if name in ("wheel_zero", "pair_t", "pair_i"):
         what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
-        return (
-            f"driving finds the {what} {math.degrees(off):+.1f} ± {math.degrees(1.96 * sd):.1f}° off (95 %)"
-        )
+        return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
     if name == "latency":
-        return f"driving finds {off:+.2f} ± {1.96 * sd:.2f} s of latency (95 %) beyond the file's"
+        return f"driving finds a latency of {plus_minus(off, sd, 's')} beyond the file's"
     if name in ("aside_i", "e"):
         what = "implement's receivers" if name == "aside_i" else "implement's axle"
-        return f"driving finds the {what} {off:+.2f} ± {1.96 * sd:.2f} m off (95 %)"
-    low, high = math.exp(off - 1.96 * sd), math.exp(off + 1.96 * sd)
+        return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
+    low, high = interval(math.exp(off), sd)
     what = "reading of the wheels' angle" if name == "wheel_gain" else _KEYS[name].partition(" or ")[0]
     return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
 

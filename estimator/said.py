@@ -12,6 +12,7 @@ from tilth.estimator.advice import SUPPORTED
 from tilth.estimator.unknowns import NAMES, SIX
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.spread import share
 
 Array = NDArray[np.float64]
 
@@ -91,7 +92,7 @@ def of_six(
     parameters = []
     for k in range(6):
         state.given[k] = age is not None and enough(state.given[k], sds[k], prior_sd[k])
-        wide = f"the data leave ±{100 * sds[k]:.0f} %: more steering is needed"
+        wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
         lacks = nothing_yet(nothing, state.reason) if age is None else wide
         parameters.append(
             parameter(state.mean[k], float(sds[k]), state.given[k], age, lacks, "nothing was learned")

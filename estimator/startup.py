@@ -25,6 +25,7 @@ from tilth.estimator.track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.turn_rate_lag import SURE, Lag, judge, regress, time_constant
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.spread import plus_minus
 
 Array = NDArray[np.float64]
 
@@ -136,11 +137,11 @@ def in_words(state: StartUp, flag: str) -> str:
     if kind == SMOOTHED:
         tau, sd = time_constant(state.lags[k])
         return (
-            f"{who}: its turn rate lags by {tau:.1f} ± {sd:.1f} s and is not used, and what was learned with "
-            "it is forgotten: turn its smoothing off"
+            f"{who}: its turn rate lags by {plus_minus(tau, sd, 's')} and is not used, and what was learned "
+            "with it is forgotten: turn its smoothing off"
         )
     c, sds = responses(state)
-    leans = f"{who}: it moves with roll by {c[k]:.2f} ± {sds[k]:.2f} of its height"
+    leans = f"{who}: it moves with roll by {plus_minus(float(c[k]), float(sds[k]))} of its height"
     return f"{leans}: set roll_corrected = {_SET[kind]} in the machine file"
 
 

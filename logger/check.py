@@ -16,7 +16,7 @@ from tilth.logger.check_devices import Devices
 from tilth.logger.clock import Clock
 from tilth.logger.finding import NOTE, OK, PROBLEM, WARNING, Finding
 from tilth.logger.status import LOW_HOURS, hours_left
-from tilth.logger.zenoh_session import try_session, why
+from tilth.logger.zenoh_session import refusal, try_session, why
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import unusual
 
@@ -140,6 +140,8 @@ def _synchronised() -> bool | None:
 
 
 def _zenoh(machine: Machine) -> Finding:
+    if refused := refusal(machine):
+        return Finding("zenoh", PROBLEM, refused)
     try:
         note = try_session(machine)
     except ZError as error:
@@ -147,5 +149,5 @@ def _zenoh(machine: Machine) -> Finding:
     if note:
         return Finding("zenoh", NOTE, note)
     if machine.zenoh.config is not None:
-        return Finding("zenoh", OK, f"for those who have keys of {machine.zenoh.config}")
+        return Finding("zenoh", OK, f"only for this computer and who has a key, by {machine.zenoh.config}")
     return Finding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")

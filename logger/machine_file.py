@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, MachineError, parse_machine
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
@@ -64,5 +65,5 @@ def _text(path: Path, what: str) -> str:
 def _not_text(path: Path, what: str) -> str:
     with path.open("rb") as stream:
         if stream.read(5).startswith(_LOG_STARTS):
-            return f"a log, not a {what}; to read it: tilth replay {path}"
+            return f"a log, not a {what}; to read it: {command('replay', str(path))}"
     return f"the {what} is not UTF-8 text; save it as UTF-8"

@@ -16,6 +16,7 @@ from rich.text import Text
 from tilth.logger.clock import utc_text
 from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.spread import of_logarithm
 
 PLAIN_NS = 5_000_000_000
 EVENTS_SHOWN = 4
@@ -98,11 +99,11 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
 
 
 def stiffness_text(one: ParameterEstimate) -> str:
-    """Value with the half-width of its 95 % interval, or what keeps it from being known."""
+    """Value with its 95 % range, or what keeps it from being known."""
     if one.value is None or one.sd is None:
         return f"{one.status.name.lower()}"
-    stale = "" if one.status is Status.ESTIMATED else f" ({one.status.name.lower()})"
-    return f"{one.value / 1e3:.0f} ± {1.96 * one.sd / 1e3:.0f} kN/rad{stale}"
+    stale = "" if one.status is Status.ESTIMATED else f", {one.status.name.lower()}"
+    return of_logarithm(one.value / 1e3, one.sd / 1e3, "kN/rad") + stale
 
 
 def panel(

@@ -1,35 +1,59 @@
 """The daemon's Zenoh session: on this computer only, or on a shared network with keys."""
 
-import contextlib
-import ipaddress
 import json
 import socket
 from pathlib import Path
-from typing import Any
 
 import zenoh
 
+from tilth.logger.open_network import endpoints, is_local, told, ways_in
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, Zenoh
-
-_HOST_AND_PORT = ("tcp", "udp", "tls", "quic", "ws")  # protocols whose endpoints are HOST:PORT
-_INSIDE = ("unixsock-stream", "unixpipe")  # protocols that do not leave a computer
 
 
 def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
     """The session, where it listens, and what is unusual about it, "" if nothing is.
 
-    Without zenoh.config it speaks on loopback only. Raises zenoh.ZError.
+    Without zenoh.config and zenoh.open it speaks on loopback only. Raises zenoh.ZError, also
+    where `refusal` has something to say.
     """
-    config, note = _loopback(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
-    wanted: list[str] = _told(config, "listen/endpoints") or []
+    config, notes = _own(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
+    if refused := _refusal(machine, config):
+        raise zenoh.ZError(refused)
+    if opened := _opened(config):
+        notes.append(f"{opened}. All there may read, mark and speak in its name")
+    wanted = endpoints(config, "listen")
     listen = [free_endpoint(endpoint) for endpoint in wanted]
     config.insert_json5("listen/endpoints", json.dumps(listen))
     taken = (
         f"{', '.join(wanted)} is taken by another program; listening on {', '.join(listen)}; "
         "if that is another run of this machine, end one: both publish the same keys"
     )
-    notes = [note] * bool(note) + [taken] * (listen != wanted)
-    return zenoh.open(config), listen, "; ".join(notes)
+    return zenoh.open(config), listen, "; ".join([*notes, *[taken] * (listen != wanted)])
+
+
+def refusal(machine: Machine) -> str:
+    """Why there is to be no session although one could be had: everybody on the network would be let in, and
+    the machine file does not say that this is meant. "" where that is not so; nothing is opened."""
+    if machine.zenoh.config is None:
+        return ""
+    try:
+        return _refusal(machine, _shared(machine)[0])
+    except zenoh.ZError:
+        return ""  # said by whoever opens it
+
+
+def _refusal(machine: Machine, config: zenoh.Config) -> str:
+    opened = "" if machine.zenoh.open else _opened(config)
+    return opened and (
+        f"{machine.zenoh.config} makes it {opened}. Make keys with `{command('keys')}`; if all may read, "
+        "mark and speak in its name, say so in the machine file as well: [zenoh] open = true"
+    )
+
+
+def _opened(config: zenoh.Config) -> str:
+    ways = ways_in(config)
+    return f"open to everybody on this network: {'; '.join(ways)}" if ways else ""
 
 
 def try_session(machine: Machine) -> str:
@@ -42,18 +66,6 @@ def try_session(machine: Machine) -> str:
 def why(error: zenoh.ZError) -> str:
     """Zenoh's own words in one line, without the place in its source."""
     return str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
-
-
-def is_local(endpoint: str) -> bool:
-    """Whether only this computer can reach it."""
-    protocol, _, address = endpoint.partition("/")
-    if protocol not in _HOST_AND_PORT:
-        return protocol in _INSIDE
-    host = address.rpartition(":")[0].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def free_endpoint(endpoint: str) -> str:
@@ -74,50 +86,45 @@ def free_endpoint(endpoint: str) -> str:
     return endpoint
 
 
-def _loopback(settings: Zenoh) -> tuple[zenoh.Config, str]:
-    """For this computer: what others could reach is left out."""
-    listen = [endpoint for endpoint in settings.listen if is_local(endpoint) or "/" not in endpoint]
-    connect = [endpoint for endpoint in settings.connect if is_local(endpoint) or "/" not in endpoint]
-    open_to_all = [one for one in (*settings.listen, *settings.connect) if one not in (*listen, *connect)]
+def _own(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
+    """For this computer: what others could reach is left out unless it is said that it is meant."""
+    given = (*settings.listen, *settings.connect)
+    left_out = [one for one in given if not (settings.open or is_local(one)) and "/" in one]
     config = zenoh.Config()
     for key, value in (
         ("mode", "peer"),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
-        ("listen/endpoints", listen or Zenoh().listen),
-        ("connect/endpoints", connect),
+        ("listen/endpoints", [one for one in settings.listen if one not in left_out] or Zenoh().listen),
+        ("connect/endpoints", [one for one in settings.connect if one not in left_out]),
     ):
         config.insert_json5(key, json.dumps(value))
-    if not open_to_all:
-        return config, ""
-    return config, (
-        f"{', '.join(open_to_all)} is not used, anybody on that network could read and answer; make keys "
-        "with `tilth keys` and name them as config in [zenoh]"
-    )
+    if not left_out:
+        return config, []
+    return config, [
+        f"{', '.join(left_out)} is not used, anybody on that network could read and answer; make "
+        f"keys with `{command('keys')}` and name them as config in [zenoh], or say there open = true if "
+        "that is meant"
+    ]
 
 
-def _shared(machine: Machine) -> tuple[zenoh.Config, str]:
-    """With the keys that the machine file names."""
+def _shared(machine: Machine) -> tuple[zenoh.Config, list[str]]:
+    """With the configuration that the machine file names."""
     path = str(machine.zenoh.config)
     try:
         Path(path).open("rb").close()
         config = zenoh.Config.from_file(path)
     except (OSError, zenoh.ZError) as error:
         reason = why(error) if isinstance(error, zenoh.ZError) else (error.strerror or str(error)).lower()
-        raise zenoh.ZError(f"{path}: {reason}; give the daemon.json that `tilth keys` has made") from None
-    told = (_told(config, "metadata") or {}).get("tilth", {})
+        raise zenoh.ZError(
+            f"{path}: {reason}; give the daemon.json that `{command('keys')}` has made"
+        ) from None
+    made = (told(config, "metadata") or {}).get("tilth", {})
     wanted = (machine.zenoh.prefix, machine.name)
-    made_for = (told.get("prefix"), told.get("machine"))
-    if told and made_for != wanted:
-        return config, (
+    made_for = (made.get("prefix"), made.get("machine"))
+    if made and made_for != wanted:
+        return config, [
             f"{path} was made for {'/'.join(map(str, made_for))}, this is {'/'.join(wanted)}: nobody may "
             "hear it; make keys for this machine"
-        )
-    return config, ""
-
-
-def _told(config: zenoh.Config, key: str) -> Any:
-    """What the configuration says there, None where nothing."""
-    with contextlib.suppress(zenoh.ZError, ValueError):
-        return json.loads(config.get_json(key))
-    return None
+        ]
+    return config, []

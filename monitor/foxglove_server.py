@@ -6,6 +6,7 @@ else of this package imports this module. Threads of Zenoh's fill it.
 
 import threading
 from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, cast
 
@@ -19,32 +20,46 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError
 
 from tilth.client.received import LARGEST
+from tilth.monitor.gate import Gate, hidden_host
+from tilth.monitor.origin import Refusal
 from tilth.schemas import channels
 
 # The rig is said once, when a daemon begins, and would be missed; viewers have the drawing instead.
 SERVED: Final = tuple(row for row in channels.CHANNELS if row.key is not None and row.topic != "/rig")
 BACK_NS: Final = 5_000_000_000  # further back than any message is late: another run, or a clock that stepped
-
+DESKTOP: Final = ("file://",)  # viewers with a window of their own; no page of a network has this origin
 LATEST_NS: Final = 1 << 63
 
 
 class Server:
     """Serves until it is stopped. What it is sent by viewers it does not listen to."""
 
-    def __init__(self, host: str, port: int) -> None:
-        """Raises OSError."""
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        allowed: Sequence[str] = (),
+        refused: Callable[[Refusal, str], None] = lambda refusal, origin: None,
+    ) -> None:
+        """allowed, refused: as of gate.Gate. Raises OSError."""
         self._context = context = Context()  # it ends with its last reference, and all channels with it
         self.served, self.refused = 0, Counter[str]()
         self._now_ns = 0  # of the daemon's clock
         self._lock = threading.Lock()
         self._subscribers: list[zenoh.Subscriber[None]] = []
+        hidden = hidden_host()
         try:
             self._server = start_server(
-                name="tilth", host=host, port=port, capabilities=[Capability.Time], context=context
+                name="tilth", host=hidden, port=0, capabilities=[Capability.Time], context=context
             )
         except RuntimeError as error:
             raise OSError(str(error).removeprefix("FoxgloveError: ")) from None
-        self.port = self._server.port
+        try:
+            self._gate = Gate(host, port, (hidden, self._server.port), (*DESKTOP, *allowed), refused)
+        except OSError:
+            self._server.stop()
+            raise
+        self.port = self._gate.port
         self._channels = {row.topic: _channel(row, context) for row in SERVED}
 
     def follow(self, session: zenoh.Session, base: str) -> None:
@@ -57,6 +72,7 @@ class Server:
         """Before the session is closed."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
+        self._gate.stop()
         self._server.stop()
 
     def _take(self, row: channels.Channel, sample: zenoh.Sample) -> None:

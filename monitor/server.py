@@ -6,15 +6,14 @@ every answer's header lets no script run but the page's own.
 
 import asyncio
 import contextlib
-import ipaddress
 import json
+import logging
 import signal
 import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from importlib import resources
 from typing import Final
-from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.applications import Starlette
@@ -26,6 +25,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tilth.monitor.heard import Heard, Mark
+from tilth.monitor.origin import refusal
 from tilth.monitor.view import View
 
 TURN_S: Final = 0.1
@@ -116,8 +116,7 @@ async def _send(socket: WebSocket, queue: "asyncio.Queue[str | None]") -> None:
 
 
 class Guard:
-    """Adds the headers to every answer, and hears no page of another origin: not one that points its own name
-    at this computer, and not one that sends from the same browser."""
+    """Adds the headers to every answer, and hears no page of another origin."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -130,34 +129,17 @@ class Guard:
 
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
-        elif why := _foreign(HTTPConnection(scope)):
-            if scope["type"] == "websocket":
-                await WebSocket(scope, receive, send).close(1008, why)
-            else:
-                await PlainTextResponse(f"{why}\n", 403)(scope, receive, headed)
-        else:
+            return
+        asked = HTTPConnection(scope)
+        refused = refusal(asked.headers.getlist("host"), asked.headers.getlist("origin"))
+        if refused is None:
             await self._app(scope, receive, headed)
-
-
-def _foreign(asked: HTTPConnection) -> str:
-    """Why this is not for us, or ""."""
-    host = asked.headers.get("host", "")
-    name = (urlsplit(f"//{host}").hostname or "").lower()
-    own = socket.gethostname().lower()
-    if name not in ("localhost", own, f"{own}.local") and not _is_address(name):
-        return "open the page by this computer's address or name"
-    origin = asked.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-        return "asked by a page from elsewhere"
-    return ""
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+            return
+        answer = PlainTextResponse(f"{refused.why}\n", refused.status)
+        if scope["type"] == "websocket":
+            await WebSocket(scope, receive, send).send_denial_response(answer)
+        else:
+            await answer(scope, receive, headed)
 
 
 def application(heard: Heard, view: View) -> ASGIApp:
@@ -232,6 +214,8 @@ def listening_socket(host: str, port: int) -> socket.socket:
 def serve(heard: Heard, endpoint: str, listener: socket.socket) -> None:
     """Until SIGINT or SIGTERM: both are how it is meant to end."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A stream that is refused with an answer of its own is no fault, as this server believes.
+    logging.getLogger("uvicorn.error").addFilter(lambda said: "completing handshake" not in said.getMessage())
     config = uvicorn.Config(
         application(heard, View(heard, endpoint)),
         ws="websockets-sansio",

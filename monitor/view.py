@@ -15,6 +15,7 @@ from tilth.client.received import LONGEST as LONGEST_TEXT
 from tilth.monitor.heard import Heard
 from tilth.monitor.history import History
 from tilth.monitor.words import priors, row, shown
+from tilth.schemas.invocation import command
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
@@ -133,7 +134,7 @@ class View:
             return []
         if followed is None:
             where = f"No daemon is heard at {self._endpoint}"
-            return [f"{where}: start `tilth run` or `tilth demo`, or look at --connect."]
+            return [f"{where}: start `{command('run')}` or `{command('demo')}`, or look at --connect."]
         name = followed.machine
         found = []
         age_s = min((now_s - said_s for said_s in self._said_s.values()), default=math.inf)

@@ -28,13 +28,13 @@ from tilth.replay.simulate import PACKAGED
 from tilth.replay.tractor import draw
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate
 from tilth.schemas.machine import parse_machine
+from tilth.schemas.spread import interval
 
 SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
 ENDING_S: Final = 30.0  # longest wait for it to end
 TICK_S: Final = 0.1
-WITHIN: Final = 1.96  # sd, of a 95 % interval
 
 
 class DemoError(Exception):
@@ -225,7 +225,7 @@ def _interval(estimate: Estimate | None, i: int) -> tuple[float, float] | None:
         return None
     n = len(PARAMETERS)
     log_sd = math.sqrt(estimate.log_covariance[i * n + i]) if estimate.log_covariance else sd / value
-    return value * math.exp(-WITHIN * log_sd), value * math.exp(WITHIN * log_sd)
+    return interval(value, log_sd)
 
 
 def result(demo: Demo) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from tilth.replay.discover import Findings, Source
 from tilth.replay.turn_rates import in_words
 from tilth.replay.wheel_search import WheelCandidate
 from tilth.schemas.flow import Mount
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 from tilth.schemas.wheel_angle import RUDDER
 
@@ -14,8 +15,6 @@ DEERE = 33
 MOST_RECEIVERS = 4
 
 _HEAD = f"""\
-# A draft by `tilth discover`. Every line with "FILL IN" needs a value; then: tilth check THIS_FILE
-
 [machine]
 name = {FILL_IN}: a name in quotes; letters, digits, - and _
 
@@ -42,7 +41,8 @@ _PRIORS = (("front", 220e3, 1.1), ("rear", 486e3, 1.5), ("implement", 167e3, 1.1
 def draft(findings: Findings, buses: Sequence[Bus]) -> str:
     """The text. buses: as they were opened; those of a log are left to be filled in."""
     opened = {bus.name: bus for bus in buses}
-    parts = [_HEAD]
+    said = f'# A draft by `{command("discover")}`. Every line with "FILL IN" needs a value; then: '
+    parts = [f"{said}{command('check', 'THIS_FILE')}\n", _HEAD]
     for axle, stiffness, length in _PRIORS:
         parts.append(
             f"[tyres.{axle}]\n"

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 from tilth.replay.readers_log import UNREADABLE, ForeignLog, Log, OtherKind, stamp_fault
 from tilth.replay.readers_stream import without_zeros
 from tilth.schemas.flow import Frame
+from tilth.schemas.invocation import installing
 
 if TYPE_CHECKING:
     import can
@@ -238,9 +239,7 @@ def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         import asammdf
         from asammdf.blocks.utils import MdfException, count_channel_groups
     except ImportError:
-        raise ForeignLog(
-            f"{log.path}: reading MF4 needs one package more: pip install 'tilth[mf4]'"
-        ) from None
+        raise ForeignLog(f"{log.path}: reading MF4 needs one package more: {installing('mf4')}") from None
     import can
 
     asammdf.set_global_option("raise_on_incomplete_blocks", False)

@@ -9,6 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.spread import WITHIN, half_width
 
 SHOWN_OMEGA = (0.2, 1.0, 2.0, 5.0, 10.0)  # rad/s, of those in the report
 Report = dict[str, Any]
@@ -180,19 +181,19 @@ def _bounds(report: Report) -> RenderableType:
         return "The kinematic model has no tyres: no manoeuvre tells anything about them through it."
     title = (
         f"What {drive['seconds']:g} s of {drive['manoeuvre']} at ±{drive['amplitude_deg']:g}° can tell: "
-        f"least standard deviation (Cramér-Rao) of each parameter, % of its value. Measured: "
+        f"at best (Cramér-Rao), each parameter to so many % of its value (± of 95 %). Measured: "
         + _sensors(drive)
     )
     return _table(title, (*PARAMETERS, "rank"), report, _bound)
 
 
 def _sensors(drive: Report) -> str:
-    """Such as: r_t ±0.2°/s, y_t ±0.018 m; all at 50 Hz."""
+    """Such as: y_t ±0.035 m (95 %) at 5 Hz."""
     words = []
     for row in drive["sensor_rows"]:
         unit = _UNIT.get(row["output"], "m" if row["output"].startswith("y") else "°")
         size = row["sd"] if unit == "m" else math.degrees(row["sd"])
-        words.append(f"{row['output']} ±{size:.2g} {unit} at {1 / row['every_s']:.0f} Hz")
+        words.append(f"{row['output']} {half_width(size, unit)} at {1 / row['every_s']:.0f} Hz")
     return ", ".join(words)
 
 
@@ -209,7 +210,10 @@ def _bound(at: Report) -> Row | None:
 def _share(sd: float | str | None) -> str:
     if isinstance(sd, str):
         return "–"
-    return "open" if sd is None else f"{100 * sd:.1f}" if sd < 1.0 else f"{100 * sd:.0f}"
+    if sd is None:
+        return "open"
+    percent = 100 * WITHIN * sd
+    return f"{percent:.1f}" if percent < 100 else f"{percent:.0f}"
 
 
 def _pole(pole: Sequence[float] | None) -> str:

@@ -18,6 +18,7 @@ from tilth.logger.mcap_log import CAN_TOPIC
 from tilth.logger.recording import ROTATION
 from tilth.logger.recovery import UNREADABLE, is_being_written, is_ours
 from tilth.logger.runs import file_name
+from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
@@ -103,7 +104,11 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
         if being_written:
             one.being_written = True
             damage -= Counter(cut=1, empty=1)
-        one.wrong += [f"{path.name}: {_DAMAGE[what].format(count)}" for what, count in sorted(damage.items())]
+        recover = command("recover")
+        one.wrong += [
+            f"{path.name}: {_DAMAGE[what].format(count, recover=recover)}"
+            for what, count in sorted(damage.items())
+        ]
         reading.clocks += clocks
         reading.ended = clocks[-1].get("why", "") if clocks else ""
     for one, reading in runs.values():
@@ -112,7 +117,7 @@ def survey(paths: Iterable[Path]) -> list[Survey]:
 
 
 _DAMAGE = {
-    "cut": "was left unfinished; `tilth recover` finishes it",
+    "cut": "was left unfinished; `{recover}` finishes it",
     "chunk": "chunks that cannot be read ({})",
     "bytes": "bytes that cannot be read ({})",
     "empty": "is empty: nothing of it reached the disk",

@@ -252,6 +252,11 @@ class Zenoh(_Section):
         description="daemon.json of `tilth keys`, for a shared network: its endpoints instead of listen and "
         "connect, which are for this computer only; relative to this file",
     )
+    open: bool = Field(
+        default=False,
+        description="true: it is meant that everybody on the network may read, mark and speak in the "
+        "daemon's name, where listen, connect or config lets them in without keys",
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

@@ -24,6 +24,7 @@ NAME = "jd7930-parker500"
 THETA = (200e3, 450e3, 150e3, 0.8, 1.1, 0.7)
 LOG_SD = 0.1
 EVERY_S = 0.1
+NOTHING = (ParameterEstimate(None, None, Status.ESTIMATED, ""),) * 6  # as another version might send it
 
 
 def estimate(t_ns: int = 1, scale: float = 1.0, **changes: Any) -> Estimate:
@@ -49,7 +50,7 @@ def text_on(port: int) -> str:
 
 
 class Publisher(Ordered):
-    """Its orders: scale of the stiffnesses, an event, silence."""
+    """Its orders: scale of the stiffnesses, an event, silence, estimates that give no numbers."""
 
     def __init__(self, port: int | None = None, suffix: str = "") -> None:
         super().__init__(__file__, port, suffix)
@@ -118,14 +119,15 @@ def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
 def main() -> None:
     port, suffix = int(sys.argv[1]), sys.argv[2]
     sink = ZenohSink(parse_machine(text_on(port)), suffix)
-    orders: dict[str, Any] = {"scale": 1.0, "silent": False, "event": ""}
+    orders: dict[str, Any] = {"scale": 1.0, "silent": False, "event": "", "absent": False}
     ended = take_orders(orders)
     start_ns = 1_790_000_000_000_000_000 - time.monotonic_ns()
     ready()
     while not ended.wait(EVERY_S):
         t_ns = start_ns + time.monotonic_ns()
         if not orders["silent"]:
-            sink.put("/soil_tire", encoded(estimate(t_ns, orders["scale"])))
+            told = {"parameters": NOTHING} if orders["absent"] else {}
+            sink.put("/soil_tire", encoded(estimate(t_ns, orders["scale"], **told)))
         if orders["event"]:
             event = Event(t_ns, orders["event"], "the soil is another")
             sink.put("/event", CHANNEL["/event"].encode(event))

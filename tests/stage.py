@@ -154,10 +154,13 @@ class Stage(Ordered):
 class Monitor:
     """`tilth monitor` as a person runs it."""
 
-    def __init__(self, *words: str, port: int = 0) -> None:
+    def __init__(self, *words: str, port: int = 0, stderr: int | None = None) -> None:
         start = [sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main())"]
         self.process = subprocess.Popen(
-            [*start, "monitor", "--port", str(port), *words], stdout=subprocess.PIPE, text=True
+            [*start, "monitor", "--port", str(port), *words],
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
         )
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()

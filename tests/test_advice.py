@@ -1,6 +1,7 @@
 """Advice: what is said to be determined, against what was put in; predicted sds, against drives."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -38,17 +39,17 @@ def told(*rows: tuple[dict[str, float], float]) -> Array:
     return whole
 
 
-def test_single_parameters_are_named_with_their_sd() -> None:
+def test_single_parameters_are_named_with_their_range() -> None:
     said = advice.determined(told(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6)
-    assert said == ("C_af ±4.0 %", "sigma_i ±19 %")
+    assert said == ("C_af ±7.8 % (95 %)", "sigma_i -31 … +46 % (95 %)")
 
 
 @pytest.mark.parametrize(
     ("weights", "words"),
     [
-        ({"C_af": 1.0, "C_ar": -1.0}, "C_af/C_ar ±4.0 %"),
-        ({"C_ar": -1.0, "C_ai": -1.0}, "C_ar·C_ai ±4.0 %"),
-        ({"C_af": 1.0, "C_ar": 0.8, "C_ai": 0.7}, "C_af·C_ar^0.8·C_ai^0.7 ±4.0 %"),
+        ({"C_af": 1.0, "C_ar": -1.0}, "C_af/C_ar ±7.8 % (95 %)"),
+        ({"C_ar": -1.0, "C_ai": -1.0}, "C_ar·C_ai ±7.8 % (95 %)"),
+        ({"C_af": 1.0, "C_ar": 0.8, "C_ai": 0.7}, "C_af·C_ar^0.8·C_ai^0.7 ±7.8 % (95 %)"),
     ],
 )
 def test_a_combination_is_named_where_no_parameter_of_it_is_determined(
@@ -60,7 +61,8 @@ def test_a_combination_is_named_where_no_parameter_of_it_is_determined(
 
 def test_a_second_combination_is_another_one() -> None:
     rows = (({"C_af": 1.0, "C_ar": -1.0}, 0.04), ({"sigma_f": 1.0, "sigma_r": -1.0}, 0.1))
-    assert advice.determined(told(*rows), PRIOR_6) == ("C_af/C_ar ±4.0 %", "sigma_f/sigma_r ±10 %")
+    said = advice.determined(told(*rows), PRIOR_6)
+    assert said == ("C_af/C_ar ±7.8 % (95 %)", "sigma_f/sigma_r ±20 % (95 %)")
 
 
 def test_nothing_received_determines_nothing() -> None:
@@ -205,9 +207,11 @@ def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> Non
     covariance[SIX, SIX] = np.diag(np.array([0.05, 0.05, 0.45, 0.05, 0.05, 0.1]) ** 2)
     said = advice.advise(MACHINE, MEAN, covariance, SPEED)
     start, _, offer = said.partition("; ")
-    assert start == "C_ai is not determined (±45 %)"
-    assert offer.startswith("10 s of ") and "would bring it to ±" in offer
-    after = float(offer.rpartition("±")[2].removesuffix(" %"))
+    assert start == "C_ai is not determined: -59 … +142 % (95 %)"
+    assert offer.startswith("10 s of ") and offer.endswith(" % (95 %)")
+    brought = re.search(r"would bring it to ±(\d+) %", offer)
+    assert brought is not None
+    after = int(brought[1]) / 1.96
     best = min(
         advice.predicted(covariance, advice.information(MACHINE, MEAN, SPEED, c))[2]
         for c in advice.gentle(MACHINE, SPEED)
@@ -219,7 +223,7 @@ def test_where_nothing_is_open_the_least_known_is_named_and_nothing_is_asked_for
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2
     said = advice.advise(MACHINE, MEAN, covariance, SPEED)
-    assert said == "C_af is known least (±1.0 %); no 10 s of steering at this speed would help much"
+    assert said == "C_af is known least: ±2.0 % (95 %); no 10 s of steering at this speed would help much"
     assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5) == "nothing can be learned below 1.5 m/s"
     assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED).startswith(
         "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "

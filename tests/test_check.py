@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -103,6 +104,31 @@ def test_a_zenoh_port_that_is_taken_is_worth_a_note_and_a_wrong_one_is_a_problem
     assert found.state == NOTE and "anybody on that network could read and answer" in found.text
 
 
+@pytest.mark.usefixtures("talking")
+def test_a_configuration_that_is_open_to_everybody_is_a_problem_until_it_is_said_to_be_meant(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run` refuses it with the same words, before it opens a bus; without Zenoh it does not matter."""
+    listen = {"endpoints": [f"tcp/0.0.0.0:{free_port(socket.SOCK_STREAM)}"]}
+    scouting = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    (tmp_path / "router.json5").write_text(json.dumps({"listen": listen, "scouting": scouting}))
+    file = tmp_path / "m.toml"
+    text = re.sub(r"listen = .*", 'config = "router.json5"', machine_text(tmp_path / "logs", VIRTUAL))
+    words = f"open to everybody on this network: it listens on {listen['endpoints'][0]} without keys"
+
+    file.write_text(text)
+    assert of(check(read_machine(file)[0], tmp_path, SECONDS), "zenoh").state == PROBLEM
+    assert main(["check", str(file), "--seconds", str(SECONDS)]) == 1
+    assert words in " ".join(capsys.readouterr().out.split())
+    assert main(["run", str(file), "--seconds", "0.1"]) == 2
+    err = capsys.readouterr().err
+    assert words in err and "open = true" in err and not (tmp_path / "logs").exists()
+
+    file.write_text(text.replace("config =", "open = true\nconfig ="))
+    found = of(check(read_machine(file)[0], tmp_path, SECONDS), "zenoh")
+    assert found.state == NOTE and words in found.text and "may read, mark and speak" in found.text
+
+
 class OddClock(Clock):
     """The computer's clock says something else than at the start."""
 
@@ -160,7 +186,7 @@ def test_a_log_or_an_unfinished_draft_is_no_machine_file(tmp_path: Path) -> None
     file = tmp_path / "some.mcap"
     file.write_bytes(b"\x89MCAP0\r\n")
     with pytest.raises(
-        MachineError, match=r"a log, not a machine file; to read it: tilth replay .*some\.mcap"
+        MachineError, match=r"a log, not a machine file; to read it: .*tilth replay .*some\.mcap"
     ):
         read_machine(file)
     file = tmp_path / "draft.toml"

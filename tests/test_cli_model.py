@@ -200,7 +200,7 @@ def test_tables_say_what_the_object_says(answer: Answer) -> None:
         "3.45",
     ):
         assert words in out
-    assert "y_t ±0.018 m at 5 Hz" in " ".join(out.split())
+    assert "y_t ±0.035 m (95 %) at 5 Hz" in " ".join(out.split())
 
 
 def test_a_rig_that_oversteers(answer: Answer, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import json
 import math
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -86,16 +88,67 @@ def test_late_or_early_a_controller_has_the_last_value_the_model_and_the_changes
         assert client.refused == {}
 
 
-def test_the_five_lines_of_the_documentation(publisher: Publisher) -> None:
+def documented(endpoint: str) -> str:
+    """The program that the documentation begins with, hearing this daemon."""
     page = Path(__file__).parents[1] / "docs/client.md"
     lines = page.read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
-    told = lines.replace("stale=", f'endpoint="{publisher.endpoint}", stale=').replace(
-        "latest =", "client.wait(10.0)\nlatest ="
+    assert "with Client" in lines
+    return "nominal = [0.0] * 6\n" + lines.replace("stale=", f'endpoint="{endpoint}", stale=')
+
+
+def test_the_lines_of_the_documentation(publisher: Publisher) -> None:
+    names: dict[str, Any] = {}
+    exec(documented(publisher.endpoint), names)
+    assert (names["theta"] > 0).all() and names["A"].shape == (9, 9)
+
+
+PLAIN = """
+import math, sys, threading
+from tilth.client import Client, Staleness
+client = Client.connect({name!r}, stale=Staleness(silence_s=9.0, data_s=math.inf), endpoint={endpoint!r})
+assert client.wait(10.0)
+"""
+OUTLIVED = """
+def steer():
+    threading.main_thread().join()
+    print(all(client.latest().usable))
+threading.Thread(target=steer).start()
+"""
+SLOW = """
+called = threading.Event()
+client.on_estimate(lambda latest: (called.set(), threading.Event().wait()))
+called.wait()
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "status", "said"),
+    [
+        (PLAIN, 0, ""),
+        (PLAIN + "raise RuntimeError('the controller failed')", 1, ""),
+        (PLAIN + "sys.exit(7)", 7, ""),
+        (PLAIN + OUTLIVED, 0, "True"),  # it hears as long as anybody of the program works
+        (PLAIN + SLOW, 0, ""),  # a callback that never returns
+        (PLAIN + "client.close()\nclient.close()", 0, ""),
+        ("{documented}    raise RuntimeError('the controller failed')", 1, ""),
+        (PLAIN.replace("assert client.wait(10.0)", ""), 0, ""),  # at once, perhaps before it is connected
+    ],
+)
+def test_it_ends_with_its_program(publisher: Publisher, program: str, status: int, said: str) -> None:
+    """A real process each: one that hung would not be started again by its supervisor."""
+    endpoint = publisher.endpoint
+    text = program.format(name=NAME, endpoint=endpoint, documented=documented(endpoint))
+    ended = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, timeout=30.0, check=False
     )
-    names: dict[str, Any] = {"nominal": np.zeros(6)}
-    exec(told, names)
-    with names["client"]:
-        assert (names["theta"] > 0).all() and names["A"].shape == (9, 9)
+    assert ended.returncode == status and ended.stdout.strip() == said, ended.stderr
+    assert ("the controller failed" in ended.stderr) == (status == 1)
+
+
+def test_it_ends_where_there_is_no_daemon() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    text = PLAIN.format(name=NAME, endpoint=endpoint).replace("client.wait(10.0)", "not client.wait(0.5)")
+    assert subprocess.run([sys.executable, "-c", text], timeout=30.0, check=False).returncode == 0
 
 
 def test_a_daemon_that_comes_late_dies_and_comes_again() -> None:

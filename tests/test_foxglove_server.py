@@ -3,13 +3,15 @@
 import base64
 import json
 import signal
+import socket
 import struct
 import subprocess
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 from tilth.monitor.foxglove_server import Server
+from tilth.monitor.gate import hidden_host
 
 BASE = "tilth/jd7930-parker500"
 MESSAGE, TIME = 1, 2  # opcodes of binary messages
@@ -147,6 +150,70 @@ def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
         out = process.stdout.read()
         assert process.wait(10) == 0
         assert f"hears {BASE}" in out and "foxglove/tilth.json" in out
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "status"),
+    [
+        (None, None, 101),  # a program that is no browser
+        ("file://", None, 101),  # a viewer with a window of its own
+        ("https://viewer.example", None, 101),  # allowed below
+        ("https://VIEWER.example", None, 101),
+        ("https://evil.example", None, 403),
+        ("http://viewer.example", None, 403),
+        ("null", None, 403),
+        ("http://localhost:8080", None, 403),
+        (None, "evil.example", 403),  # a name of somebody's that points here
+        ("http://[", None, 400),
+        (None, "[", 400),
+    ],
+)
+def test_a_viewer_of_another_origin_is_refused_as_by_the_page(
+    guarded: tuple[int, list[str]], origin: str | None, host: str | None, status: int
+) -> None:
+    port, refused = guarded
+    refused.clear()
+    headers = [f"Host: {host or f'127.0.0.1:{port}'}", *([f"Origin: {origin}"] if origin else [])]
+    assert asked(port, headers) == status
+    assert refused == ([] if status == 101 else [origin or ""])
+
+
+def test_what_is_no_request_ends(guarded: tuple[int, list[str]]) -> None:
+    port, _ = guarded
+    for nonsense in (b"\r\n\r\n", b"\xff" * 100_000, b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 9000):
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as raw, suppress(ConnectionError):
+            raw.sendall(nonsense)
+            assert b"400" in raw.recv(100)
+    assert asked(port, [f"Host: localhost:{port}"]) == 101
+
+
+def test_the_server_behind_is_on_no_address_that_a_page_could_guess() -> None:
+    drawn = {hidden_host() for _ in range(50)}
+    assert len(drawn) > 40 and all(ip_address(host).is_loopback for host in drawn)
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[tuple[int, list[str]]]:
+    refused: list[str] = []
+    server = Server(
+        "127.0.0.1", 0, ["https://viewer.example"], lambda refusal, origin: refused.append(origin)
+    )
+    yield server.port, refused
+    server.stop()
+
+
+def asked(port: int, headers: list[str]) -> int:
+    """The status that a handshake with these headers is answered with."""
+    key = base64.b64encode(bytes(16)).decode()
+    lines = ["GET / HTTP/1.1", *headers, "Upgrade: websocket", "Connection: Upgrade"]
+    lines += [
+        "Sec-WebSocket-Version: 13",
+        f"Sec-WebSocket-Key: {key}",
+        "Sec-WebSocket-Protocol: foxglove.sdk.v1",
+    ]
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
+        raw.sendall("\r\n".join([*lines, "", ""]).encode())
+        return int(raw.recv(100).split()[1])
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """The page's server as browsers and strangers meet it, over real sockets. In a browser: test_page.py."""
 
+import base64
+import ipaddress
 import json
 import math
 import signal
@@ -7,7 +9,9 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 import zenoh
@@ -20,8 +24,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from tilth.cli import main
+from tilth.monitor.addresses import network_addresses
 from tilth.monitor.heard import Heard
 from tilth.monitor.history import MOST, RECENT_S, History
+from tilth.monitor.origin import refusal
 from tilth.monitor.plain import plain
 from tilth.monitor.server import FILES, VIEWERS
 from tilth.monitor.view import WAIT_S, View
@@ -95,12 +101,77 @@ def test_every_file_is_there_and_lets_nothing_in(monitor: Monitor, path: str, fi
         ("/", {"host": "evil.example"}, 403),
         ("/", {"origin": "http://evil.example"}, 403),
         ("/", {"host": ""}, 403),
+        ("/", {"host": "["}, 400),
+        ("/", {"host": "localhost:http"}, 400),
+        ("/", {"origin": "http://["}, 400),
+        ("/", {"origin": "localhost"}, 400),
     ],
 )
 def test_what_is_not_for_a_page_of_ours(
     monitor: Monitor, path: str, headers: dict[str, str], status: int
 ) -> None:
     assert monitor.ask(path, None, **headers)[0] == status
+
+
+GOOD = st.sampled_from(["localhost", "127.0.0.1:80", "[::1]:8117", "http://localhost", "null", "file://"])
+ODD = st.text(st.characters(blacklist_categories=["Cs", "Cc"]), max_size=20) | st.text(
+    "[]:/@.x0 %", max_size=8
+)
+
+
+@settings(derandomize=True, max_examples=300, deadline=None)
+@given(st.lists(GOOD | ODD, max_size=2), st.lists(GOOD | ODD, max_size=2))
+def test_only_who_asks_for_this_computer_and_from_its_own_page_is_heard(
+    hosts: list[str], origins: list[str]
+) -> None:
+    refused = refusal(hosts, origins, ("file://",))
+    if refused is None:
+        (host,) = hosts
+        name = (urlsplit(f"//{host}").hostname or "").lower()
+        assert name in ("localhost", socket.gethostname().lower()) or ipaddress.ip_address(name)
+        assert origins in ([], ["file://"]) or urlsplit(origins[0]).netloc.lower() == host.lower()
+    else:
+        assert refused.status in (400, 403) and refused.why
+
+
+def test_a_malformed_header_is_a_400_and_no_traceback(stage: Stage, tmp_path: Path) -> None:
+    """Raw bytes, on the page and on its stream."""
+    odd = (b"[", b"]", b"[::1", b"[::1]]", b"a b", b"localhost:", b"localhost:99x", b"user@localhost", b"a/b",
+           b"\xff\xfe", b"http://[", b"%00", b"localhost, localhost", b"[v1.x]", b"\xe2\x80\xae")  # fmt: skip
+    stream = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
+    stream += base64.b64encode(bytes(16)) + b"\r\n"
+    with (tmp_path / "stderr").open("w+") as said:
+        with closing(Monitor("--connect", stage.endpoint, stderr=said.fileno())) as one:
+            here = one.address.encode()
+            for path, more in ((b"/", b""), (b"/live", stream)):
+                asked = [(b"Host: %b" % value, value) for value in odd]
+                asked += [(b"Host: %b\r\nOrigin: %b" % (here, value), value) for value in odd]
+                asked += [(b"Host: %b\r\nHost: evil.example" % here, b"two hosts"), (b"X: y", b"no host")]
+                for head, value in asked:
+                    request = b"GET %b HTTP/1.1\r\n%b\r\n%b\r\n" % (path, head, more)
+                    assert raw_status(one.address, request) == 400, (path, head, value)
+                good = b"GET %b HTTP/1.1\r\nHost: %b\r\n%b\r\n" % (path, here, more)
+                assert raw_status(one.address, good) in (101, 200)
+        said.seek(0)
+        assert said.read() == ""
+
+
+def raw_status(address: str, request: bytes) -> int:
+    host, _, port = address.rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=10) as raw:
+        raw.sendall(request)
+        return int(raw.recv(100).split()[1])
+
+
+def test_a_page_for_the_networks_says_its_addresses_and_who_may_mark(stage: Stage) -> None:
+    own = network_addresses()
+    with closing(Monitor("--connect", stage.endpoint, "--host", "0.0.0.0")) as one:
+        assert one.process.stdout is not None
+        said = [one.url, *(one.process.stdout.readline().strip() for _ in range(max(len(own), 1)))]
+        port = one.url.rstrip("/").rpartition(":")[2]
+        assert said[:-1] == [f"http://{address}:{port}/" for address in own or ["127.0.0.1"]]
+        assert "everybody" in said[-1] and "may see the page and mark" in said[-1]
+        assert one.ask("/")[0] == 200  # by that very address
 
 
 def test_a_page_from_elsewhere_hears_nothing_and_marks_nothing(monitor: Monitor) -> None:

@@ -20,6 +20,7 @@ from tilth.logger.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "rig_20260301T080000Z"
@@ -208,7 +209,7 @@ def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     second.write_bytes(second.read_bytes()[:-100])
     assert main(["verify", str(first), str(second)]) == 1
     said = capsys.readouterr().out
-    assert "chunks that cannot be read (1)" in said and "`tilth recover` finishes it" in said
+    assert "chunks that cannot be read (1)" in said and "tilth recover` finishes it" in said
     assert main(["recover", str(first), str(second)]) == 0
     assert main(["verify", str(second)]) == 1
     assert "part 2 comes first" in capsys.readouterr().out.splitlines()[-2]
@@ -234,7 +235,7 @@ def test_runs_are_listed_kept_and_noted(tmp_path: Path, capsys: pytest.CaptureFi
         "clay",
     ):
         assert words in first, words
-    assert "unfinished: tilth recover" in second
+    assert f"unfinished: {command('recover')}" in second
     assert main(["logs", str(folder), "--keep", NAME, "--note", NAME, "soil samples taken"]) == 0
     assert 'keep, "clay, dry", "soil samples taken"' in capsys.readouterr().out
     assert main(["logs", str(folder), "--json"]) == 0

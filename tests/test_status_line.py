@@ -74,6 +74,6 @@ def test_plain_lines_say_the_same() -> None:
 
 
 def test_a_stiffness_is_a_number_only_where_there_is_one() -> None:
-    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.ESTIMATED, "")) == "220 ± 20 kN/rad"
-    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.STALE, "")) == "220 ± 20 kN/rad (stale)"
+    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.ESTIMATED, "")) == "220 ± 20 kN/rad (95 %)"
+    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.STALE, "")) == "220 ± 20 kN/rad (95 %), stale"
     assert stiffness_text(ParameterEstimate(None, None, Status.INVALID, "")) == "invalid"

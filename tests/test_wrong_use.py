@@ -11,10 +11,11 @@ import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
 
 from tilth.cli import COMMANDS, main
+from tilth.schemas.invocation import command
 
 NOWHERE = "tcp/127.0.0.1:1"
 ROWS: list[tuple[list[str], str]] = [
-    ([], "required: COMMAND; see tilth --help"),
+    ([], "required: COMMAND; see "),
     (["frob"], "choose from 'run', "),
     (["run", "MACHINE", "--seconds", "x"], "--seconds: x: give a number above zero"),
     (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
@@ -27,8 +28,8 @@ ROWS: list[tuple[list[str], str]] = [
     (["offload", "FOLDER", "--log", "none"], "none: no such folder; name the one"),
     (["offload", "none"], "none: no such folder; mount the stick"),
     (["verify", "none.mcap"], "none.mcap: no such file or directory; give the files of a run"),
-    (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `tilth run` running? An"),
-    (["mark", "x", "--endpoint", "rubbish"], "reached at rubbish; is `tilth run` running? An"),
+    (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `"),
+    (["mark", "x", "--endpoint", "rubbish"], "tilth run` running? An endpoint looks like"),
     (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: is none; an endpoint looks like tcp/"),
     (["monitor", "--port", "0", "--config", "FOREIGN"], "give a Zenoh configuration, or a key of"),
 ]  # fmt: skip
@@ -67,7 +68,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as end:
         main([name, "--help"])
     out, err = capsys.readouterr()
-    assert end.value.code == 0 and err == "" and out.startswith(f"usage: tilth {name}")
+    assert end.value.code == 0 and err == "" and out.startswith(f"usage: {command(name)}")
 
 
 WITHOUT_PRIVILEGE = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]  # even root

@@ -1,5 +1,6 @@
 """What others hear of the daemon: real sessions over TCP on this computer."""
 
+import json
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,8 @@ from loopback import START_NS, answers, free_port, rig, session, udp_bus
 
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
-from tilth.logger.zenoh_session import free_endpoint, is_local, try_session
+from tilth.logger.open_network import is_local, ways_in
+from tilth.logger.zenoh_session import free_endpoint, open_session, refusal, try_session
 from tilth.logger.zenoh_sink import STALE_NS, ZenohSink
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
@@ -167,7 +169,12 @@ def test_what_is_wrong_with_zenoh_stays_in_the_status(machine: Machine, tmp_path
         ("tcp/localhost:7447", True),
         ("unixsock-stream//run/tilth", True),
         ("serial//dev/ttyUSB0", False),
+        ("tls/127.0.0.1:7447#root_ca_certificate=/etc/c:a", True),
         ("udp/0.0.0.0:17448", False),
+        ("tcp/127.0.0.1.evil.example:7447", False),
+        ("tcp/:7447", False),
+        ("tcp/[fe80::1%eth0]:7447", False),
+        ("udp/224.0.0.225:7446", False),
         ("tcp/[::]:7447", False),
         ("tcp/192.168.1.4:7447", False),
         ("tcp/tractor.local:7447", False),
@@ -175,6 +182,79 @@ def test_what_is_wrong_with_zenoh_stays_in_the_status(machine: Machine, tmp_path
 )
 def test_who_can_reach_an_endpoint(endpoint: str, local: bool) -> None:
     assert is_local(endpoint) is local
+
+
+ALONE = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+HERE = {"endpoints": ["tcp/127.0.0.1:0"]}
+ALL = {"endpoints": ["tcp/0.0.0.0:0"]}
+MTLS = {"link": {"tls": {"enable_mtls": True}}}
+ROUTER = {"endpoints": ["tcp/192.0.2.7:7447"]}
+
+
+@pytest.mark.parametrize(
+    ("config", "ways"),
+    [
+        ({"scouting": ALONE, "listen": HERE}, []),
+        ({"scouting": ALONE, "listen": ALL}, ["listens on tcp/0.0.0.0:0"]),
+        ({"scouting": ALONE, "listen": {"endpoints": ["tcp/[::]:0"]}}, ["listens on tcp/[::]:0"]),
+        ({"scouting": ALONE, "listen": {"endpoints": {"peer": ALL["endpoints"]}}}, ["listens on tcp/0.0"]),
+        ({"scouting": ALONE, "listen": {"endpoints": {"router": ALL["endpoints"]}}}, []),
+        ({"scouting": ALONE}, ["listens on tcp/[::]:0"]),  # as Zenoh does where nothing is said
+        ({}, ["listens on tcp/[::]:0", "multicast", "gossip"]),
+        ({"listen": HERE}, ["multicast"]),
+        ({"scouting": {"multicast": {"enabled": False}}, "listen": HERE}, []),
+        ({"scouting": {"multicast": {"autoconnect": []}}, "listen": HERE}, []),
+        ({"mode": "router", "listen": HERE}, []),  # is found, and does not seek
+        ({"mode": "router", "scouting": ALONE}, ["listens on tcp/[::]:7447"]),
+        ({"mode": "client", "connect": {"endpoints": ["tcp/127.0.0.1:7447"]}}, []),
+        ({"mode": "client"}, ["multicast"]),
+        ({"mode": "client", "connect": ROUTER}, ["connects to tcp/192.0.2.7:7447"]),
+        ({"scouting": ALONE, "listen": HERE, "connect": ROUTER}, ["connects to tcp/192.0.2.7:7447"]),
+        ({"scouting": ALONE, "listen": {"endpoints": ["tls/0.0.0.0:0"]}}, ["listens on tls/0.0.0.0:0"]),
+        ({"scouting": ALONE, "listen": {"endpoints": ["tls/0.0.0.0:0"]}, "transport": MTLS}, []),
+        ({"scouting": ALONE, "listen": ALL, "transport": MTLS}, ["listens on tcp/0.0.0.0:0"]),
+        ({"scouting": ALONE, "listen": ALL, "transport": {"auth": {"usrpwd": {"dictionary_file": "u"}}}}, []),
+    ],
+)
+def test_what_lets_in_everybody(tmp_path: Path, config: dict[str, Any], ways: list[str]) -> None:
+    path = tmp_path / "foreign.json5"
+    path.write_text(json.dumps(config))
+    found = ways_in(zenoh.Config.from_file(str(path)))
+    assert len(found) == len(ways) and all(word in way for word, way in zip(ways, found, strict=True))
+
+
+def test_a_configuration_that_lets_in_everybody_is_used_only_where_that_is_said_twice(
+    machine: Machine, tmp_path: Path
+) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    path = tmp_path / "foreign.json5"
+    listen = {"endpoints": [f"tcp/0.0.0.0:{port}"]}
+    path.write_text(json.dumps({"scouting": ALONE, "listen": listen}))
+
+    def with_zenoh(**settings: Any) -> Machine:
+        return machine.model_copy(update={"zenoh": Zenoh(**settings)})
+
+    once = with_zenoh(config=str(path))
+    for refused in (open_session, try_session):
+        with pytest.raises(
+            zenoh.ZError, match=rf"open to everybody on this network: it listens on .*:{port} without"
+        ):
+            refused(once)
+    said = refusal(once)
+    assert "foreign.json5 makes it open to everybody" in said and "[zenoh] open = true" in said
+    for twice in (with_zenoh(config=str(path), open=True), with_zenoh(listen=listen["endpoints"], open=True)):
+        assert refusal(twice) == ""
+        opened, listening, note = open_session(twice)
+        assert listening == listen["endpoints"] and "All there may read, mark and speak" in note
+        with session([f"tcp/127.0.0.1:{port}"]) as other:
+            assert [str(zid) for zid in other.info.peers_zid()] == [str(opened.info.zid())]
+        opened.close()
+    left_out = with_zenoh(listen=listen["endpoints"])
+    assert refusal(left_out) == ""
+    opened, listening, note = open_session(left_out)
+    opened.close()
+    assert listen["endpoints"][0] not in listening and "open = true if that is meant" in note
+    assert refusal(with_zenoh(config=str(tmp_path / "none.json5"))) == ""  # no reason not to record
 
 
 def test_the_machine_file_listens_on_this_computer_only_unless_it_says_more() -> None:

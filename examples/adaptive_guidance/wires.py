@@ -14,7 +14,7 @@ import zenoh
 
 from tilth.adaptive_guidance.controller import STALE
 from tilth.client import Client, HeardRig, Latest
-from tilth.client.link import base_key, open_session
+from tilth.client.link import Link, base_key, open_session
 from tilth.client.received import Refused, parse
 from tilth.schemas.flow import BodyPose, Pose
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -67,9 +67,10 @@ class Wires:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._poses: queue.Queue[Pose] = queue.Queue(WAITING)
         self._refused: Counter[str] = Counter()
-        self._session = open_session(endpoint)
-        self._client = Client(self._session, self._base, "", STALE)
-        self._session.declare_subscriber(f"{self._base}/pose", self._take)
+        session = open_session(endpoint)
+        self._client = Client(session, self._base, "", STALE)
+        self._link = Link(session)
+        self._link.hear(session.declare_subscriber(f"{self._base}/pose"), self._take)
 
     @property
     def rig(self) -> HeardRig | None:
@@ -124,11 +125,12 @@ class Wires:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._client.close()
+        self._link.close()
         if self._bus is not None:
             self._bus.shutdown()
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """In a thread of Zenoh's."""
+        """In a thread that hears."""
         try:
             if str(sample.key_expr) != f"{self._base}/pose" or sample.kind != zenoh.SampleKind.PUT:
                 raise Refused("not sent to this machine's pose alone")

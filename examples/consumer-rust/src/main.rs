@@ -3,7 +3,8 @@
 //!     cargo run --release -- tcp/127.0.0.1:7447 tilth/jd7930-parker500 [LINES]
 //!
 //! The messages are those of schemas/proto/tilth.proto, written down as far as they are needed here: a field
-//! that is not named is passed over, as one that a later version adds.
+//! that is not named is passed over, as one that a later version adds. What is `optional` there is `optional`
+//! and an `Option` here: without that word, prost reads 0.0 where a number is absent.
 
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};

@@ -1,0 +1,63 @@
+"""How a standard deviation is said to people: as the range that holds 95 %, and saying so.
+
+Messages and JSON carry standard deviations, under names that say so.
+"""
+
+import math
+from typing import Final
+
+WITHIN: Final = 1.96  # standard deviations, of a range that holds 95 %
+_EVEN: Final = 0.3  # of a logarithm: up to here both sides of a log-normal range are much alike
+_SAYS: Final = "(95 %)"
+
+
+def interval(value: float, log_sd: float) -> tuple[float, float]:
+    """95 % of what is log-normal, from its median and the sd of its natural logarithm."""
+    return value * math.exp(-WITHIN * log_sd), value * math.exp(WITHIN * log_sd)
+
+
+def share(*log_sds: float) -> str:
+    """Sds of logarithms, such as: ±7.8 %, -55 … +122 % (95 %)."""
+    return f"{', '.join(map(_share, log_sds))} {_SAYS}"
+
+
+def half_width(sd: float, unit: str) -> str:
+    """Of what is measured, such as: ±0.035 m (95 %)."""
+    return f"±{WITHIN * sd:.2g} {unit} {_SAYS}"
+
+
+def plus_minus(value: float, sd: float, unit: str = "") -> str:
+    """Such as: 1.20 ± 0.13 s (95 %)."""
+    half = WITHIN * sd
+    return _with_unit(f"{_number(value, half)} ± {_number(half, half)}", unit)
+
+
+def of_logarithm(value: float, sd: float, unit: str = "") -> str:
+    """Of a log-normal parameter and its sd, both in its unit: as `plus_minus` while it is known well.
+
+    Else with both ends, such as: 220 (99 … 491) kN/rad (95 %).
+    """
+    half = WITHIN * sd
+    if half <= _EVEN * value:
+        return plus_minus(value, sd, unit)
+    ends = " … ".join(_number(end, half) for end in interval(value, sd / value))
+    return _with_unit(f"{_number(value, half)} ({ends})", unit)
+
+
+def _share(log_sd: float) -> str:
+    if WITHIN * log_sd > _EVEN:
+        low, high = interval(100.0, log_sd)
+        return f"{low - 100:.0f} … +{high - 100:.0f} %"
+    percent = 100 * WITHIN * log_sd
+    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
+
+
+def _number(value: float, half: float) -> str:
+    """To two digits of the half-width."""
+    if not (math.isfinite(half) and half > 0):
+        return f"{value:.4g}"
+    return f"{value:.{max(0, 1 - math.floor(math.log10(half)))}f}"
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return " ".join(part for part in (text, unit, _SAYS) if part)
