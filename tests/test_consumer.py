@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from client_daemon import NAME, Publisher
+from loopback import PATIENCE_S
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples/consumer-rust"
 
@@ -46,7 +47,7 @@ def test_it_reads_what_the_daemon_publishes_and_knows_when_that_is_too_old(
         publisher.order(silent=True)
         assert any("C_af: no estimate for" in line for line in lines)
         running.stdout.read()
-        assert running.wait(20) == 0
+        assert running.wait(PATIENCE_S) == 0
 
 
 def test_wrong_use_is_told(consumer: Path) -> None:

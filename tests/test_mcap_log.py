@@ -13,7 +13,17 @@ from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loopback import START_NS, logged_frames, messages, numbered, records_of, rig, salvaged, udp_bus
+from loopback import (
+    PATIENCE_S,
+    START_NS,
+    logged_frames,
+    messages,
+    numbered,
+    records_of,
+    rig,
+    salvaged,
+    udp_bus,
+)
 from mcap.reader import make_reader
 
 from tilth.logger import recording as recording_module
@@ -165,7 +175,7 @@ class Recorder:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Go on as on silent buses, a tick of 0.4 s each time, until something is so."""
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline, self.recording.problem
             self.later()

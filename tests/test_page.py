@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from client_daemon import until
 from field_rig import FieldRig
+from loopback import PATIENCE_S
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
 from stage import Monitor, Stage
@@ -252,7 +253,7 @@ def test_the_demo_opens_with_the_address_of_its_page(browser: Browser, tmp_path:
         expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
         demo.send_signal(signal.SIGINT)
         demo.stderr.read()
-        assert demo.wait(30) in (0, 1)  # lost frames are this computer's business, not the page's
+        assert demo.wait(PATIENCE_S) in (0, 1)  # lost frames are this computer's business, not the page's
         expect_run(page, "NO CONNECTION", "bad")
         page.close()
 
@@ -266,11 +267,11 @@ def test_a_change_of_soil(
     front = desk.locator(".trace", has=desk.get_by_role("heading", name="Front tyres", exact=True))
     expect(front.locator(".trace-status")).to_have_text("estimated", timeout=SOON_MS)
     desk.wait_for_function("uPlot && document.querySelectorAll('.trace').length === 6")
-    until(lambda: abs(_number(front) - 215) < 15, 30.0)
+    until(lambda: abs(_number(front) - 215) < 15)
     stage[0].order(scale=0.6)
     for page in pages.values():
         expect(page.locator("#events")).to_contain_text("soil change", timeout=SOON_MS)
-    until(lambda: abs(_number(front) - 129) < 12, 30.0)
+    until(lambda: abs(_number(front) - 129) < 12)
     expect(desk.locator("#known")).to_contain_text("C_af: known to ±5.0 %", timeout=60_000)
     expect(desk.locator("#advice")).to_have_text(
         "sigma_r is not determined; 10 s of a chirp of 5° would bring it to ±12 %."
@@ -305,7 +306,7 @@ def test_a_change_of_soil_that_the_tracker_finds(browser: Browser, tmp_path: Pat
         expect(page.locator("#events")).to_contain_text(
             "the soil holds the tyres differently", timeout=2 * SOON_MS
         )
-        until(lambda: 0.4 * before < _number(front) < 0.8 * before, 60.0)
+        until(lambda: 0.4 * before < _number(front) < 0.8 * before)
         assert not faults.told
         page.context.close()
 
