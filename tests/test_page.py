@@ -41,6 +41,8 @@ COLOURS_OF_THE_MAP = """(() => {
     return seen.size;
 })()"""
 
+expect.set_options(timeout=SOON_MS)
+
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
@@ -108,7 +110,7 @@ def picture(request: pytest.FixtureRequest, page: Page, name: str) -> None:
 def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """One daemon, one page that is never reloaded: nothing, all well, a receiver lost and back, recording
     stopped and again, the daemon killed and again, the page's server killed and again."""
-    with closing(FieldRig(tmp_path, 240.0)) as rig:
+    with closing(FieldRig(tmp_path, 900.0)) as rig:
         monitor = Monitor("--connect", rig.endpoint)
         page, faults = opened(browser, monitor)
         expect_run(page, "NO DAEMON", "bad")
@@ -292,10 +294,10 @@ def test_a_change_of_soil(
 
 def test_a_change_of_soil_that_the_tracker_finds(browser: Browser, tmp_path: Path) -> None:
     """All of it real: a tractor drives from firm soil onto soft, and the page says so while it does."""
-    softer = Change(at_s=35.0, C_af=0.6, C_ar=0.6, C_ai=0.6)
+    softer = Change(at_s=60.0, C_af=0.6, C_ar=0.6, C_ai=0.6)
     scenario = Scenario(clock_offset_s=0.0, steering=Manoeuvre("random"), soil=Soil(changes=(softer,)))
     with (
-        closing(FieldRig(tmp_path, 150.0, scenario)) as rig,
+        closing(FieldRig(tmp_path, 400.0, scenario)) as rig,
         closing(Monitor("--connect", rig.endpoint)) as monitor,
     ):
         page, faults = opened(browser, monitor)

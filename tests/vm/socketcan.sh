@@ -55,8 +55,8 @@ until grep -q "vcan2: works again" $OUT/said.txt; do cansend vcan2 1F000001#00 &
 # deleted, with frames that the recorder has not yet read, and back
 kill -STOP $recorder
 cangen vcan2 -g 0 -n 50 -I 1F000010 -L 8 -D i -e
-did delete && ip link del vcan2 && did deleted
-kill -CONT $recorder
+did delete && ip link del vcan2
+kill -CONT $recorder && did deleted
 said "vcan2: socketcan vcan2: No such device" && told "| vcan2 failed[^|]*No such device"
 ip link add vcan2 type vcan && did back && ip link set vcan2 up
 until [ "$(grep -c "vcan2: works again" $OUT/said.txt)" = 2 ]; do cansend vcan2 1F000002#00 && sleep 0.2; done
