@@ -157,6 +157,7 @@ class Recorder:
         self.taken: list[Frame] = []
         self.clock = Clock()
         self._now_ns = self.clock.t_ns()
+        self._began_ns = self.clock.t_ns()
         self._later_ns = 0  # by how much the frames are later than they were, for what was waited
         self.fold = GuardedFold(self.machine)
         self.recording = Recording(folder, self.machine, self.text, self.clock, self._report, self.fold.renew)
@@ -188,10 +189,11 @@ class Recorder:
         self.recording.tick(self._now_ns)
 
     def from_now(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames as if they came from now on."""
+        """The frames as if they came from now on; the first from the beginning, for they take time to make."""
         shift = None
         for frame in frames:
-            shift = self.clock.t_ns() - frame.t_ns if shift is None else shift
+            if shift is None:
+                shift = (self.clock.t_ns() if self.taken else self._began_ns) - frame.t_ns
             yield replace(frame, t_ns=frame.t_ns + shift, rx_ns=frame.rx_ns + shift)
 
 
