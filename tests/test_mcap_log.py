@@ -189,7 +189,7 @@ class Recorder:
         self.recording.tick(self._now_ns)
 
     def from_now(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames as if they came from now on; the first from the beginning, for they take time to make."""
+        """The frames as if they came from now on, the first ones from the beginning on."""
         shift = None
         for frame in frames:
             if shift is None:

@@ -47,7 +47,8 @@ class Drive:
         """The longest time between that the machine gave to nobody, by the bus that always has traffic."""
         times = [f.t_ns for f in self.of("vcan3")]
         within = [t_ns for t_ns in times if begin_ns < t_ns < end_ns]
-        return max(np.diff([begin_ns, *within, min(t for t in times if t >= end_ns)]).tolist()) * 1e-9
+        around = [begin_ns, *within, min(t for t in times if t >= end_ns)]
+        return float(np.diff(around).max() * 1e-9)
 
 
 def machine_text(*names: str) -> str:
