@@ -55,6 +55,7 @@ class Recorder:
         self.events: list[tuple[str, str]] = []
         self.recording = Recording(folder, machine, text, self.clock, self._report, lambda: "{}")
         self.buses = Buses(machine.bus, self.clock, self._report, opener)
+        self.status = pb.Status()  # of this second
         self._next_ns = self.clock.t_ns()
 
     def turn(self, timeout_s: float = TURN_S) -> int:
@@ -69,8 +70,8 @@ class Recorder:
             print(event.text, flush=True)
         if t_ns >= self._next_ns:
             self._next_ns = t_ns + SECOND_NS
-            status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.sources])
-            self.recording.message("/status", t_ns, CHANNEL["/status"].encode(status))
+            self.status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.sources])
+            self.recording.message("/status", t_ns, CHANNEL["/status"].encode(self.status))
         self.recording.tick(t_ns)
         return len(frames)
 
@@ -89,15 +90,24 @@ def cpu_s() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
+def status_words(status: pb.Status) -> str:
+    """A line for a script to wait for."""
+    buses = (f"{bus.name} {bus.state} {bus.controller}: {bus.reason}" for bus in status.buses)
+    return " | ".join(("status", *buses))
+
+
 def record(machine_path: Path, folder: Path) -> None:
-    """Until SIGINT; then one line of JSON: frames and the CPU time they cost."""
+    """Until SIGINT, a line each second; then one of JSON: frames and the CPU time they cost."""
     text = machine_path.read_text()
     recorder = Recorder(parse_machine(text), text, folder)
     ended: list[int] = []
     signal.signal(signal.SIGINT, lambda number, frame: ended.append(number))
-    before = cpu_s()
+    before, told_ns = cpu_s(), 0
     while not ended:
         recorder.turn()
+        if recorder.status.t_ns != told_ns:
+            told_ns = recorder.status.t_ns
+            print(status_words(recorder.status), flush=True)
     spent = cpu_s() - before
     recorder.close()
     print(json.dumps({"frames": recorder.recording.frames, "cpu_s": spent}), flush=True)
@@ -225,6 +235,8 @@ def soak(seconds: float) -> None:
             daemon.turn()
             if time.monotonic() - began > len(sizes) * seconds / 10:
                 sizes.append(resident_mb())
+        while daemon.turn():  # what a busy computer has not yet taken
+            continue
         share = (cpu_s() - before) / (time.monotonic() - began)
         summary = daemon.close()
         files = [path.stat().st_size for path in summary.log_files]

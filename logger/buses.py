@@ -28,6 +28,7 @@ ASK_NS = 1_000_000_000
 SILENT_NS = 1_500_000_000  # the slowest devices send once a second
 RENEW_NS = 10_000_000_000  # a silent bus is opened afresh after this: some die without an error
 RENEW_MOST_NS = 60_000_000_000
+WORKED_NS = 1_000_000_000  # open for so long, it has worked: what fails it now is another failure
 BACK_OFF_NS = 500_000_000
 BACK_OFF_MOST_NS = 5_000_000_000
 SLOW_NS = 5_000_000_000  # an opening that takes so long is said
@@ -61,9 +62,11 @@ class Source:
     stamp: str = ""  # who stamped the frames that came last
     lost: int = 0  # dropped by the kernel, as far as it says
     opened: int = 0
+    opened_ns: int = 0
     failures: int = 0
+    failing: bool = False  # one is counted and said; until frames come, or it has been open for WORKED_NS
     silences: int = 0
-    down_ns: int = 0  # when it failed; 0 while frames come
+    down_ns: int = 0  # when frames ended because it failed; 0 while they come
     heard_ns: int = 0  # last frame of any kind, or opening
     usable_ns: int = 0  # last frame that is taken, or opening
     retry_ns: int = 0
@@ -199,7 +202,7 @@ class Buses:
             down_s = (t_ns - source.down_ns) * 1e-9
             text = f"works again after {down_s:.1f} s (failure {source.failures}, opening {source.opened})"
             self._say(source, text)
-            source.down_ns = 0
+            source.down_ns, source.failing, source.reported = 0, False, ""
         elif source.state == "silent":
             silent_s = (t_ns - source.heard_ns) * 1e-9
             self._say(source, f"heard again after {silent_s:.1f} s (silence {source.silences})")
@@ -243,6 +246,8 @@ class Buses:
         for text in source.tally.health.news(t_ns, data_frames != source.watched_frames):
             self._say(source, text)
         source.watched_frames = data_frames
+        if source.failing and t_ns - source.opened_ns >= WORKED_NS:  # no frame says so where nobody sends
+            source.failing, source.reported = False, ""
         self._notice_silence(source, port, t_ns)
 
     def _notice_silence(self, source: Source, port: Port, t_ns: int) -> None:
@@ -271,7 +276,7 @@ class Buses:
             self._say(source, SLOW)
 
     def _fail(self, source: Source, reason: str) -> None:
-        """Close and try later. Said once for each reason, until frames have come again."""
+        """Close and try later. Said once for each failure and reason, however soon it is over."""
         self._close(source)
         source.state, source.reason = "failed", reason
         source.retry_ns = self._clock.t_ns() + source.back_off_ns
@@ -283,9 +288,10 @@ class Buses:
             self._say(source, f"{reason}; it is tried again {so_far}")
 
     def _count_failure(self, source: Source) -> None:
-        if not source.down_ns:
+        if not source.failing:
+            source.failing = True
             source.failures += 1
-            source.down_ns = self._clock.t_ns()
+        source.down_ns = source.down_ns or self._clock.t_ns()
 
     def _say(self, source: Source, text: str) -> None:
         self._report("bus", f"{source.name}: {text}")
@@ -360,6 +366,7 @@ class Buses:
         source.port = port
         source.empty_reads = 0
         source.opened += 1
+        source.opened_ns = self._clock.t_ns()
         if source.state != "silent":  # one that was silent stays so until a frame comes
             source.state, source.reason = "open", ""
             source.heard_ns = source.usable_ns = self._clock.t_ns()

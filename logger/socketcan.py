@@ -53,6 +53,7 @@ class SocketCanPort:
         self._config = config
         self._lost = 0
         self._empty_ns = clock.t_ns()
+        self._error: OSError | None = None  # raised when what waited has been read
         self._adapter: AdapterClock | None = None
         self.note = self.problem = ""
         self._mixed = False  # a frame came without the adapter's stamp after others with it
@@ -76,7 +77,14 @@ class SocketCanPort:
                 packed, control, _, _ = receive(_FD_BYTES, _CONTROL_BYTES)
             except BlockingIOError:
                 self._empty_ns = monotonic() + offset_ns
+                if self._error is not None:
+                    raise self._error from None
                 return count
+            except OSError as error:  # told before the frames that came before it
+                if self._error is not None:
+                    raise
+                self._error = error
+                continue
             t_ns = monotonic() + offset_ns
             if len(packed) != CAN_FRAME.size:
                 tally.fd_frames += len(packed) == _FD_BYTES

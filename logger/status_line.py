@@ -88,6 +88,7 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
         f"{status.frames} frames ({rate:.0f}/s)",
         f"receivers {alive}/{len(status.receivers)}",
         f"wheel angle {status.wheel_angle.state}",
+        *(f"{bus.name} failed {_times(bus.failures)}" for bus in status.buses if bus.failures),
         *(f"{name} {stiffness_text(one)}" for name, one in _stiffnesses(estimate)),
     ]
     if status.problems:
@@ -96,6 +97,10 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
             + (f" (and {len(status.problems) - 1} more)" * (len(status.problems) > 1))
         )
     return ", ".join(parts)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def stiffness_text(one: ParameterEstimate) -> str:
@@ -157,10 +162,12 @@ def _state(state: str) -> Text:
 
 
 def _buses(status: pb.Status) -> Table:
-    table = _table("bus", "", "frames/s", "bad")
+    failed = any(bus.failures for bus in status.buses)  # also where all of them work again
+    table = _table("bus", "", "frames/s", "bad", *(["failed"] if failed else []))
     for bus in status.buses:
-        bad = bus.error_frames + bus.lost_frames
-        table.add_row(bus.name, _state(bus.state), f"{bus.frames_per_s:.0f}", Text(f"{bad or ''}", "red"))
+        counts = [bus.error_frames + bus.lost_frames, *([bus.failures] if failed else [])]
+        cells = [Text(f"{count or ''}", "red") for count in counts]
+        table.add_row(bus.name, _state(bus.state), f"{bus.frames_per_s:.0f}", *cells)
     return table
 
 

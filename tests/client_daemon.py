@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from loopback import TEXT
+from loopback import PATIENCE_S, TEXT
 from ordered import Ordered, ready, take_orders
 
 from tilth.logger.zenoh_sink import ZenohSink
@@ -107,7 +107,7 @@ class Way:
                 far.sendall(data)
 
 
-def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
     """Fails where it never is so."""
     deadline = time.monotonic() + seconds
     tick = threading.Event()

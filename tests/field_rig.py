@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from loopback import machine_text, udp_bus
+from loopback import PATIENCE_S, machine_text, udp_bus
 
 from tilth.logger.clock import Clock
 from tilth.replay.demo import on_loopback
@@ -51,7 +51,7 @@ class FieldRig:
     def kill(self) -> None:
         assert self._process is not None
         self._process.kill()
-        self._process.wait(10)
+        self._process.wait(PATIENCE_S)
 
     def unplug(self, *mounts: str) -> None:
         self._unplugged = set(mounts)
@@ -66,7 +66,7 @@ class FieldRig:
         if self._process is not None:
             self.kill()
         os.write(self._orders, b"\n")
-        self._thread.join(10)
+        self._thread.join(PATIENCE_S)
         os.close(self._orders)
 
     def _play(self, orders: int, seconds: float, scenario: Scenario) -> None:

@@ -27,6 +27,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 TEXT = (Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml").read_text()
 GROUP = "239.74.163.2"
 START_NS = 1_790_000_000_000_000_000
+PATIENCE_S = 120.0  # that a test which hangs ends; a busy computer takes its time, a quiet one does not wait
 
 _BUS = TEXT[TEXT.index("[[bus]]") : TEXT.index("[[receiver]]")]
 _SENDER = """
@@ -123,11 +124,11 @@ class Sender:
     ) -> None:
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
-        self._process.wait(10)
+        self._process.wait(PATIENCE_S)
         self._process.stdout.close()
 
 
-def until(condition: Callable[[], bool], turn: Callable[[], object], seconds: float = 10.0) -> None:
+def until(condition: Callable[[], bool], turn: Callable[[], object], seconds: float = PATIENCE_S) -> None:
     """Turn a loop until something is so; fails where it never is."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -186,7 +187,7 @@ def session(endpoints: list[str]) -> zenoh.Session:
 
 
 def answers(other: zenoh.Session, selector: str) -> dict[str, tuple[bytes, str]]:
-    replies = [reply.ok for reply in other.get(selector, timeout=5.0)]
+    replies = [reply.ok for reply in other.get(selector, timeout=PATIENCE_S)]
     return {
         str(one.key_expr): (one.payload.to_bytes(), str(one.encoding)) for one in replies if one is not None
     }

@@ -8,7 +8,7 @@ import threading
 from types import TracebackType
 from typing import Any, Self
 
-from loopback import free_port
+from loopback import PATIENCE_S, free_port
 
 
 class Ordered:
@@ -43,7 +43,7 @@ class Ordered:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.process.poll() is None:
-            self.process.communicate(timeout=10)
+            self.process.communicate(timeout=PATIENCE_S)
 
 
 def take_orders(orders: dict[str, Any]) -> threading.Event:

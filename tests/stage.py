@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, cast
 
 import zenoh
 from client_daemon import text_on
+from loopback import PATIENCE_S
 from ordered import Ordered, ready, take_orders
 from websockets.sync.client import ClientConnection, connect
 
@@ -168,7 +169,7 @@ class Monitor:
 
     def close(self) -> None:
         self.process.send_signal(signal.SIGTERM)
-        self.process.communicate(timeout=10)
+        self.process.communicate(timeout=PATIENCE_S)
         assert self.process.returncode == 0
 
     def live(self, **options: Any) -> ClientConnection:
@@ -178,7 +179,7 @@ class Monitor:
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         request = urllib.request.Request(f"{self.url.rstrip('/')}{path}", data, named)
         try:
-            with urllib.request.urlopen(request, timeout=10) as answer:
+            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
                 return answer.status, answer.read().decode(), dict(answer.headers)
         except urllib.error.HTTPError as error:
             with error:

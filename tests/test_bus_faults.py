@@ -19,6 +19,7 @@ from tilth.logger.buses import (
     RENEW_NS,
     SILENT_NS,
     SLOW,
+    WORKED_NS,
     Buses,
 )
 from tilth.logger.can_errors import BACK_NS
@@ -285,6 +286,55 @@ def test_an_error_of_the_driver_heals_and_is_counted(talker: can.BusABC) -> None
         assert listening.events[-1].endswith(f"(failure {failure}, opening {failure + 1})")
         assert f"it is tried again (failure {failure}, {failure} frames until then)" in listening.events[-2]
     assert source.failures == 2 and source.problem == ""
+    listening.buses.close()
+
+
+@pytest.mark.parametrize("frames_between", [True, False])
+def test_a_failure_shorter_than_a_status_period_is_an_event_and_a_count_in_every_later_status(
+    talker: can.BusABC, frames_between: bool
+) -> None:
+    """Also where nobody sends in between, so that no frame tells that the bus works again."""
+    listening = Listening(virtual("v"))
+    (source,) = listening.sources
+    talker.send(data_frame())
+    listening.until_frames(1)
+    for failure in (1, 2, 3):
+        said = len([text for text in listening.events if "it is tried again" in text])
+        before = bus_status(source, listening.clock.t_ns())
+        assert (before.state, before.failures) == ("open", failure - 1) and said == failure - 1
+        assert isinstance(source.port, LibraryPort)
+        source.port.bus.shutdown()  # reading it raises from now on
+        listening.until(lambda: source.state == "failed")
+        listening.watch(ahead_ns=source.retry_ns - listening.clock.t_ns())
+        listening.settle()
+        if frames_between:
+            talker.send(data_frame(failure))
+            listening.until_frames(1 + failure)
+        else:
+            listening.watch(ahead_ns=WORKED_NS)
+        after = bus_status(source, listening.clock.t_ns())  # the next: all is well, and yet it is told
+        assert (after.state, after.failures, after.reason) == ("open", failure, "")
+        assert f"(failure {failure}, " in [text for text in listening.events if "tried again" in text][-1]
+    listening.buses.close()
+
+
+def test_one_that_opens_and_fails_at_once_again_and_again_is_one_failure_said_once(
+    talker: can.BusABC,
+) -> None:
+    class Failing(LibraryPort):
+        def take(self, frames: list[Frame], most: int) -> int:
+            raise OSError(errno.EIO, "Input/output error")
+
+    def opener(config: Bus, clock: Clock, tally: Tally) -> Port:
+        return Failing(can.Bus(interface="virtual", channel="tilth-failing"), config, clock, tally)
+
+    listening = Listening(virtual("failing"), opener=opener)
+    (source,) = listening.sources
+    for opened in (1, 2, 3, 4):
+        listening.until(lambda: source.state == "failed" and not source.opening)
+        assert (source.opened, source.failures, len(listening.events)) == (opened, 1, 1)
+        listening.watch(ahead_ns=BACK_OFF_MOST_NS)
+        listening.settle()
     listening.buses.close()
 
 

@@ -27,7 +27,7 @@ from tilth.replay.machine_draft import draft
 from tilth.schemas.machine import MachineError
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-check"\n\n'
-SECONDS = 0.15
+SECONDS = 0.4  # long enough that a busy computer hears the other thread
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_all_is_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     file.write_text(machine_text(tmp_path / "logs", VIRTUAL))
     assert main(["check", str(file), "--seconds", str(SECONDS)]) == 0
     out, err = capsys.readouterr()
-    assert err == "" and "OK       bus can0: " in out and "frames in 0." in out
+    assert err == "" and "OK       bus can0: " in out and " frames in " in out
     assert "hours of recording" in out and not (tmp_path / "logs").exists()
 
     assert main(["check", str(file), "--json", "--seconds", str(SECONDS)]) == 0

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, record
+from loopback import PATIENCE_S
 
 from tilth.cli import main
 from tilth.logger.mcap_log import LogWriter, Run
@@ -321,5 +322,5 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path: Path) -> None:
         os.close(write)
         with os.fdopen(read, "rb") as pipe:
             assert json.loads(pipe.readline())["pgn"] == 127250
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, err) == (0, b"")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from client_daemon import NAME, Publisher
 from google.protobuf.descriptor import Descriptor
+from loopback import PATIENCE_S
 
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -51,7 +52,7 @@ def test_it_reads_what_the_daemon_publishes_and_knows_when_that_is_too_old(
         publisher.order(silent=True)
         assert any("C_af: no estimate for" in line for line in lines)
         running.stdout.read()
-        assert running.wait(20) == 0
+        assert running.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.rust

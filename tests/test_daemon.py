@@ -6,13 +6,16 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from loopback import (
+    PATIENCE_S,
     Sender,
     answers,
     free_port,
@@ -132,7 +135,7 @@ def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> 
             sender.begin([port], [(0, f, (f.t_ns - sent[0].t_ns) * 1e-9) for f in sent])
         return shown.status.frames == len(sent)
 
-    summary = run_daemon(machine, text, seconds=30.0, status=shown, stop=stop)
+    summary = run_daemon(machine, text, seconds=PATIENCE_S, status=shown, stop=stop)
     sender.finish()
     assert summary.frames == summary.recorded == len(sent) and summary.lost == summary.not_recorded == 0
     got = [frame for path in summary.log_files for frame in logged_frames(path)]
@@ -169,16 +172,24 @@ def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: 
         def told() -> pb.Status:
             return pb.Status.FromString(answers(other, key).get(key, (b"", ""))[0])
 
-        until(lambda: told().frames == 1 and told().uptime_s > 2.0, daemon.turn)
+        ended_s = [time.monotonic()]
+
+        def turn() -> None:
+            daemon.turn()
+            ended_s.append(time.monotonic())
+
+        until(lambda: told().frames == 1 and told().uptime_s > 2.0, turn)
         last = told()
     summary = daemon.close()
     assert last.recording and last.log_file == str(summary.log_files[0]) and last.log_bytes > 0
     assert [bus.name for bus in last.buses] == ["can0"] and len(last.receivers) == 4
     assert any("tractor front: not heard yet" in problem for problem in last.problems)
     statuses = records_of(summary.log_files[0], "/status", pb.Status)
-    assert last in statuses and len(statuses) <= 5
+    assert last in statuses
     assert statuses[0].problems == []  # before anything could be heard
-    assert statuses[1].t_ns - statuses[0].t_ns == pytest.approx(1e9, abs=4e8)
+    apart_s = np.diff([status.t_ns for status in statuses[:-1]]) * 1e-9  # the last is that of the end
+    assert apart_s.min() >= 1.0
+    assert apart_s.max() < 1.1 + 2 * max(np.diff(ended_s))  # as soon as the loop comes round
 
 
 # ---- signals, with the real command in a process of its own ----
@@ -196,11 +207,11 @@ def test_signals_and_a_crash(commands: tuple[dict[str, Command], int], sender: S
     for name, signum in (("TERM", signal.SIGTERM), ("INT", signal.SIGINT)):
         command = started[name]
         command.process.send_signal(signum)
-        out, _ = command.process.communicate(timeout=20)
+        out, _ = command.process.communicate(timeout=PATIENCE_S)
         assert command.process.returncode == 0, out
         assert f"2500 frames, 0 measurements, 0 poses\nLog: {command.log}\n" in out
         assert [frame.data for frame in logged_frames(command.log)] == [frame.data for frame in sent]
-    started["KILL"].process.wait(10)
+    started["KILL"].process.wait(PATIENCE_S)
     left = salvaged(started["KILL"].log.read_bytes())
     assert [frame.data for frame in left] == [frame.data for frame in sent[: len(left)]]
     assert len(left) >= 1000
@@ -278,6 +289,7 @@ def test_a_log_folder_that_cannot_be_written_does_not_stop_the_rest(
     assert not shown.status.recording and "not recording" in shown.status.problems[0]
 
 
+@pytest.mark.usefixtures("watched_by_hand")
 def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
     tmp_path: Path, talker: can.BusABC
 ) -> None:
@@ -308,6 +320,7 @@ class SteppingClock(Clock):
         return now if self.looks < 3 else replace(now, realtime_ns=now.realtime_ns + 3_600_000_000_000)
 
 
+@pytest.mark.usefixtures("watched_by_hand")
 def test_a_step_of_the_clock_is_noted_and_the_log_goes_on_evenly(
     tmp_path: Path, talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
 ) -> None:

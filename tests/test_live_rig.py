@@ -14,6 +14,7 @@ import can
 import numpy as np
 import pytest
 import zenoh
+from loopback import PATIENCE_S
 
 from tilth.adaptive_guidance.demo import run_guidance, table
 from tilth.adaptive_guidance.plan import Work
@@ -47,7 +48,7 @@ def rig() -> Iterator[subprocess.Popen[bytes]]:
         yield process
         assert process.stdin is not None
         process.stdin.close()
-        assert process.wait(20.0) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 def order(rig: subprocess.Popen[bytes], seconds: float) -> int:
@@ -85,7 +86,7 @@ def test_it_obeys_one_of_two_controllers_refuses_what_it_cannot_do_and_outlives_
         socket.create_connection(("127.0.0.1", port)) as rubbish,
         socket.create_connection(("127.0.0.1", port)) as endless,
     ):
-        assert bus.recv(10.0) is not None
+        assert bus.recv(PATIENCE_S) is not None
         rubbish.sendall(
             b"< send >< send zz 1 0 >< send 1F 9 0 >< send 1CADF01C 2 fff 0 >< send FFFFFFFF 0 >>><"
         )

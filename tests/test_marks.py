@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from loopback import free_port, machine_text, records_of, rig, session, udp_bus
+from loopback import PATIENCE_S, free_port, machine_text, records_of, rig, session, udp_bus, until
 
 from tilth.cli import main
 from tilth.logger.clock import HEARD
@@ -53,7 +53,7 @@ def text_of(sample: zenoh.Sample) -> str:
 
 
 def ask(other: zenoh.Session, key: str, payload: bytes | str | None) -> list[zenoh.Reply]:
-    return list(other.get(key, payload=payload, timeout=10.0))
+    return list(other.get(key, payload=payload, timeout=PATIENCE_S))
 
 
 def noted(folder: Path, cut: Path) -> list[str]:
@@ -103,6 +103,7 @@ def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
             assert (event.kind, event.text) == ("mark", "nasse Senke, Spur 3")
             assert str(reply.ok.encoding) == "application/protobuf;tilth.Event"
             assert noted(tmp_path / "logs", tmp_path) == ["nasse Senke, Spur 3"]
+            until(lambda: bool(heard), lambda: None)
         assert heard == ["nasse Senke, Spur 3"]
 
 

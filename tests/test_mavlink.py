@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from client_daemon import LOG_SD, THETA, Publisher, estimate
-from loopback import free_port
+from loopback import PATIENCE_S, free_port
 from pymavlink.dialects.v20 import common
 
 from tilth.cli import main
@@ -36,7 +36,7 @@ class Peer:
     def __init__(self, lossy: int = 0) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(30.0)
+        self._socket.settimeout(PATIENCE_S)
         self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
         self._codec = common.MAVLink(None)
         self._lossy, self._came, self._last = lossy, 0, -1
@@ -111,7 +111,7 @@ def test_a_peer_has_the_numbers_with_status_and_age_whatever_the_way_loses() -> 
         assert 0 <= peer.dropped - peer.lost <= 1  # what was dropped last may not be missed yet
         assert {*peer.heartbeats} == {(1, common.MAV_TYPE_ONBOARD_CONTROLLER)}
         process.terminate()
-        out, _ = process.communicate(timeout=10)
+        out, _ = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
         assert "all six may be used" in out and "0 of them not sent" in out
     peer.close()
@@ -135,7 +135,7 @@ def test_mavproxy_reads_the_same_numbers(tmp_path: Path) -> None:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         ) as mavproxy,
     ):  # fmt: skip
-        watchdog = threading.Timer(60.0, mavproxy.kill)
+        watchdog = threading.Timer(PATIENCE_S, mavproxy.kill)
         watchdog.start()
         assert mavproxy.stdout is not None
         for line in mavproxy.stdout:

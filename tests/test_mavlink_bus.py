@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from loopback import free_port, numbered, until
+from loopback import PATIENCE_S, free_port, numbered, until
 from pymavlink.dialects.v20 import common
 
 from tilth.logger.bus_opening import check_interface, open_port
@@ -135,7 +135,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
     way = Way(port, lambda count: count > 100 and count % 11 == 0)
     words = [sys.executable, "-c", AUTOPILOT, str(way.port)]
     autopilot = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    until(lambda: autopilot.poll() is not None, turn, 30.0)
+    until(lambda: autopilot.poll() is not None, turn)
     asked, others = map(int, autopilot.communicate()[0].split())
     assert source.port is not None
     wanted = [frame for i, frame in enumerate(numbered(COUNT)) if i not in way.dropped]
@@ -174,7 +174,7 @@ def test_losses_by_sequence_numbers(sequences: tuple[int, ...], lost: int) -> No
     with bus_at(port) as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         for sequence in sequences:
             udp.sendto(_frame(0x98FF0001, sequence), ("127.0.0.1", port))
-            assert bus.recv(5.0) is not None
+            assert bus.recv(PATIENCE_S) is not None
         assert bus.messages_lost == lost
 
 
@@ -185,7 +185,7 @@ def test_rubbish_is_passed_over_and_flags_are_read() -> None:
         broken[12] ^= 0xFF
         for packed in (b"", b"\xfd", b"rubbish" * 40, bytes(broken), _frame(0x123, 2), _frame(0x20000004, 3)):
             udp.sendto(packed, ("127.0.0.1", port))
-        first, second = bus.recv(5.0), bus.recv(5.0)
+        first, second = bus.recv(PATIENCE_S), bus.recv(PATIENCE_S)
         assert first is not None and second is not None
         assert (first.arbitration_id, first.is_extended_id, first.dlc) == (0x123, False, 3)
         assert second.is_error_frame
@@ -195,7 +195,7 @@ def test_rubbish_is_passed_over_and_flags_are_read() -> None:
         refusal = _packed(lambda codec: codec.command_ack_encode(common.MAV_CMD_CAN_FORWARD, denied))
         udp.sendto(refusal, ("127.0.0.1", port))
         with pytest.raises(can.CanOperationError, match="does not forward CAN 1: denied"):
-            bus.recv(5.0)
+            bus.recv(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

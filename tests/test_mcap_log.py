@@ -13,7 +13,17 @@ from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loopback import START_NS, logged_frames, messages, numbered, records_of, rig, salvaged, udp_bus
+from loopback import (
+    PATIENCE_S,
+    START_NS,
+    logged_frames,
+    messages,
+    numbered,
+    records_of,
+    rig,
+    salvaged,
+    udp_bus,
+)
 from mcap.reader import make_reader
 
 from tilth.logger import recording as recording_module
@@ -147,6 +157,7 @@ class Recorder:
         self.taken: list[Frame] = []
         self.clock = Clock()
         self._now_ns = self.clock.t_ns()
+        self._began_ns = self.clock.t_ns()
         self._later_ns = 0  # by how much the frames are later than they were, for what was waited
         self.fold = GuardedFold(self.machine)
         self.recording = Recording(folder, self.machine, self.text, self.clock, self._report, self.fold.renew)
@@ -165,7 +176,7 @@ class Recorder:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Go on as on silent buses, a tick of 0.4 s each time, until something is so."""
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < deadline, self.recording.problem
             self.later()
@@ -178,10 +189,11 @@ class Recorder:
         self.recording.tick(self._now_ns)
 
     def from_now(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames as if they came from now on."""
+        """The frames as if they came from now on, the first ones from the beginning on."""
         shift = None
         for frame in frames:
-            shift = self.clock.t_ns() - frame.t_ns if shift is None else shift
+            if shift is None:
+                shift = (self.clock.t_ns() if self.taken else self._began_ns) - frame.t_ns
             yield replace(frame, t_ns=frame.t_ns + shift, rx_ns=frame.rx_ns + shift)
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import signal
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from itertools import pairwise
@@ -18,7 +19,7 @@ import zenoh
 from client_daemon import until
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loopback import free_port, session
+from loopback import PATIENCE_S, free_port, session
 from stage import Monitor, Stage
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection
@@ -52,8 +53,9 @@ def monitor(stage: Stage) -> Iterator[Monitor]:
 def hear(live: ClientConnection, wanted: Callable[[Fields], bool], known: Fields | None = None) -> Fields:
     """What a page would know as soon as that is so."""
     state: Fields = known or {}
-    for _ in range(200):
-        message = json.loads(live.recv(timeout=10))
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        message = json.loads(live.recv(timeout=PATIENCE_S))
         if "whole" in message:
             state.clear()
         events = state.get("events", []) + (message.get("new") or message["whole"]).pop("events", [])
@@ -66,9 +68,9 @@ def hear(live: ClientConnection, wanted: Callable[[Fields], bool], known: Fields
 
 def test_a_page_that_opens_has_all_and_hears_what_is_new(stage: Stage, monitor: Monitor) -> None:
     with monitor.live() as live:
-        state = hear(live, lambda s: {"rig", "pose", "status", "soil_tire"} <= set(s))
+        wanted = {"rig", "pose", "status", "soil_tire"}
+        state = hear(live, lambda s: wanted <= set(s) and s["age_s"]["pose"] < 1.0 and s["notes"] == [])
         assert state["machine"] == "jd7930-parker500" and state["simulated"] and state["alive"]
-        assert state["notes"] == [] and state["age_s"]["pose"] < 1.0
         assert state["rig"]["d"] == 3.62 and len(state["rig"]["antennas"]) == 4
         stage.order(event="mark", text="<img src=x onerror=alert(1)>\n")
         state = hear(live, lambda s: bool(s["events"]))
@@ -200,7 +202,7 @@ def test_a_mark_is_confirmed_by_the_daemon_or_not_there(stage: Stage, monitor: M
 
 def test_a_mark_of_ten_megabytes_is_not_even_read(monitor: Monitor) -> None:
     host, _, port = monitor.address.rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=10) as raw:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as raw:
         head = f"POST /mark HTTP/1.1\r\nHost: {monitor.address}\r\nContent-Type: application/json\r\n"
         raw.sendall(f"{head}Content-Length: 10000000\r\n\r\n".encode())
         raw.sendall(b'{"text":"' + b"x" * 100_000)
@@ -215,7 +217,7 @@ def test_browsers_that_go_in_mid_stream_and_those_too_many(monitor: Monitor) -> 
             live.socket.shutdown(socket.SHUT_RDWR)
     with ExitStack() as several:
         for _ in range(VIEWERS):
-            assert "whole" in json.loads(several.enter_context(monitor.live()).recv(timeout=10))
+            assert "whole" in json.loads(several.enter_context(monitor.live()).recv(timeout=PATIENCE_S))
         with pytest.raises(InvalidStatus, match="403"), monitor.live():
             pass
     with monitor.live() as live:
@@ -303,9 +305,9 @@ def test_a_port_that_is_taken(monitor: Monitor, capsys: pytest.CaptureFixture[st
 def test_it_ends_as_it_is_meant_to(stage: Stage) -> None:
     one = Monitor("--connect", stage.endpoint)
     with one.live() as live:
-        live.recv(timeout=10)
+        live.recv(timeout=PATIENCE_S)
         one.process.send_signal(signal.SIGINT)
-        assert one.process.wait(10) == 0
+        assert one.process.wait(PATIENCE_S) == 0
     one.process.communicate()
 
 

@@ -84,6 +84,27 @@ def test_each_kind_of_frame(wire: Wire) -> None:
     assert tally.health.counts == {"overrun": 1}
 
 
+def test_what_waited_when_the_interface_failed_is_read_before_that_is_said() -> None:
+    """The kernel tells the error first, whatever waits; here that of a far side that is gone and back."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as near:
+        near.bind(("127.0.0.1", 0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
+            far.bind(("127.0.0.1", 0))
+            address = far.getsockname()
+        near.connect(address)
+        port = SocketCanPort(near, Clock(), Tally(), CONFIG)
+        near.send(b"nobody is there")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
+            far.bind(address)
+            for number in range(50):
+                far.sendto(CAN_FRAME.pack(number, 0, b""), near.getsockname())
+        frames: list[Frame] = []
+        assert port.take(frames, 32) == 32  # the error took one turn
+        with pytest.raises(ConnectionRefusedError):
+            port.take(frames, 32)
+        assert [frame.can_id for frame in frames] == list(range(50))
+
+
 def test_the_stamp_is_the_kernels_and_on_the_clock_of_the_run(wire: Wire) -> None:
     before_ns = wire.clock.t_ns()
     for number in range(100):

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from tilth.logger.status_line import PanelDisplay, PlainDisplay, stiffness_text
+from tilth.logger.status_line import PanelDisplay, PlainDisplay, plain_line, stiffness_text
 from tilth.schemas.flow import Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -55,6 +55,20 @@ def test_the_panel_shows_all_at_a_glance() -> None:
         assert words in text
     assert "front      unestimated" in text and "heard again" in text
     assert "NOT RECORDING" in panel_text(status_with(recording=False))
+
+
+def test_failures_that_are_over_stay_in_sight() -> None:
+    status = status_with()
+    (bus,) = status.buses
+    status.buses.add(name="can1", state="open", failures=3)
+    rows = [line.split() for line in panel_text(status).splitlines()]
+    assert next(row for row in rows if "can0" in row)[1:6] == ["can0", "✔", "open", "800", "tractor"]
+    assert next(row for row in rows if "can1" in row)[1:7] == ["can1", "✔", "open", "0", "3", "implement"]
+    assert ", can1 failed 3 times" in plain_line(status, None)
+    assert "can0 failed" not in plain_line(status, None)
+    bus.failures = 1
+    assert ", can0 failed once, can1 failed 3 times" in plain_line(status, None)
+    assert "failed" not in panel_text(status_with()) + plain_line(status_with(), None)
 
 
 def test_plain_lines_say_the_same() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from loopback import START_NS, answers, free_port, rig, session, udp_bus
+from loopback import PATIENCE_S, START_NS, answers, free_port, rig, session, udp_bus
 
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
@@ -38,7 +38,7 @@ def sink(machine: Machine) -> Iterator[ZenohSink]:
 
 
 def heard(queue: "SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
-    return queue.get(timeout=10)
+    return queue.get(timeout=PATIENCE_S)
 
 
 def estimate(value: float) -> Publication:
@@ -93,7 +93,7 @@ def test_an_old_value_is_not_given_as_the_present_one(machine: Machine) -> None:
         now[0] = STALE_NS + 2_000_000_000
         assert set(answers(other, f"{BASE}/**")) == {f"{BASE}/{key}" for key in ("status", "event", "rig")}
         for key in computed:
-            (reply,) = other.get(key, timeout=5.0)
+            (reply,) = other.get(key, timeout=PATIENCE_S)
             assert reply.ok is None and reply.err is not None
             assert f"{key}: no value for 7 s".encode() in reply.err.payload.to_bytes()
         sink.put("/soil_tire", b"y")
@@ -121,7 +121,7 @@ def test_a_replay_can_never_be_heard_on_a_live_key(machine: Machine) -> None:
         assert keys == {f"{BASE}/replay/{channel.key}" for channel in KEYED}
         live = {f"{BASE}/{channel.key}" for channel in KEYED}
         assert not any(answers(other, key) for key in live)
-        tokens = [r.ok.key_expr for r in other.liveliness().get("**", timeout=5.0) if r.ok is not None]
+        tokens = [r.ok.key_expr for r in other.liveliness().get("**", timeout=PATIENCE_S) if r.ok is not None]
         assert [str(key) for key in tokens] == [f"{BASE}/replay/alive"]
     sink.close()
 

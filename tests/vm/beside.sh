@@ -1,6 +1,7 @@
 # The recorder, candump and python-can's own logger beside each other on one vcan, at a rate that all of them
 # can follow here. $OUT/cpu: name, ticks of CPU, frames in the log. Run in the guest.
 cpu() { awk '{print $14 + $15}' /proc/$1/stat; }
+echo 8000000 >/proc/sys/net/core/rmem_default # none of them loses a frame where the computer is busy
 ip link add vcan0 type vcan && ip link set vcan0 up
 candump -L vcan0 >/run/candump.log &
 candump=$!

@@ -7,7 +7,7 @@ QEMU runs Debian's stock kernel; its root is this computer's own, read-only, und
 the same Python, the same environment, the same checkout. `$OUT` in the guest is the folder `out` here, both
 ways. There are can-utils, two CAN cards (can0, can1: SJA1000, on one emulated bus), the modules of MODULES;
 every drive is a /dev/vd*. Nothing is paced like hardware, and Python takes half a minute to start: for
-correctness, never speed.
+correctness, never speed. Times to wait are there so that one that hangs ends; others may want the processor.
 """
 
 import contextlib
@@ -55,7 +55,7 @@ class Guest:
         self.console = console
         self._process = process
 
-    def until(self, condition: Callable[[], bool], seconds: float = 120.0) -> None:
+    def until(self, condition: Callable[[], bool], seconds: float = 1200.0) -> None:
         """Wait until something is so, seen from here; fails where the machine ends before."""
         deadline = time.monotonic() + seconds
         while not condition():
@@ -68,7 +68,7 @@ class Guest:
         self._process.kill()
         self._process.wait()
 
-    def finish(self, seconds: float = 240.0) -> None:
+    def finish(self, seconds: float = 1800.0) -> None:
         """Wait for the command's end; fails where that was not good."""
         try:
             self._process.wait(seconds)

@@ -38,7 +38,7 @@ def test_from_a_bare_computer_to_recording_and_back(tmp_path: Path, wheel: Path)
     ]
     command = ["bash", "-x", str(HERE / "with_systemd.sh"), *environment]
     with boot([*command, "bash", "-ex", str(HERE / "bare_box.sh")], out) as guest:
-        guest.finish(1200.0)
+        guest.finish()
     states = (out / "states").read_text()
     assert "User=tilth" in states and "StatusText=recording, " in states
     assert (out / "current").read_text() == "releases/1\n"

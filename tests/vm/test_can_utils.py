@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from guest import boot, missing
 from loopback import TEXT, logged_frames, records_of
@@ -22,10 +23,10 @@ class Drive:
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        (self.log,) = out.glob("*.mcap")
-        self.frames = logged_frames(self.log)
-        self.events: list[pb.Event] = records_of(self.log, "/event", pb.Event)
-        self.statuses: list[pb.Status] = records_of(self.log, "/status", pb.Status)
+        logs = sorted(out.glob("*.mcap"))  # several where it took long
+        self.frames = [frame for log in logs for frame in logged_frames(log)]
+        self.events: list[pb.Event] = [e for log in logs for e in records_of(log, "/event", pb.Event)]
+        self.statuses: list[pb.Status] = [s for log in logs for s in records_of(log, "/status", pb.Status)]
         self.times = dict(line.split() for line in (out / "times").read_text().splitlines())
 
     def of(self, bus: str) -> list[Frame]:
@@ -35,10 +36,19 @@ class Drive:
         """All statuses of one bus, in their order."""
         return [bus for status in self.statuses for bus in status.buses if bus.name == name]
 
-    def seen_s(self, what: str, text: str) -> float:
-        """How long after something was done the log holds the event."""
-        done_ns = float(self.times[what]) * 1e9
-        return min((e.t_ns - done_ns) * 1e-9 for e in self.events if text in e.text and e.t_ns > done_ns)
+    def done_ns(self, what: str) -> int:
+        return int(float(self.times[what]) * 1e9)
+
+    def said(self, text: str, after_ns: int) -> int:
+        """When it was first said since, ns."""
+        return min(e.t_ns for e in self.events if text in e.text and e.t_ns > after_ns)
+
+    def away_s(self, begin_ns: int, end_ns: int) -> float:
+        """The longest time between that the machine gave to nobody, by the bus that always has traffic."""
+        times = [f.t_ns for f in self.of("vcan3")]
+        within = [t_ns for t_ns in times if begin_ns < t_ns < end_ns]
+        around = [begin_ns, *within, min(t for t in times if t >= end_ns)]
+        return float(np.diff(around).max() * 1e-9)
 
 
 def machine_text(*names: str) -> str:
@@ -55,7 +65,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
         "".join(f"({1_700_000_000 + i * 0.002:.6f}) vcan0 18F11300#{i:016X}\n" for i in range(500))
     )
     with boot(["bash", "-e", "tests/vm/socketcan.sh"], out) as guest:
-        guest.finish(1500)
+        guest.finish()
     return Drive(out)
 
 
@@ -113,28 +123,50 @@ def test_error_frames_are_events_and_states(drive: Drive) -> None:
 
 
 @pytest.mark.parametrize(
-    ("done", "bus", "text"),
+    ("begun", "done", "back", "bus", "text"),
     [
-        ("down", "vcan2", "Network is down; bring it up"),
-        ("deleted", "vcan2", "No such device; plug the adapter in"),
-        ("pulled", "can1", "Network is down; bring it up"),
+        ("down", "downed", "up", "vcan2", "Network is down; bring it up"),
+        ("delete", "deleted", "back", "vcan2", "No such device; plug the adapter in"),
+        ("pull", "pulled", "pulled", "can1", "Network is down; bring it up"),
     ],
 )
-def test_an_interface_that_goes_is_seen_said_and_shown(drive: Drive, done: str, bus: str, text: str) -> None:
-    assert (
-        drive.seen_s(done, f"{bus}: socketcan {bus}: Network is down") < 2.0
-    )  # a deleted one goes down first
-    assert drive.seen_s(done, f"{bus}: socketcan {bus}: {text}") < 10.0
-    assert drive.seen_s(done, f"{bus}: works again after") < 60.0
-    statuses = drive.buses(bus)
-    assert any(one.state == "failed" and text in one.reason for one in statuses)
-    assert statuses[-1].failures == (2 if bus == "vcan2" else 1) and statuses[-1].state != "failed"
+def test_an_interface_that_goes_is_seen_said_and_shown(
+    drive: Drive, begun: str, done: str, back: str, bus: str, text: str
+) -> None:
+    """A deleted one is down for an instant first, which only a reader that is quick enough hears of."""
+    said_ns = drive.said(f"{bus}: socketcan {bus}: {text}", drive.done_ns(begun))
+    done_ns = drive.done_ns(done)
+    assert (said_ns - done_ns) * 1e-9 < 2.0 + drive.away_s(done_ns, max(said_ns, done_ns))
+    assert (drive.said(f"{bus}: works again after", said_ns) - drive.done_ns(back)) * 1e-9 < 60.0
+    if done != "pulled":  # for so long that a status was due
+        assert any(one.state == "failed" and text in one.reason for one in drive.buses(bus))
+
+
+@pytest.mark.parametrize(("bus", "failures"), [("vcan2", 2), ("can1", 1), ("vcan3", 0)])
+def test_every_failure_is_an_event_and_a_count_in_every_later_status(
+    drive: Drive, bus: str, failures: int
+) -> None:
+    """However soon it is over: can1 comes back at once."""
+    said = [e for e in drive.events if e.text.startswith(f"{bus}: socketcan") and "tried again" in e.text]
+    begun = [min(e.t_ns for e in said if f"(failure {n}, " in e.text) for n in range(1, failures + 1)]
+    assert {e.text.partition("(failure ")[2].partition(",")[0] for e in said} == set(
+        map(str, range(1, failures + 1))
+    )
+    for status in drive.statuses:
+        (one,) = (one for one in status.buses if one.name == bus)
+        assert one.failures == sum(t_ns <= status.t_ns for t_ns in begun)
+    assert drive.buses(bus)[-1].failures == failures and drive.buses(bus)[-1].state != "failed"
+
+
+def test_what_waited_when_an_interface_went_is_in_the_log(drive: Drive) -> None:
+    waited = [int.from_bytes(f.data, "little") for f in drive.of("vcan2") if f.can_id == 0x1F000010]
+    assert waited == list(range(50))
 
 
 def test_silence_is_seen_within_two_seconds(drive: Drive) -> None:
-    silent = next(e for e in drive.events if e.text.startswith("vcan1: silent"))
-    last_ns = max(f.t_ns for f in drive.of("vcan1") if f.t_ns < silent.t_ns)
-    assert silent.t_ns - last_ns < 2_000_000_000
+    silent_ns = drive.said("vcan1: silent", drive.done_ns("silent"))
+    last_ns = max(f.t_ns for f in drive.of("vcan1") if f.t_ns < silent_ns)
+    assert (silent_ns - last_ns) * 1e-9 < 2.0 + drive.away_s(last_ns, silent_ns)
     assert any(one.state == "silent" for one in drive.buses("vcan1"))
 
 
@@ -160,7 +192,7 @@ def test_beside_candump_and_python_can(tmp_path: Path, capsys: pytest.CaptureFix
     text = machine_text("can0").replace('channel = "can0"', 'channel = "vcan0"')
     (tmp_path / "machine.toml").write_text(text)
     with boot(["bash", "-e", "tests/vm/beside.sh"], tmp_path) as guest:
-        guest.finish(1500)
+        guest.finish()
     rows = {}
     for line in (tmp_path / "cpu").read_text().splitlines():
         name, ticks, frames = line.split()

@@ -112,7 +112,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[Write],
         *("-device", "virtio-blk-pci,drive=drive"),
     ]
     with boot(["bash", "-c", script], folder / "out", options=options) as guest:
-        guest.until(lambda: log.stat().st_size > ENOUGH, 400.0)
+        guest.until(lambda: log.stat().st_size > ENOUGH)
         guest.kill()
     return before, list(logged(log)), image.read_bytes()
 

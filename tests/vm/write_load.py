@@ -2,7 +2,8 @@
 
 write_load.py FOLDER SECTOR: frames a millisecond apart, numbered, into FOLDER; their count into the block
 device SECTOR, past every cache, so that the order of what reaches the drive tells when a write was made.
-write_load.py FOLDER: until a file FOLDER/../stop is there; then it says in JSON what became of the frames.
+write_load.py FOLDER: until a file FOLDER/../stop is there and there are ENOUGH; then it says in JSON what
+became of the frames.
 """
 
 import json
@@ -19,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NOW = struct.Struct("<8sQ")  # MARK, frames so far
 MARK = b"TilthNow"
 SPACING_NS = 1_000_000
+ENOUGH = 6000  # a busy computer takes longer
 BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames
 
 
@@ -38,7 +40,7 @@ def main(folder: Path, sector: str = "") -> None:
         threading.Thread(target=tell, args=(sector, lambda: number), daemon=True).start()
     next_ns = clock.t_ns()
     said = set[str]()
-    while sector or not (folder.parent / "stop").exists():
+    while sector or number < ENOUGH or not (folder.parent / "stop").exists():
         now_ns = clock.t_ns()
         next_ns = max(next_ns, now_ns - BEHIND_NS)
         while next_ns <= now_ns:
