@@ -21,9 +21,19 @@ from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.recorder import RecordState
 from tilth.estimator.startup import StartUp
 from tilth.estimator.warm import Kept
+from tilth.estimator.windows import AWAITED, DROPPED, TAKEN
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
+from tilth.schemas.flow import (
+    Estimate,
+    Event,
+    FitOutcome,
+    Frame,
+    Measurement,
+    Pose,
+    Position,
+    Publication,
+)
 from tilth.schemas.machine import Machine
 
 REWIND_NS = 500_000_000  # time running back further than this: the clock of the log stepped
@@ -60,6 +70,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
+    ready: bool = True  # whether the estimators take part; poses need nothing that takes long to make
     clock_steps: int = 0
     not_numbers: int = 0  # measurements that were refused for it
     latest_ns: int = 0  # greatest t_ns since the last step back of the clock
@@ -177,6 +188,8 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
     stretch = recorder.observe(state.record, state.aligner, pose)
+    if not state.ready:
+        return
     given = []
     for row in rows_for(state.machine):
         own = state.estimators[row.method]
@@ -258,13 +271,15 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
     ]
 
 
-def decide(state: State, method: str, adopted: bool) -> None:
+def decide(state: State, outcome: FitOutcome) -> None:
     """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
-    state.estimators[method].decided = 1 if adopted else -1
+    own = state.estimators[outcome.method]
+    own.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
+    own.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
-    """Take the result of the pending fit of a method; None: it was not ready in time."""
+    """Take the result of the pending fit of a method; None: there is none."""
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out
