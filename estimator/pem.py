@@ -1,8 +1,8 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
 A window is 30 s of learnable driving, or what a gap leaves of it. When it closes a fit is asked for
-(`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later, or
-when it is ready, if that is later; the next window waits for that.
+(`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later,
+or when it is ready if that is later still; the next window waits for it.
 Windows are merged by taking the result of one, drifted over the distance since, as the prior of the next: the
 newest data are always taken at their own likelihood, and none is counted twice.
 """

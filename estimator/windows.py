@@ -9,7 +9,7 @@ from tilth.estimator.record import Record, Stretch, concatenate
 WINDOW: Final = 150  # stretches, 30 s
 SHORTEST: Final = 50  # stretches: what is shorter is not fitted
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
-"""What is known of a fit that was asked for: it is to be used, is not, is late and waited for; nothing yet."""
+"""What is known of a fit that was asked for: to be used, not to be used, late and waited for; nothing yet."""
 
 
 class Collecting(Protocol):

@@ -1,8 +1,8 @@
 """Compiles what the estimators of a machine call, and knows where that is kept.
 
-`python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With "-"
-it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are lines
-with the share of the work that is done.
+`python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
+"-" it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are
+lines with the share of the work that is done.
 """
 
 import contextlib
@@ -36,8 +36,8 @@ class Unkept(Exception):
     """There is no place for compiled kernels; one sentence that says what to set."""
 
 
-class _NotOnDisk(BaseException):
-    """A kernel would have to be compiled. No Exception: those make a kernel go on interpreted."""
+class Stopped(BaseException):
+    """Who is told wants no compiling. No Exception: those make a kernel go on interpreted."""
 
 
 def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
@@ -54,11 +54,11 @@ def load(machine: Machine) -> bool:
     """Take what was kept on disk; False as soon as something would have to be compiled."""
 
     def stop(code: CodeType) -> None:
-        raise _NotOnDisk
+        raise Stopped
 
     try:
         _call(machine, stop, lambda code: None)
-    except _NotOnDisk:
+    except Stopped:
         return False
     return True
 
@@ -66,7 +66,7 @@ def load(machine: Machine) -> bool:
 def prepare(machine: Machine, told: Told) -> float:
     """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
 
-    told: 0.0 when the first kernel has to be compiled, then more with each function.
+    told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
     """
     began: list[float] = []
     left: Counter[CodeType] = Counter()  # functions still to be compiled, as often as kernels hold them
@@ -146,12 +146,13 @@ def keeping_in(folder: str) -> Iterator[None]:
     """Keep kernels there instead, in this process and in those that it starts meanwhile."""
     from numba.core import config
 
-    before, told = os.environ.get("NUMBA_CACHE_DIR"), config.CACHE_DIR
-    os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = folder
+    settings: Any = config  # numba sets its attributes itself
+    before, told = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
+    os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
     try:
         yield
     finally:
-        config.CACHE_DIR = told
+        settings.CACHE_DIR = told
         if before is None:
             os.environ.pop("NUMBA_CACHE_DIR", None)
         else:

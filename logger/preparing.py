@@ -73,6 +73,8 @@ class Preparing:
         try:
             if not compiling.load(self._machine):
                 self._compile()
+        except compiling.Stopped:
+            return
         except Exception as error:  # whatever it is, the fold has a guard of its own
             what = f"{type(error).__name__}: {error}"
             self._report("compiled", f"kernels could not be prepared ({what}); estimates may come late")
@@ -89,8 +91,7 @@ class Preparing:
             self._lend()
         self._report("compiled", f"{self.text}: {FOLLOW}")
         self._beside()
-        if not self._closing:
-            compiling.prepare(self._machine, self._told)  # loads, unless the process could not
+        compiling.prepare(self._machine, self._told)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
 
     def _lend(self) -> None:
@@ -105,17 +106,15 @@ class Preparing:
         """Compile in a process of its own."""
         try:
             status = self._process_ends()
+            why_not = f"it ended with status {status}" if status else ""
         except OSError as error:
-            status = error
-        if status != 0 and not self._closing:
-            self._report(
-                "compiled",
-                f"the process that compiles ended too early ({status}); it is done beside the recording now, "
-                "which may take frames later than usual",
-            )
+            why_not = str(error)
+        if why_not and not self._closing:
+            now = "it is done beside the recording, which takes frames later than usual meanwhile"
+            self._report("compiled", f"the process that compiles has failed ({why_not}); {now}")
 
     def _process_ends(self) -> int:
-        """Its exit status."""
+        """Its exit status. Raises OSError where it cannot be started."""
         with self._lock:
             if self._closing:
                 return 0
@@ -136,7 +135,7 @@ class Preparing:
 
     def _told(self, share: float) -> None:
         if self._closing:
-            raise InterruptedError("the run ends")
+            raise compiling.Stopped
         if share == 0.0:
             self._began_s = time.monotonic()
         self._done = share
