@@ -26,7 +26,7 @@ UNKEPT: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
 )
-NICE: Final = 10  # recording comes first
+NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
 Told = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1

@@ -76,11 +76,11 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
     rate = sum(bus.frames_per_s for bus in status.buses)
     parts = [
         "ready, ignition is off" if status.resting else "recording" if status.recording else "NOT RECORDING",
-        *([preparing_text(status)] if status.preparing else []),
         f"{status.log_bytes / 1e6:.1f} MB",
         f"{status.frames} frames ({rate:.0f}/s)",
         f"receivers {alive}/{len(status.receivers)}",
         f"wheel angle {status.wheel_angle.state}",
+        *([preparing_text(status)] if status.preparing else []),
         *(f"{name} {stiffness_text(one)}" for name, one in _stiffnesses(estimate)),
     ]
     if status.problems:

@@ -49,7 +49,7 @@ frames = list(simulate(machine, 3, 42.0, replace(QUIET, faults=faults)))
 prepare(machine, lambda share: None)
 before = compiled()
 assert is_prepared(machine)
-assert set(before) == {one.function.__qualname__ for one in kernels_of(machine)}, before
+assert set(before) >= {one.function.__qualname__ for one in kernels_of(machine)}, before
 assert before and all(how == "compiled and kept" for how, _ in before.values()), before
 fold = GuardedFold(machine)
 for frame in frames:

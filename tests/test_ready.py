@@ -23,7 +23,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-v"\n\n'
-SENT = list(simulate(demo_machine(), 5, 6.0))
+SENT = list(simulate(demo_machine(), 5, 4.5))
 HALF = len(SENT) // 2
 
 
@@ -135,7 +135,7 @@ def test_estimates_begin_where_the_log_says_and_a_replay_begins_there(
     assert replayed.poses == summary.poses
     assert replayed.estimates["tracker"].parameters == summary.estimates["tracker"].parameters
     assert [text for text in said if f"{HALF} frames came before the estimators were ready" in text]
-    assert len(summary.log_files) == 1 or log
+    assert len(summary.log_files) > (2 if log else 0)  # one more when the run's name is corrected
     for path in summary.log_files[1:]:
         assert drive.again((path,))[1].difference == ""
 

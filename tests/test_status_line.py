@@ -77,8 +77,8 @@ def test_a_stiffness_is_a_number_only_where_there_is_one() -> None:
 
 def test_what_is_still_made_ready_is_said_with_the_time_that_is_left() -> None:
     status = status_with(preparing="compiling kernels")
-    assert "recording, compiling kernels, 1.5 MB" in plain_line(status, None)
+    assert "wheel angle alive, compiling kernels, front" in plain_line(status, None)
     status.ready_in_s = 40.4
-    assert "recording, compiling kernels, about 40 s left, 1.5 MB" in plain_line(status, None)
+    assert "wheel angle alive, compiling kernels, about 40 s left, front" in plain_line(status, None)
     assert "RECORDING" in panel_text(status) and "compiling kernels, about 40 s left" in panel_text(status)
     assert "compiling" not in panel_text(status_with())
