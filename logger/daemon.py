@@ -29,7 +29,7 @@ from tilth.logger.marks import KIND, Marks
 from tilth.logger.mcap_log import software
 from tilth.logger.preparing import Preparing
 from tilth.logger.recording import Recording
-from tilth.logger.status import bus_status, health_of, hours_left, problems_of, rejected
+from tilth.logger.status import bus_status, health_of, problems_of, rejected, tell_of_log
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh_session import why
@@ -99,7 +99,7 @@ class Daemon:
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
         self._preparing = Preparing(machine, self._report)
-        self._fold.ready = self._preparing.ready
+        self._fold.ready = self._preparing.ready  # until then its poses need nothing that is compiled
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
@@ -222,8 +222,7 @@ class Daemon:
 
     def _begin_estimating(self) -> None:
         """With the next frame, which the log says before."""
-        seconds = self._preparing.seconds
-        if seconds:
+        if seconds := self._preparing.seconds:
             text = f"kernels were compiled for {seconds:.0f} s while frames were recorded; estimates begin"
             self._report("compiled", text)
         self._fold.ready = True
@@ -314,16 +313,10 @@ class Daemon:
             receivers=self._sensors.receivers(t_ns),
             wheel_angle=self._sensors.wheel_angle(t_ns),
             rejected=[pb.Count(reason=reason, count=count) for reason, count in self._rejected().items()],
-            recording=recording.recording or recording.resting,
-            log_file=str(recording.files[-1]) if recording.recording else "",
-            log_bytes=recording.size_bytes,
-            resting=recording.resting,
             preparing=self._preparing.text,
             ready_in_s=self._preparing.left_s,
         )
-        if recording.free_bytes is not None:
-            status.disk_free_bytes = recording.free_bytes
-            status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
+        tell_of_log(status, recording)
         if self._worker.seconds is not None:
             status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem

@@ -33,7 +33,7 @@ from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
-COMPILING_S: Final = 900.0  # longest drive while the daemon compiles
+COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
 ENDING_S: Final = 30.0  # longest wait for it to end

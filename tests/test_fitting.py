@@ -58,7 +58,7 @@ class Pocket:
     """Keeps the jobs. Whether fits are late is said beforehand: frames of a test come faster than any fit."""
 
     def __init__(self, worker: Worker | None, late: Container[str] = (), by_s: float | None = BUSY_S) -> None:
-        """late: methods whose fits are so late after they were asked about first; None: they are lost."""
+        """late: methods whose fits are so late; None: they are lost."""
         self.jobs: dict[str, Any] = {}
         self.late = late
         self.by_s = by_s
