@@ -160,18 +160,19 @@ def demo(environment: dict[str, str], folder: Path) -> tuple[dict[str, Any], str
     return said, done.stderr
 
 
-def seconds_of(path: Path) -> tuple[float, float, float]:
+def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
     """From a run's start to its first frame, to when the estimators were ready, to the first estimate."""
     began_ns, first = 0, dict[str, int]()
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
-        for record in reader.iter_metadata():
-            if record.name == "clock" and record.metadata["why"] == "start":
-                began_ns = int(record.metadata["t_ns"])
-        for _, channel, message in reader.iter_messages(log_time_order=False):
-            name = "frame" if channel.topic.startswith("/can/") else channel.topic
-            if name != READY_TOPIC or Ready.FromString(message.data).ready:
-                first.setdefault(name, message.log_time)
+    for path in paths:
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            for record in reader.iter_metadata():
+                if record.name == "clock" and record.metadata["why"] == "start":
+                    began_ns = int(record.metadata["t_ns"])
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                name = "frame" if channel.topic.startswith("/can/") else channel.topic
+                if name != READY_TOPIC or Ready.FromString(message.data).ready:
+                    first.setdefault(name, message.log_time)
     names = ("frame", READY_TOPIC, "/soil_tire/tracker")
     return tuple((first[name] - began_ns) * 1e-9 for name in names)  # type: ignore[return-value]
 
@@ -183,24 +184,24 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
 ) -> None:
     own = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
     said, told = demo(own if kept else nowhere, tmp_path / "logs")
-    (log,) = map(Path, said["log"])
-    frame_s, ready_s, estimate_s = seconds_of(log)
+    logs = [Path(name) for name in said["log"]]  # one, unless this computer is very busy
+    frame_s, ready_s, estimate_s = seconds_of(logs)
     assert frame_s < 1.5 and 5.0 < ready_s <= estimate_s < ready_s + 3.0
     assert said["duration_s"] > ready_s + 4.0  # its time counts from then
     assert told.count("compiled: compiling kernels") == told.count("compiled: kernels were compiled for") == 1
     assert told.count("set NUMBA_CACHE_DIR to a folder") == (not kept)
     assert " s left" in told
-    statuses = records_of(log, "/status", Status)
+    statuses = [one for log in logs for one in records_of(log, "/status", Status)]
     left = [one.ready_in_s for one in statuses if one.HasField("ready_in_s")]
     assert len(left) > 3 and left[-1] < max(left) and not statuses[-1].preparing
     assert max(one.longest_turn_s for one in statuses) < 2.0  # the loop is not held up
-    assert main(["replay", str(log), "--verify", "--json"]) == 0
+    assert main(["replay", *said["log"], "--verify", "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["verify"]["difference"] is None and again["verify"]["compared"] > said["measurements"]
     assert all(again[key] == said[key] for key in ("frames", "measurements", "poses", "estimates"))
     if kept:  # the second start finds them
         said, told = demo(own, tmp_path / "logs")
-        assert "compil" not in told and seconds_of(Path(said["log"][0]))[0] < 1.5
+        assert "compil" not in told and seconds_of([Path(said["log"][0])])[0] < 1.5
 
 
 @pytest.mark.parametrize(
