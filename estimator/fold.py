@@ -24,9 +24,19 @@ from tilth.estimator.record import Stretch
 from tilth.estimator.recorder import RecordState
 from tilth.estimator.startup import StartUp
 from tilth.estimator.warm import Kept
+from tilth.estimator.windows import AWAITED, DROPPED, TAKEN
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
+from tilth.schemas.flow import (
+    Estimate,
+    Event,
+    FitOutcome,
+    Frame,
+    Measurement,
+    Pose,
+    Position,
+    Publication,
+)
 from tilth.schemas.machine import Machine
 
 DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
@@ -63,6 +73,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
+    ready: bool = True  # whether the estimators take part; poses need nothing that takes long to make
     clock_steps: int = 0
     not_numbers: int = 0  # measurements that were refused for it
     time: LogTime = field(default_factory=LogTime)  # of the log
@@ -196,6 +207,8 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
     stretch = recorder.observe(state.record, state.aligner, pose)
+    if not state.ready:
+        return
     doubtful = _compare(state, t_ns, pose, stretch, out)
     if doubtful and stretch is not None:
         stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
@@ -294,13 +307,15 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
     ]
 
 
-def decide(state: State, method: str, adopted: bool) -> None:
+def decide(state: State, outcome: FitOutcome) -> None:
     """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
-    state.estimators[method].decided = 1 if adopted else -1
+    own = state.estimators[outcome.method]
+    own.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
+    own.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
-    """Take the result of the pending fit of a method; None: it was not ready in time."""
+    """Take the result of the pending fit of a method; None: there is none."""
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out
