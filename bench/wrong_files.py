@@ -1,4 +1,4 @@
-"""Machine files that are wrong in one number: what becomes of each, on three drives; and right files for hours.
+"""Machine files that are wrong in one number: what becomes of each, on three drives; right files for hours.
 
     python bench/wrong_files.py changes [--drive NAME] [--every N] [--out FILE]
     python bench/wrong_files.py right --hours H [--out FILE]
@@ -9,7 +9,7 @@ refused      `parse_machine` says what is wrong
 withdrawn    a contradiction that names the key or its group stands at the end, and no number
 elsewhere    a contradiction stands, but its reason names another group
 no number    nothing was ever given
-right        every number is within 3 sd of the truth, and no more than 1 sd further off than with the right file
+right        every number is within 3 sd of the truth, and at most 1 sd further off than with the right file
 beyond 1 sd  within 3 sd, but more than 1 sd further off
 wrong        a number more than 3 sd off
 
@@ -100,7 +100,8 @@ def packaged() -> Raw:
     for receiver in raw["receiver"]:
         receiver |= {
             "survey_sd": 0.02, "position_sd": 0.025, "velocity_sd": 0.05, "yaw_rate_sd": 0.3, "roll_sd": 0.5,
-            "heading_sd": 0.5, "latency": {"value": 0.1, "sd": 0.05}, "roll_corrected": receiver.get("roll_corrected", False),
+            "heading_sd": 0.5, "latency": {"value": 0.1, "sd": 0.05},
+            "roll_corrected": receiver.get("roll_corrected", False),
         }  # fmt: skip
     raw["wheel_angle"] |= {
         "offset": 0.0, "sign": 1, "gain": {"value": 1.0, "sd": 0.02}, "sd": 0.1,
@@ -226,7 +227,7 @@ def changes() -> Iterator[Change]:
     for k in range(4):
         yield Change(
             f"receiver.{k}.roll_corrected not", "roll",
-            lambda raw, k=k: raw["receiver"][k].update(roll_corrected=not raw["receiver"][k]["roll_corrected"]),
+            lambda raw, k=k: _exchange_roll(raw["receiver"][k]),
         )  # fmt: skip
     for factor in (0.5, 2.0):
         yield Change(
@@ -265,6 +266,10 @@ def _exchanges() -> Iterator[Change]:
         _exchange(after, one, other)
         if after != before:
             yield Change(name, group, lambda raw, a=one, b=other: _exchange(raw, a, b))
+
+
+def _exchange_roll(receiver: Raw) -> None:
+    receiver["roll_corrected"] = not receiver["roll_corrected"]
 
 
 def _all_masses(raw: Raw, factor: float) -> None:
@@ -385,7 +390,7 @@ def outcome(name: str, change: Change) -> dict[str, Any]:
 
 
 def _worst(seen: Seen, base: Seen) -> tuple[float, float, float]:
-    """(largest error at the end, largest beyond that with the right file, s for which a wrong one was out)."""
+    """(largest error at the end, how much further off than with the right file, s with a wrong one out)."""
     worst = further = 0.0
     wrong: set[int] = set()
     for method, rows in seen.given.items():
@@ -508,7 +513,8 @@ def summary_right(path: Path) -> None:
     print(f"{hours:.1f} h in {len(lines)} drives; contradictions in {len(wrong)}")
     if sure:
         print(
-            f"confirmed in {len(sure)} of them, after {sure[len(sure) // 2]:.0f} s (median), {sure[-1]:.0f} s at most"
+            f"confirmed in {len(sure)} of them, after {sure[len(sure) // 2]:.0f} s (median), "
+            f"{sure[-1]:.0f} s at most"
         )
     for line in wrong:
         print(f"  {line['run']}: {line['events'][0]}")

@@ -24,6 +24,7 @@ from tilth.estimator.tracker import TrackerState
 from tilth.estimator.wheel_check import WheelCheck
 from tilth.schemas.flow import Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.spread import interval, plus_minus
 
 Array = NDArray[np.float64]
@@ -45,7 +46,6 @@ PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stan
 HEARD: Final = 25  # poses of that
 
 EDGE: Final = 4.5  # of what a right file may differ by
-TYRE: Final = (0.3, 40.0)  # cornering stiffness over axle load, 1/rad: outside, it is no tyre
 
 _KEYS: Final = {
     "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
@@ -87,6 +87,7 @@ class Consistency:
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
     lacks: str = "nothing has been driven yet"  # what keeps it from being confirmed
+    rates_known: bool = False  # whether turn rates lag: smoothed ones would make lengths look wrong
     rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
     """Method -> key -> what is wrong with what it last gave."""
@@ -106,6 +107,7 @@ def observe(
     wheel_check.observe(state.wheel, machine, pose)
     if stretch is not None and open_tracker.take(state.open, machine, stretch):
         state.rows = [*state.rows, open_tracker.beyond_belief(state.open)][-WATCHED:]
+    state.rates_known |= startup.turn_rates_known(checks)
     found = _found(state, machine, aligner, checks, pose)
     by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
     if found and not any(key in state.findings for key in by_method):
@@ -157,6 +159,13 @@ def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
     return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
 
 
+def learn_anew(state: Consistency, machine: Machine) -> None:
+    """Forget what was found with measurements that were none, such as smoothed turn rates."""
+    state.open, state.rows = open_tracker.initial(machine), []
+    state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
+    state.methods, state.confirmed = {}, False
+
+
 def clock_stepped(state: Consistency) -> None:
     """Time ran back: where the rig was means nothing any more; what was found stays."""
     state.open.waiting, state.open.running = None, False
@@ -178,7 +187,7 @@ def _found(
     key, text = wheel_check.verdict(state.wheel)
     if key:
         return found | {key: text}
-    if not found:
+    if not found and state.rates_known:
         found |= _left_open(state, machine) or _outliers(state)
     return found
 
@@ -284,7 +293,7 @@ def _no_tyre(machine: Machine, estimate: Estimate) -> dict[str, str]:
     for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
         if given.value is None or given.status is not Status.ESTIMATED:
             continue
-        if not TYRE[0] <= given.value / load <= TYRE[1]:
+        if not COEFFICIENT[0] <= given.value / load <= COEFFICIENT[1]:
             key = "masses, lengths or wheel_angle"
             size = f"a stiffness of {given.value / load:.2g} times its load per rad"
             return {key: f"{size} is no tyre's ({name}): {key}?"}
@@ -331,6 +340,6 @@ def _confirm(state: Consistency, machine: Machine) -> None:
     fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
     if not wide and not fits:
         wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
-    state.confirmed = not wide and len(state.rows) >= TOLD
-    keys = ", ".join(_KEYS[name] for name in wide[:2])
+    state.confirmed = not wide and len(state.rows) >= TOLD and state.rates_known
+    keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates"
     state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"

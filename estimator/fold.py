@@ -252,6 +252,7 @@ def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
         _event(state, t_ns, kind, text, out)
     _use_turn_rates(state)
     if any(kind == startup.SMOOTHED for kind, _ in events):
+        consistency.learn_anew(state.consistency, state.machine)
         _learn_anew(state, t_ns)
 
 

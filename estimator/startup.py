@@ -22,7 +22,7 @@ from tilth.estimator.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.body import Antenna, baseline
 from tilth.estimator.geometry import rotate, wrap
 from tilth.estimator.track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.estimator.turn_rate_lag import SURE, Lag, judge, regress, time_constant
+from tilth.estimator.turn_rate_lag import SURE, Lag, judge, regress, settled, time_constant
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
@@ -109,6 +109,12 @@ def observe(state: StartUp, aligner: Aligner, pose: Pose) -> None:
 def usable_yaw_rates(state: StartUp) -> frozenset[str]:
     """Mounts of the receivers whose turn rates may be used: all but those found to be smoothed."""
     return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if not lag.smoothed)
+
+
+def turn_rates_known(state: StartUp) -> bool:
+    """Whether of every turn rate that can be compared with a heading it is known how much it lags."""
+    compared = [lag for lag in state.lags if lag.intervals]
+    return bool(compared) and all(settled(lag) for lag in compared)
 
 
 def flags(state: StartUp) -> list[str]:

@@ -75,3 +75,9 @@ def judge(lag: Lag) -> None:
         tau, sd = time_constant(lag)
         found = tau > SMOOTHED_S and tau > SURE * sd
         lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)
+
+
+def settled(lag: Lag) -> bool:
+    """Whether it is known that there is a lag, or that there is none worth the name."""
+    tau, sd = time_constant(lag)
+    return lag.smoothed or tau + 2.0 * sd < 2.0 * SMOOTHED_S

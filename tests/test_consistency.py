@@ -11,7 +11,7 @@ import wrong_files
 from circle import demo_machine
 
 from tilth.estimator import consistency, fold, open_tracker, wheel_check
-from tilth.estimator.consistency import CONTRADICTION, TYRE
+from tilth.estimator.consistency import CONTRADICTION
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.wheel_check import WheelCheck
 from tilth.replay.scenario import Fault, Scenario
@@ -29,6 +29,7 @@ from tilth.schemas.flow import (
     Status,
 )
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.plausible import COEFFICIENT
 
 SECONDS = 55.0
 RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)
@@ -177,7 +178,7 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     given = estimate_of((*fine[:2], coefficient * loads[2], 1.0, 1.0, 1.0))
     consistency.weigh(state, machine, given)
     kept = consistency.withheld(state, given)
-    is_tyre = TYRE[0] < coefficient < TYRE[1]
+    is_tyre = COEFFICIENT[0] < coefficient < COEFFICIENT[1]
     assert all((p.value is not None) == is_tyre for p in kept.parameters)
     assert is_tyre or "no tyre" in kept.parameters[0].reason
 
