@@ -31,7 +31,8 @@ SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no recorded traffic at {SHARED}")
 
 RECORDED = sorted(path.name for path in (SHARED / "canboat").glob("*"))
-FEW = {"boatkit-fusion-menu.raw", "sample-YDWG02.txt", "actisense1.ebl"}  # hold little of the table
+# Hold little of the table: four stray messages, or nothing but who is on the bus.
+FEW = {"boatkit-fusion-menu.raw", "sample-YDWG02.txt", "actisense1.ebl", "actisense-523.rx.ebl"}
 
 # PGN -> our field -> theirs, for all but reserved ones.
 THEIRS: dict[int, dict[str, str]] = {
@@ -231,9 +232,9 @@ def test_every_field_is_what_nmea2000_says(name: str) -> None:
         else:
             assert "utc_ns" not in told.values
         for rows in told.groups.values():
+            if not rows:  # they read one all the same; that there are none is compared above
+                continue
             theirs = repeated_in(told.pgn, said)
-            if not rows:  # they tell one of nothing
-                theirs = [there for there in theirs if there]
             assert [dict(there) for there in rows] == [
                 {k: v if isinstance(v, str) else pytest.approx(v, rel=1e-14, abs=1e-18) for k, v in t.items()}
                 for t in theirs
