@@ -5,7 +5,8 @@ Deliberate differences:
 - its time fields' `value` is cut to whole seconds: `raw_value` is compared;
 - an enumeration keeps its code there where it means nothing: here it is absent;
 - the top values of a NAME's parts, not available there, are values here: they tell devices apart;
-- of 130842 only Furuno's is in the table.
+- of 130842 only Furuno's is in the table;
+- a fast packet in the midst of which the recorder's clock jumps is none here: theirs is given no time.
 """
 
 import json
@@ -31,7 +32,8 @@ SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no recorded traffic at {SHARED}")
 
 RECORDED = sorted(path.name for path in (SHARED / "canboat").glob("*"))
-FEW = {"boatkit-fusion-menu.raw", "sample-YDWG02.txt", "actisense1.ebl"}  # hold little of the table
+# Hold little of the table: four stray messages, or nothing but who is on the bus.
+FEW = {"boatkit-fusion-menu.raw", "sample-YDWG02.txt", "actisense1.ebl", "actisense-523.rx.ebl"}
 
 # PGN -> our field -> theirs, for all but reserved ones.
 THEIRS: dict[int, dict[str, str]] = {
@@ -148,7 +150,7 @@ def both(name: str) -> Iterator[tuple[Message, bytes, Any]]:
     """Our message, its payload, their message: for each one of the table."""
     ours, theirs = Decoder(), NMEA2000Decoder(bound_format=N2KFormat.BASIC_STRING)
     assembler = Assembler(frozenset(), {})
-    missed = 0
+    missed = stale = 0
     for frame in frames_of_recorded(name):
         head = can_id.split(frame.can_id)
         told = ours.messages(frame)
@@ -166,6 +168,9 @@ def both(name: str) -> Iterator[tuple[Message, bytes, Any]]:
             said = theirs.decode(oracle_line(replace(frame, data=payload)))
         if said is not None and head.pgn == 130842 and "furuno" not in said.id:
             said = None
+        if said is not None and not told and ours.rejected.get("stale_fast_packet", 0) > stale:
+            stale += 1
+            continue
         assert len(told) == (said is not None)
         if said is not None:
             yield told[0], payload, said
@@ -231,9 +236,9 @@ def test_every_field_is_what_nmea2000_says(name: str) -> None:
         else:
             assert "utc_ns" not in told.values
         for rows in told.groups.values():
+            if not rows:  # they read one all the same; that there are none is compared above
+                continue
             theirs = repeated_in(told.pgn, said)
-            if not rows:  # they tell one of nothing
-                theirs = [there for there in theirs if there]
             assert [dict(there) for there in rows] == [
                 {k: v if isinstance(v, str) else pytest.approx(v, rel=1e-14, abs=1e-18) for k, v in t.items()}
                 for t in theirs
