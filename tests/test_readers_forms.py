@@ -1,15 +1,17 @@
 """Text of other tools and gateways: each form of line, and what others write and read of them."""
 
 import base64
+import json
 from pathlib import Path
 
 import pytest
 from log_forms import frame
-from logs import DATA, SECOND, drained
+from logs import DATA, MACHINE_FILE, SECOND, drained
 from nmea2000 import NMEA2000Decoder
 from nmea2000.encoder_formats import ENCODER_CLASSES
 from nmea2000.input_formats import N2KFormat
 
+from tilth.cli import main
 from tilth.replay.readers import KINDS, frames, readable
 from tilth.replay.readers_log import ForeignLog
 from tilth.schemas import can_id
@@ -188,3 +190,24 @@ def test_the_sentence_on_what_is_read_lists_every_kind(tmp_path: Path) -> None:
         "MF4",
     ):
         assert word.lower() in readable().lower().replace(".mcap", "mcap")
+
+
+PLAIN_CANDUMP = (
+    "  can0  09F1120C   [8]  FF 00 00 FF 7F FF 7F FD\n  can0  15FD0723   [8]  FF C0 D9 6F FF 7F FF FF\n"
+)
+
+
+@pytest.mark.parametrize(
+    "words", [["decode"], ["discover"], ["replay", "--machine", str(MACHINE_FILE), "--json"]]
+)
+def test_a_log_without_stamps_goes_through_every_command(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.txt"
+    path.write_text(PLAIN_CANDUMP * 200)
+    assert main([words[0], str(path), *words[1:]]) == 0
+    told = capsys.readouterr()
+    assert "Traceback" not in told.err
+    assert words[0] == "discover" or "no time stamps" in told.err
+    if words[0] == "replay":
+        assert json.loads(told.out)["poses"] == 0
