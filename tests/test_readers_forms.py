@@ -16,7 +16,7 @@ from tilth.replay.readers import KINDS, frames, readable
 from tilth.replay.readers_log import ForeignLog
 from tilth.schemas import can_id
 from tilth.schemas.decode import encode
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import Frame, Word
 
 # Lines
 
@@ -115,7 +115,13 @@ def told() -> list[tuple[int, int, int, bytes]]:
             (127250, 3, i, encode(127250, {"heading_rad": 0.1 * i, "heading_reference": "true"}, sid=i))
         )
         found.append((129025, 9, i, encode(129025, {"latitude_deg": 47.0 + i, "longitude_deg": 8.0})))
-    words = {"latitude_deg": 47.5, "longitude_deg": 8.5, "satellites": 19, "hdop": 0.7, "fix": "rtk_fixed"}
+    words: dict[str, Word] = {
+        "latitude_deg": 47.5,
+        "longitude_deg": 8.5,
+        "satellites": 19,
+        "hdop": 0.7,
+        "fix": "rtk_fixed",
+    }
     found.append((129029, 9, 5, encode(129029, words, sid=5)))
     return found
 
