@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
-from typing import Final
+from typing import Any, Final
 
 import can
 
@@ -52,7 +52,7 @@ def stays_here(bus: Bus) -> bool:
 def opened(bus: Bus) -> can.BusABC:
     """Open for sending and listening. Raises MachineError, CannotSend."""
     check_interface(bus)
-    arguments = {"bitrate": bus.bitrate, **bus.options}
+    arguments: dict[str, Any] = {"bitrate": bus.bitrate, **bus.options}
     try:
         return can.Bus(channel=bus.channel, interface=bus.interface, ignore_config=True, **arguments)
     except Exception as error:  # a driver may raise anything

@@ -55,7 +55,8 @@ def frames(lines: Iterable[str], log: Log) -> Iterator[Frame]:
     clock = TextClock(deltas=candump.are_deltas([_bare(line) for line in first]))
     form = FORMS[0]
     for line in chain(first, lines):
-        if line[:1] == "#" or line.isspace() or candump.EXPLAINED.match(line):
+        head = line[:1]
+        if head == "#" or line.isspace() or (head == "\t" and candump.EXPLAINED.match(line)):
             continue
         form, found = _read(_bare(line), form, clock)
         if not line.endswith("\n") and not _whole(form, found):
@@ -70,16 +71,17 @@ def frames(lines: Iterable[str], log: Log) -> Iterator[Frame]:
 
 def _read(line: str, last: Form, clock: TextClock) -> tuple[Form, Frame | str]:
     """The form of a line, likely the last one's, and its frame or why it is none."""
-    for form in (last, *FORMS):
-        match = form.pattern.match(line)
-        if match:
-            try:
-                found = form.take(match, clock)
-            except ValueError:  # an odd digit, a 13th month, a length that is not so
-                break
-            fault = "" if isinstance(found, str) else stamp_fault(found.t_ns)
-            return form, fault or found
-    return last, UNREADABLE
+    form, match = last, last.pattern.match(line)
+    if match is None:
+        form, match = next(((f, m) for f in FORMS if (m := f.pattern.match(line))), (last, None))
+    if match is None:
+        return last, UNREADABLE
+    try:
+        found = form.take(match, clock)
+    except ValueError:  # an odd digit, a 13th month, a length that is not so
+        return last, UNREADABLE
+    fault = "" if isinstance(found, str) else stamp_fault(found.t_ns)
+    return form, fault or found
 
 
 def _whole(form: Form, found: Frame | str) -> bool:

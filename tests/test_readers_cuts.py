@@ -164,8 +164,8 @@ def test_any_year_gives_a_frame_or_a_reason(year: int, tmp_path: Path) -> None:
         "internal events logged\n 0.5 1  18EEFF1Cx Rx d 1 00\n",
         "trc": f";$FILEVERSION=1.1\n;$STARTTIME={(year - 1900) * 365.25}\n  1)  0.5  Rx  18EEFF1C  1  00\n",
     }
-    for suffix, text in texts.items():
+    for suffix, written in texts.items():
         path = tmp_path / f"x.{suffix}"
-        path.write_text(text)
+        path.write_text(written)
         found, said, counted = read(path, path.read_bytes())
         assert said or len(found) + sum(counted.values()) >= 1

@@ -1,20 +1,22 @@
 """Text of other tools and gateways: each form of line, and what others write and read of them."""
 
 import base64
+import json
 from pathlib import Path
 
 import pytest
 from log_forms import frame
-from logs import DATA, SECOND, drained
+from logs import DATA, MACHINE_FILE, SECOND, drained
 from nmea2000 import NMEA2000Decoder
 from nmea2000.encoder_formats import ENCODER_CLASSES
 from nmea2000.input_formats import N2KFormat
 
+from tilth.cli import main
 from tilth.replay.readers import KINDS, frames, readable
 from tilth.replay.readers_log import ForeignLog
 from tilth.schemas import can_id
 from tilth.schemas.decode import encode
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import Frame, Word
 
 # Lines
 
@@ -113,7 +115,13 @@ def told() -> list[tuple[int, int, int, bytes]]:
             (127250, 3, i, encode(127250, {"heading_rad": 0.1 * i, "heading_reference": "true"}, sid=i))
         )
         found.append((129025, 9, i, encode(129025, {"latitude_deg": 47.0 + i, "longitude_deg": 8.0})))
-    words = {"latitude_deg": 47.5, "longitude_deg": 8.5, "satellites": 19, "hdop": 0.7, "fix": "rtk_fixed"}
+    words: dict[str, Word] = {
+        "latitude_deg": 47.5,
+        "longitude_deg": 8.5,
+        "satellites": 19,
+        "hdop": 0.7,
+        "fix": "rtk_fixed",
+    }
     found.append((129029, 9, 5, encode(129029, words, sid=5)))
     return found
 
@@ -188,3 +196,24 @@ def test_the_sentence_on_what_is_read_lists_every_kind(tmp_path: Path) -> None:
         "MF4",
     ):
         assert word.lower() in readable().lower().replace(".mcap", "mcap")
+
+
+PLAIN_CANDUMP = (
+    "  can0  09F1120C   [8]  FF 00 00 FF 7F FF 7F FD\n  can0  15FD0723   [8]  FF C0 D9 6F FF 7F FF FF\n"
+)
+
+
+@pytest.mark.parametrize(
+    "words", [["decode"], ["discover"], ["replay", "--machine", str(MACHINE_FILE), "--json"]]
+)
+def test_a_log_without_stamps_goes_through_every_command(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.txt"
+    path.write_text(PLAIN_CANDUMP * 200)
+    assert main([words[0], str(path), *words[1:]]) == 0
+    told = capsys.readouterr()
+    assert "Traceback" not in told.err
+    assert words[0] == "discover" or "no time stamps" in told.err
+    if words[0] == "replay":
+        assert json.loads(told.out)["poses"] == 0
