@@ -86,7 +86,6 @@ WRONG = {
     "two antennas of a pair exchanged": ("receiver.0.name <> receiver.1.name", None, "another's place"),
     "one antenna of each body exchanged": ("receiver.1.name <> receiver.2.name", None, "another's place"),
     "the wheels' sign": ("wheel_angle.sign x -1", None, "wheel_angle.sign"),
-    "the wheels' scale in radians": ("wheel_angle.scale / 57.3", None, "wheel_angle.scale"),
     "twice the wheels' scale": ("wheel_angle.scale x 2", None, "wheel_angle.scale"),
     "half the wheelbase in front": ("tractor.a x 0.5", None, "tractor.a"),
     "the rear axle": ("tractor.b + 1 m", None, "tractor.b"),
