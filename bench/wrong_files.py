@@ -20,15 +20,16 @@ import argparse
 import copy
 import json
 import math
+import operator
 import os
 import sys
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -37,7 +38,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from tilth.estimator import fold
 from tilth.estimator.consistency import CONTRADICTION
-from tilth.replay.scenario import Ground, Manoeuvre, Scenario, Soil, Turns, parse_scenario
+from tilth.replay.scenario import Ground, Manoeuvre, Parameter, Scenario, Soil, Turns, parse_scenario
 from tilth.replay.simulate import PACKAGED
 from tilth.replay.studies.estimation import fitted_at_once
 from tilth.replay.tractor import draw
@@ -50,7 +51,14 @@ Raw = dict[str, Any]
 PARKED: Final = (12.0, 0.0)
 UNEVEN: Final = Ground(roll_sd_deg=0.7, force_sd=0.015)
 FIELD: Final = Soil(grip=0.7, rolling=0.06)
-SOFT: Final = {"C_af": 120e3, "C_ar": 330e3, "C_ai": 100e3, "sigma_f": 0.9, "sigma_r": 1.2, "sigma_i": 0.8}
+SOFT: Final[Mapping[Parameter, float]] = {
+    "C_af": 120e3,
+    "C_ar": 330e3,
+    "C_ai": 100e3,
+    "sigma_f": 0.9,
+    "sigma_r": 1.2,
+    "sigma_i": 0.8,
+}
 SECONDS: Final = 100.0
 DRIVES: Final = {
     "slope": Scenario(
@@ -210,30 +218,26 @@ def changes() -> Iterator[Change]:
     """Every change that does something, in a fixed order."""
     for path, group, unit in numbers():
         name = ".".join(map(str, path))
-        ways = {how: (lambda v, f=factor: v * f) for how, factor in TIMES.items()}
+        ways: dict[str, Callable[[float], float]] = {
+            how: partial(operator.mul, factor) for how, factor in TIMES.items()
+        }
         if unit in PLUS:
             how, more = PLUS[unit]
-            ways[how] = lambda v, m=more: v + m
+            ways[how] = partial(operator.add, more)
         for how, way in ways.items():
             before = packaged()
             after = copy.deepcopy(before)
             _set(after, path, way)
             if after != before:
-                scaled = (1.0, 1.0)
-                if path[-1] == "mass" and how in TIMES:
-                    scaled = (TIMES[how], 1.0) if path[0] == "tractor" else (1.0, TIMES[how])
-                yield Change(f"{name} {how}", group, lambda raw, p=path, w=way: _set(raw, p, w), scaled)
+                yield Change(f"{name} {how}", group, partial(_set, path=path, how=way))
     yield from _exchanges()
     for k in range(4):
-        yield Change(
-            f"receiver.{k}.roll_corrected not", "roll",
-            lambda raw, k=k: _exchange_roll(raw["receiver"][k]),
-        )  # fmt: skip
+        yield Change(f"receiver.{k}.roll_corrected not", "roll", partial(_exchange_roll, receiver=k))
     for factor in (0.5, 2.0):
         yield Change(
             f"all masses and inertias x {factor}",
             "mass",
-            lambda raw, f=factor: _all_masses(raw, f),
+            partial(_all_masses, factor=factor),
             (factor, factor),
         )
 
@@ -265,17 +269,18 @@ def _exchanges() -> Iterator[Change]:
         after = copy.deepcopy(before)
         _exchange(after, one, other)
         if after != before:
-            yield Change(name, group, lambda raw, a=one, b=other: _exchange(raw, a, b))
+            yield Change(name, group, partial(_exchange, one=one, other=other))
 
 
-def _exchange_roll(receiver: Raw) -> None:
-    receiver["roll_corrected"] = not receiver["roll_corrected"]
+def _exchange_roll(raw: Raw, receiver: int) -> None:
+    one = raw["receiver"][receiver]
+    one["roll_corrected"] = not one["roll_corrected"]
 
 
 def _all_masses(raw: Raw, factor: float) -> None:
     for body in ("tractor", "implement"):
         for key in ("mass", "yaw_inertia"):
-            _set(raw, (body, key), lambda v: v * factor)
+            _set(raw, (body, key), partial(operator.mul, factor))
 
 
 # The drives.
@@ -286,10 +291,10 @@ class Heard(Decoder):
 
     def __init__(self, machine: Machine, told: list[list[Measurement]]) -> None:
         super().__init__(machine)
-        self._told = iter(told)
+        self._heard = iter(told)
 
     def measurements(self, frame: Frame) -> list[Measurement]:
-        return next(self._told)
+        return next(self._heard)
 
 
 @cache
@@ -426,7 +431,7 @@ def right_scenarios() -> Iterator[tuple[str, Scenario, float]]:
         for k, (name, scenario) in enumerate(plain):
             kind = list(soils)[(seed + k) % 3]
             slope, load = (0.0, 2.0, 4.0)[(seed + 2 * k) % 3], (1.0, 2.5)[(seed + k) % 2]
-            base = {
+            base: dict[Parameter, float] = {
                 "C_af": 220e3,
                 "C_ar": 486e3,
                 "C_ai": 167e3 * load**0.8,
