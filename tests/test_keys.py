@@ -14,7 +14,7 @@ from queue import SimpleQueue
 
 import pytest
 import zenoh
-from loopback import TEXT, free_port, machine_text, records_of, rig, udp_bus, until
+from loopback import PATIENCE_S, TEXT, free_port, machine_text, records_of, rig, udp_bus, until
 
 from tilth.cli import main
 from tilth.client.link import open_session
@@ -111,7 +111,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
 
 
 def asked(session: zenoh.Session, key: str) -> list[bytes]:
-    replies = [reply.ok for reply in session.get(key, payload=b"a stone", timeout=5.0)]
+    replies = [reply.ok for reply in session.get(key, payload=b"a stone", timeout=PATIENCE_S)]
     return [one.payload.to_bytes() for one in replies if one is not None]
 
 
@@ -150,7 +150,7 @@ def test_who_was_invited_hears_and_only_the_operator_marks(net: Net, name: str) 
         assert (f"{BASE}/mark" in net.queries) is (name == "olga")
         assert net.forged() == []
         net.session.put(f"{BASE}/status", b"well")
-        assert heard.get(timeout=5) == net.witness.get(timeout=5) == b"well"
+        assert heard.get(timeout=PATIENCE_S) == net.witness.get(timeout=PATIENCE_S) == b"well"
         until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
         assert heard.empty() and net.witness.empty() and "other/**" not in net.queries
 
@@ -180,7 +180,7 @@ def test_who_was_not_invited_gets_nothing_changes_nothing_and_is_told_why(
             assert asked(session, f"{BASE}/{key}") == [b"forged"] * (key == "**")  # its own answer
         net.session.put(f"{BASE}/status", b"well")
         assert net.queries == [] and net.forged() == []
-        assert net.witness.get(timeout=5) == b"well"
+        assert net.witness.get(timeout=PATIENCE_S) == b"well"
         until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
         assert heard.empty() and net.witness.empty()
 
