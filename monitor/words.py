@@ -1,7 +1,6 @@
 """What the daemon says, in the words of who sits in the cab. Pure: JSON of messages in, texts, numbers out.
 
-Whatever the page shows as ± or as a range is 95 %: the factor from a standard deviation to that is WITHIN,
-and it is multiplied here, nowhere else. Messages keep their standard deviations.
+Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep their standard deviations.
 """
 
 import math
@@ -11,10 +10,10 @@ from typing import Any, Final
 
 from tilth.estimator.manoeuvres import MANOEUVRES
 from tilth.schemas.flow import PARAMETERS, Status
+from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
 
-WITHIN: Final = 1.96  # sd, of 95 %
 GROUPS: Final = ("front", "rear", "implement")  # of tyres, in the order of PARAMETERS, twice
 SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
 FIRM: Final = 1.1  # firm where all of it is above
@@ -134,10 +133,10 @@ def _which(names: Sequence[str]) -> str:
 
 
 def at_95(text: str) -> str:
-    """The estimator's texts say shares as one standard deviation: the same text with 95 %."""
+    """Texts of a daemon of before say shares as one standard deviation: the same text with 95 %."""
     if "95 %" in text:
         return text
-    return _SHARE.sub(lambda found: _share_text(WITHIN * float(found[1])), text)
+    return _SHARE.sub(lambda found: even(WITHIN * float(found[1])), text)
 
 
 def short(number: float) -> float:
@@ -148,11 +147,7 @@ def _share(log_sd: float | None) -> str | None:
     """In words how well a logarithm of that sd is known, 95 %; None: not at all."""
     if log_sd is None or not WITHIN * log_sd <= LARGEST:
         return None
-    return _share_text(100 * WITHIN * log_sd)
-
-
-def _share_text(percent: float) -> str:
-    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
+    return even(100 * WITHIN * log_sd)
 
 
 def _percent(ratio: float) -> str:

@@ -62,7 +62,7 @@ def _parts(path: Path, buses: dict[str, int], skipped: dict[str, int]) -> Iterat
     with path.open("rb") as file:
         log = Log(path, "MCAP", file, path.stat().st_size)
         if not MAGIC.startswith(file.read(len(MAGIC))):
-            raise ForeignLog(f"{path}: no MCAP file; `tilth replay` reads other logs")
+            raise ForeignLog(f"{path}: no MCAP file; `{command('replay')}` reads other logs")
         channels = Channels(log)
         if from_summary(channels, file) and not channels.buses:
             raise no_frames(log)

@@ -7,6 +7,7 @@ from typing import Final
 from tilth.estimator.geometry import wrap
 from tilth.estimator.turn_rate_lag import Lag, judge, regress, time_constant
 from tilth.schemas.flow import Message, Origin
+from tilth.schemas.spread import plus_minus
 
 INTERVAL_NS: Final = 2_000_000_000
 LONGEST_NS: Final = 1_000_000_000  # between two turn rates, or from one to a heading
@@ -57,7 +58,7 @@ class TurnRates:
 
 def in_words(lag: tuple[float, float]) -> str:
     return (
-        f"its turn rate lags by {lag[0]:.1f} ± {1.96 * lag[1]:.1f} s (95 %) behind its heading: it is "
+        f"its turn rate lags by {plus_minus(*lag, 's')} behind its heading: it is "
         "smoothed and will not be used; turn its smoothing off"
     )
 

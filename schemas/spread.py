@@ -21,6 +21,11 @@ def share(*log_sds: float) -> str:
     return f"{', '.join(map(_share, log_sds))} {_SAYS}"
 
 
+def even(percent: float) -> str:
+    """Of a half-width that is of 95 % already, such as: ±7.8 %. Who shows it says that it is 95 %."""
+    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
+
+
 def half_width(sd: float, unit: str) -> str:
     """Of what is measured, such as: ±0.035 m (95 %)."""
     return f"±{WITHIN * sd:.2g} {unit} {_SAYS}"
@@ -48,8 +53,7 @@ def _share(log_sd: float) -> str:
     if WITHIN * log_sd > _EVEN:
         low, high = interval(100.0, log_sd)
         return f"{low - 100:.0f} … +{high - 100:.0f} %"
-    percent = 100 * WITHIN * log_sd
-    return f"±{percent:.0f} %" if percent >= 9.5 else f"±{percent:.1f} %"
+    return even(100 * WITHIN * log_sd)
 
 
 def _number(value: float, half: float) -> str:
