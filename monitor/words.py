@@ -1,6 +1,6 @@
 """What the daemon says, in the words of who sits in the cab. Pure: JSON of messages in, texts, numbers out.
 
-Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep their standard deviations.
+Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep standard deviations.
 """
 
 import math

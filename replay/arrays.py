@@ -18,6 +18,7 @@ from tilth.estimator.compiled import kernel
 from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, unpacked
 from tilth.replay.mcap_reader import Channels, framed, from_summary, no_frames
 from tilth.replay.readers_log import ForeignLog, Log
+from tilth.schemas.invocation import command
 
 Bytes = NDArray[np.uint8]
 _SMALLEST: Final = 31  # bytes of a message
