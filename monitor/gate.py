@@ -84,7 +84,7 @@ class Gate:
 
     async def _head(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes:
         """The request as far as it says who asks; b"" where it was refused."""
-        origins: list[str] = []
+        head, origins = b"", list[str]()
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
             fields = BytesParser().parsebytes(head.partition(b"\r\n")[2], headersonly=True)
