@@ -210,11 +210,13 @@ def cost(seconds: float) -> None:
 
 def soak(seconds: float) -> None:
     """The daemon with all that it computes, for as long as asked; one line of JSON."""
+    from tilth.logger import compiling
     from tilth.logger.daemon import Daemon  # takes minutes to load in the virtual machine
     from tilth.logger.display import NoDisplay
 
     load = Load(seconds)
     machine, text = rig()
+    compiling.prepare(machine, lambda share: None)  # estimates from the first frame on
     with tempfile.TemporaryDirectory() as folder:
         daemon = Daemon(machine, text, Path(folder), None, NoDisplay(), opener=load.opener)
         for _ in range(20):

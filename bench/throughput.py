@@ -37,6 +37,7 @@ import numpy as np
 import zenoh
 from mcap.reader import make_reader
 
+from tilth.logger import compiling
 from tilth.logger.daemon import Daemon, Summary, run_daemon
 from tilth.logger.display import NoDisplay
 from tilth.replay.traffic import simulate
@@ -283,6 +284,9 @@ def main() -> None:
     args = parser.parse_args()
     seconds = 8.0 if args.quick else args.seconds
     print(f"{os.cpu_count()} cores ({processor()}), Python {platform.python_version()}, {platform.release()}")
+    compiling.prepare(
+        rig([1])[0], lambda share: None
+    )  # so that each daemon estimates from its first frame on
     memory(3 if args.quick else 60)  # first, while this process holds nothing else
     per_frame(20.0 if args.quick else 120.0)
     load(seconds)

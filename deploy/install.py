@@ -303,7 +303,7 @@ def _start(box: Box) -> bool:
 def _compile(box: Box) -> None:
     """What the current release calls, as the recorder's user, while the release before it still records.
 
-    Nothing fails with it: the recorder compiles what it does not find, before it opens a bus.
+    Nothing fails with it: the recorder compiles what it does not find, and estimates later.
     """
     release, kernels = box.release("current"), box.at(KERNELS)
     assert release is not None
@@ -320,7 +320,7 @@ def _compile(box: Box) -> None:
         **user,
     )
     if done.returncode:
-        print("compiling in advance failed, see above; the first start will take longer")
+        print("compiling in advance failed, see above; the first estimates will come later")
 
 
 def _put(source: Path, target: Path, mode: int = 0o644) -> None:

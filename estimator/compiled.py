@@ -34,6 +34,12 @@ class Kernel(Generic[P, R]):
             self._run = self._compile(args)
         return self._run(*args, **kwargs)
 
+    def functions(self) -> list[FunctionType]:
+        """All that is compiled with it, itself included."""
+        made: dict[FunctionType, Any] = {}
+        _linked(self.function, made, lambda linked: linked)
+        return list(made)
+
     def plain(self) -> Callable[P, R]:
         """The same equations, interpreted."""
         made: dict[FunctionType, Any] = {}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tilth.estimator import pem, steady_state, tracker, two_step, unknowns
+from tilth.estimator.compiled import Kernel
 from tilth.estimator.record import Stretch
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
@@ -22,7 +23,7 @@ class Fitting:
     wanted: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
     fit: Callable[[Machine, Any], Any]  # pure
     rehearse: Callable[[Machine], None]  # a fit of nothing, which compiles what a fit needs
-    adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None if late, t_ns)
+    adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,7 @@ class Estimator:
     memory: Memory | None = None
     asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
     prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
+    kernels: tuple[Kernel[..., Any], ...] = ()  # that `prepare` compiles
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -76,6 +78,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         tracker.events,
         memory=Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("window_s", "distance")),
         prepare=tracker.prepare,
+        kernels=tracker.KERNELS,
     ),
     Estimator(
         pem.METHOD,

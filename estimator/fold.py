@@ -24,9 +24,19 @@ from tilth.estimator.record import Stretch
 from tilth.estimator.recorder import RecordState
 from tilth.estimator.startup import StartUp
 from tilth.estimator.warm import Kept
+from tilth.estimator.windows import AWAITED, DROPPED, TAKEN
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Pose, Position, Publication
+from tilth.schemas.flow import (
+    Estimate,
+    Event,
+    FitOutcome,
+    Frame,
+    Measurement,
+    Pose,
+    Position,
+    Publication,
+)
 from tilth.schemas.machine import Machine
 
 DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
@@ -63,6 +73,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
+    ready: bool = True  # whether the estimators take part; poses need nothing that takes long to make
     clock_steps: int = 0
     not_numbers: int = 0  # measurements that were refused for it
     time: LogTime = field(default_factory=LogTime)  # of the log
@@ -199,6 +210,8 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     doubtful = _compare(state, t_ns, pose, stretch, out)
     if doubtful and stretch is not None:
         stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
+    if not state.ready:
+        return
     given = []
     for row in rows_for(state.machine):
         own = state.estimators[row.method]
@@ -206,7 +219,8 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         if estimate is not None:
             given.append(estimate)
         for kind, text in row.events(own):
-            if state.consistency.confirmed:  # else it is the file that changed, and not the soil
+            # Where the file may be wrong it is the file that changed, and not the soil.
+            if state.consistency.confirmed or kind != "soil_change":
                 _event(state, t_ns, kind, text, out)
     if given:
         _estimates(state, t_ns, given, out)
@@ -294,13 +308,15 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
     ]
 
 
-def decide(state: State, method: str, adopted: bool) -> None:
+def decide(state: State, outcome: FitOutcome) -> None:
     """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
-    state.estimators[method].decided = 1 if adopted else -1
+    own = state.estimators[outcome.method]
+    own.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
+    own.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
-    """Take the result of the pending fit of a method; None: it was not ready in time."""
+    """Take the result of the pending fit of a method; None: there is none."""
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out

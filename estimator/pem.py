@@ -1,7 +1,8 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
 A window is 30 s of learnable driving, or what a gap leaves of it. When it closes a fit is asked for
-(`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later.
+(`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later,
+or when it is ready if that is later still; the next window waits for it.
 Windows are merged by taking the result of one, drifted over the distance since, as the prior of the next: the
 newest data are always taken at their own likelihood, and none is counted twice.
 """
@@ -16,7 +17,7 @@ from tilth.estimator import advice, likelihood, unknowns
 from tilth.estimator.record import Record, Stretch
 from tilth.estimator.said import PUBLISH_NS, WORST, forgotten, of_six
 from tilth.estimator.unknowns import NAMES, NOISE, SIX
-from tilth.estimator.windows import WINDOW, collect, refuse
+from tilth.estimator.windows import OPEN, WINDOW, collect, refuse, said_of_late
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -74,7 +75,8 @@ class PemState:
     window: list[Stretch] = field(default_factory=list)
     closed: Record | None = None  # waits to be asked for
     job: Job | None = None  # asked for, not taken yet
-    decided: int = 0  # of the job: 1 it is to be taken, -1 it is late, 0 not known
+    decided: int = OPEN  # of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the fit was late that was decided last
     distance: float = 0.0  # since the last window
     seen_ns: int = 0
     informed_ns: int = 0
@@ -185,11 +187,14 @@ def _why_not(found: likelihood.Found, prior_mean: Array, prior_sd: Array) -> str
 
 def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Estimate:
     """Take the result of the pending job, or, with None, go on without it. The estimate that follows."""
-    job, state.job, state.decided = state.job, None, 0
+    job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
-        state.told.append("a fit was not ready in time and was dropped")
+        state.told.append(said_of_late(state.late_ns, False))
         return estimate(state, machine, t_ns)
+    if state.late_ns:
+        state.late += 1
+        state.told.append(said_of_late(state.late_ns, True))
     state.last = made
     if made.refused:
         refuse(state, made.refused)
@@ -222,7 +227,7 @@ def clock_stepped(state: PemState, by_ns: int) -> None:
     """Time ran back: forget the window and the fit under way, keep what was learned and how old it is."""
     state.window.clear()
     state.closed = state.job = None
-    state.decided = 0
+    state.decided = OPEN
     state.seen_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
 
@@ -239,6 +244,8 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
         "cost": last.cost if last else 0.0,
         "iterations": float(last.iterations) if last else 0.0,
     }
+    if state.late_ns:
+        excitation["late_s"] = state.late_ns * 1e-9
     return of_six(
         state, machine, t_ns, METHOD, state.covariance[SIX, SIX], NOTHING, excitation,
         last.advice if last else "",

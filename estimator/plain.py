@@ -75,10 +75,14 @@ def _build(kind: Any, data: Any, given: dict[str, Any]) -> Any:
 
 def _build_dataclass(kind: Any, data: dict[str, Any], given: dict[str, Any]) -> Any:
     hints = typing.get_type_hints(kind)
+    known = data.keys() <= {f.name for f in fields(kind)}
     values: dict[str, Any] = {}
     for f in fields(kind):
         if f.name in given and f.name not in data:
             values[f.name] = given[f.name]
+            continue
+        if f.name not in data and known and f.default is not MISSING:  # stored before there was that field
+            values[f.name] = f.default
             continue
         value = _build(hints[f.name], data[f.name], given)
         if typing.get_origin(hints[f.name]) is deque and f.default_factory is not MISSING:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator import advice, likelihood, soil_change, unknowns
 from tilth.estimator.advice import Advisor
-from tilth.estimator.predictor import DT, N_STATES, START, START_PLACE
+from tilth.estimator.predictor import DT, N_STATES, START, START_PLACE, innovations
 from tilth.estimator.recommend import SINCE_CHANGE
 from tilth.estimator.record import Record, Stretch
 from tilth.estimator.said import PUBLISH_NS, WORST, forgotten, of_six
@@ -87,6 +87,9 @@ class TrackerState:
     reason: str = ""  # why the latest stretch taught nothing of the soil
     told: list[str] = field(default_factory=list)  # events to be published
     steered: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
+
+
+KERNELS: Final = (tracked, innovations)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:

@@ -14,7 +14,7 @@ from tilth.estimator import unknowns
 from tilth.estimator.record import TICK_NS, Record, Stretch
 from tilth.estimator.said import MODEL, age_s, per_mass
 from tilth.estimator.two_step_fit import TwoStep, Window, identify, merge_scalar
-from tilth.estimator.windows import collect, refuse
+from tilth.estimator.windows import OPEN, collect, refuse
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 
@@ -45,7 +45,8 @@ class TwoStepState:
     window: list[Stretch] = field(default_factory=list)
     closed: Record | None = None  # waits to be asked for
     job: Job | None = None  # asked for, not taken yet
-    decided: int = 0  # of the job: 1 it is to be taken, -1 it is late, 0 not known
+    decided: int = OPEN  # of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the fit was late that was decided last
     values: Array = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
     sds: Array = field(default_factory=lambda: np.zeros(6))
     runs: Array = field(default_factory=lambda: np.zeros(6))  # merged into each
@@ -90,11 +91,12 @@ def rehearse(machine: Machine) -> None:
 
 
 def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int) -> Estimate:
-    """Merge what a window gave, each number by itself (7.20, 7.21); None: it came too late and is dropped."""
-    job, state.job, state.decided = state.job, None, 0
+    """Merge what a window gave, each number by itself (7.20, 7.21); None: there is none."""
+    job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
         return estimate(state, machine, t_ns)
+    state.late += state.late_ns > 0
     state.rank, state.nothing = made.rank, made.reason
     if made.reason:
         refuse(state, made.reason)
@@ -118,6 +120,9 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
     parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
     _, prior_sd = unknowns.prior(machine)
     shares = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
+    excitation = {"runs": float(state.runs.max()), "late": float(state.late)}
+    if state.late_ns:
+        excitation["late_s"] = state.late_ns * 1e-9
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
@@ -126,7 +131,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
         log_covariance=tuple(np.diag(shares**2).ravel().tolist()),  # the method knows of no correlations
         per_mass=per_mass(machine, parameters),
         rank=state.rank,
-        excitation={"runs": float(state.runs.max()), "late": float(state.late)},
+        excitation=excitation,
         window_s=state.window_s,
     )
 
@@ -144,6 +149,6 @@ def clock_stepped(state: TwoStepState, by_ns: int) -> None:
     """Time ran back: the window and the fit under way are given up; what was learned stays."""
     state.window.clear()
     state.closed = state.job = None
-    state.decided = 0
+    state.decided = OPEN
     state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0

@@ -8,6 +8,8 @@ from tilth.estimator.record import Record, Stretch, concatenate
 
 WINDOW: Final = 150  # stretches, 30 s
 SHORTEST: Final = 50  # stretches: what is shorter is not fitted
+TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
+"""What is known of a fit that was asked for: to be used, not to be used, late and waited for; nothing yet."""
 
 
 class Collecting(Protocol):
@@ -55,8 +57,21 @@ def _close(state: Collecting, least_steering: float) -> None:
             state.reason = "too little steering"
             refuse(state, state.reason)
         else:
+            if state.closed is not None:  # nothing could be asked for: a fit is late
+                refuse(state, "the fit of the window before was late")
             state.closed = record
     state.window.clear()
+
+
+def said_of_late(late_ns: int, used: bool) -> str:
+    """What a person should know of a fit that was late by so much, or of one that was lost at once."""
+    if used:
+        return (
+            f"a fit was ready {late_ns * 1e-9:.1f} s late, since this computer is busy; it is used from here"
+        )
+    if late_ns:
+        return f"a fit was not ready {late_ns * 1e-9:.0f} s after it was due and is given up"
+    return "a fit was not ready in time and was dropped"
 
 
 def refuse(state: Collecting, reason: str) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from zenoh import ZError
 
+from tilth.logger import compiling
 from tilth.logger.buses import Buses, Source
 from tilth.logger.check_devices import Devices
 from tilth.logger.clock import Clock
@@ -37,6 +38,7 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
         *_listen(machine, clock, seconds),
         *_disk(folder, machine.log.keep_free_megabytes * 1e6),
         *_clock(clock),
+        *_kernels(machine),
         _zenoh(machine),
     ]
 
@@ -137,6 +139,16 @@ def _synchronised() -> bool | None:
         answer = int(ask(ctypes.create_string_buffer(512)))  # struct timex of zeros: ask, change nothing
         return None if answer < 0 else answer != NOT_SYNCHRONISED
     return None
+
+
+def _kernels(machine: Machine) -> Iterator[Finding]:
+    try:
+        folder = compiling.kept_in(machine)
+    except compiling.Unkept as why:
+        yield Finding("kernels", PROBLEM, str(why))
+    else:
+        if folder:
+            yield Finding("kernels", OK, f"compiled once, kept in {folder}")
 
 
 def _zenoh(machine: Machine) -> Finding:

@@ -1,45 +1,114 @@
-"""Compiles what the estimators of a machine call, before anything has to be in time.
+"""Compiles what the estimators of a machine call, and knows where that is kept.
 
-`python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer.
+`python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
+"-" it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are
+lines with the share of the work that is done.
 """
 
+import contextlib
+import os
+import pickle
 import sys
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import CodeType
+from typing import Any, Final
 
+from tilth.estimator.compiled import Kernel
 from tilth.estimator.estimators import rows_for
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
-TEXT = "compiling kernels, once per machine: half a minute, a few minutes on a small computer"
+TEXT: Final = "compiling kernels, once per machine: half a minute, a few minutes on a small computer"
+UNKEPT: Final = (
+    "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
+    "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
+)
+NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
+MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
-Say = Callable[[str], None]
+Told = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1
 
 
-def prepare(machine: Machine, say: Say) -> float:
-    """Compile, or load what was kept on disk. Returns the seconds of compiling, 0.0 where all was kept.
+class Unkept(Exception):
+    """There is no place for compiled kernels; one sentence that says what to set."""
 
-    say: is told TEXT as soon as the first kernel has to be compiled.
-    """
+
+class Stopped(BaseException):
+    """Who is told wants no compiling. No Exception: those make a kernel go on interpreted."""
+
+
+def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
+    """What the estimators of a machine call."""
+    return [kernel for row in rows_for(machine) for kernel in row.kernels]
+
+
+def is_prepared(machine: Machine) -> bool:
+    """Whether all of it is in this process already."""
+    return all(kernel.how != "not called yet" for kernel in kernels_of(machine))
+
+
+def load(machine: Machine) -> bool:
+    """Take what was kept on disk; False as soon as something would have to be compiled."""
+
+    def stop(code: CodeType) -> None:
+        raise Stopped
+
     try:
-        from numba.core import config, event
-    except (ImportError, OSError):
-        return 0.0  # kernels are interpreted
-    if getattr(config, "DISABLE_JIT", 0):  # set at run time
-        return 0.0
+        _call(machine, stop, lambda code: None)
+    except Stopped:
+        return False
+    return True
+
+
+def prepare(machine: Machine, told: Told) -> float:
+    """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
+
+    told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
+    """
     began: list[float] = []
+    left: Counter[CodeType] = Counter()  # functions still to be compiled, as often as kernels hold them
+    work = 0
+
+    def begins(code: CodeType) -> None:
+        nonlocal work
+        if not began:
+            began.append(time.monotonic())
+            waiting = [kernel for kernel in kernels_of(machine) if kernel.how == "not called yet"]
+            left.update(f.__code__ for kernel in waiting for f in kernel.functions())
+            work = _size(left)
+            told(0.0)
+
+    def ended(code: CodeType) -> None:
+        if left[code]:  # not one of numba's own, nor one for other types
+            left[code] -= 1
+            told(min(1.0 - _size(left) / work, MOST))
+
+    _call(machine, begins, ended)
+    return time.monotonic() - began[0] if began else 0.0
+
+
+def _size(functions: Counter[CodeType]) -> int:
+    """How much work they are, about: compiling takes the longer the longer they are."""
+    return sum(len(code.co_code) * count for code, count in functions.items())
+
+
+def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:
+    """Call each kernel once; who listens is told when compiling a function begins and when it has ended."""
+    if not _compiles():
+        return
+    from numba.core import event
 
     class Compilations(event.Listener):
         """numba's; loading from disk is none."""
 
-        def on_start(self, event: object) -> None:
-            if not began:
-                began.append(time.monotonic())
-                say(TEXT)
+        def on_start(self, event: Any) -> None:
+            on_start(event.data["dispatcher"].py_func.__code__)
 
-        def on_end(self, event: object) -> None:
-            return
+        def on_end(self, event: Any) -> None:
+            on_end(event.data["dispatcher"].py_func.__code__)
 
     listener = Compilations()
     event.register("numba:compile", listener)
@@ -48,11 +117,54 @@ def prepare(machine: Machine, say: Say) -> float:
             row.prepare(machine)
     finally:
         event.unregister("numba:compile", listener)
-    return time.monotonic() - began[0] if began else 0.0
+
+
+def _compiles() -> bool:
+    """False where kernels are interpreted."""
+    try:
+        from numba.core import config
+    except (ImportError, OSError):
+        return False
+    return not getattr(config, "DISABLE_JIT", 0)  # set at run time
+
+
+def kept_in(machine: Machine) -> str:
+    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises Unkept."""
+    if not _compiles():
+        return ""
+    from numba.core.caching import FunctionCache
+
+    kernels = kernels_of(machine)
+    try:
+        return str(FunctionCache(kernels[0].function).cache_path) if kernels else ""
+    except RuntimeError:
+        raise Unkept(UNKEPT) from None
+
+
+@contextlib.contextmanager
+def keeping_in(folder: str) -> Iterator[None]:
+    """Keep kernels there instead, in this process and in those that it starts meanwhile."""
+    from numba.core import config
+
+    settings: Any = config  # numba sets its attributes itself
+    before, told = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
+    os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
+    try:
+        yield
+    finally:
+        settings.CACHE_DIR = told
+        if before is None:
+            os.environ.pop("NUMBA_CACHE_DIR", None)
+        else:
+            os.environ["NUMBA_CACHE_DIR"] = before
 
 
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
+    if words == ["-"]:
+        os.nice(NICE)
+        prepare(pickle.load(sys.stdin.buffer), lambda share: _print(f"{share:.3f}"))
+        return 0
     try:
         if len(words) != 1:
             raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml")
@@ -60,7 +172,7 @@ def main(words: list[str]) -> int:
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    prepare(machine, _print)
+    prepare(machine, lambda share: None if share else _print(TEXT))
     return 0
 
 

@@ -2,7 +2,8 @@
 
     read frames ─► log each raw ─► fold ─► log what it gives ─► publish it
 
-One loop, one clock. Whatever fails is said, shown and logged as an event; frames are recorded until the end.
+One loop, one clock. Frames are recorded from the first second; estimates follow when what they call has been
+compiled. Whatever fails is said, shown and logged as an event; frames are recorded until the end.
 """
 
 import contextlib
@@ -16,7 +17,7 @@ from pathlib import Path
 from zenoh import ZError
 
 from tilth.estimator.fold import RECOMMENDED
-from tilth.logger import compiling, warm_start
+from tilth.logger import warm_start
 from tilth.logger.bus_opening import open_port
 from tilth.logger.buses import Buses, Opener
 from tilth.logger.clock import Clock
@@ -26,14 +27,15 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.liveness import Sensors
 from tilth.logger.marks import KIND, Marks
 from tilth.logger.mcap_log import software
+from tilth.logger.preparing import Preparing
 from tilth.logger.recording import Recording
-from tilth.logger.status import bus_status, health_of, hours_left, problems_of, rejected
+from tilth.logger.status import bus_status, health_of, problems_of, rejected, tell_of_log
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh_session import why
 from tilth.logger.zenoh_sink import ZenohSink
-from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import Estimate, Event, Frame, Measurement, UtcTime
+from tilth.schemas.channels import CHANNEL, READY_TOPIC
+from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -96,7 +98,8 @@ class Daemon:
         self._supervisor = Supervisor({}) if supervisor is None else supervisor
         self._worker = Worker(machine, self._report)
         self._fold = GuardedFold(machine, fitter=self._worker)
-        self._compile()  # for seconds, which it must not take while frames come in
+        self._preparing = Preparing(machine, self._report)
+        self._fold.ready = self._preparing.ready  # until then its poses need nothing that is compiled
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
@@ -116,6 +119,8 @@ class Daemon:
             with_state=warmed,
             note=note,
         )
+        if not self._fold.ready:
+            self._say_ready(self._preparing.text)
         self._marks = Marks()
         self._no_zenoh = ""  # why there is no session although one is wanted
         self._sink = self._open_zenoh(suffix) if suffix is not None else None
@@ -137,6 +142,8 @@ class Daemon:
 
     def turn(self, timeout_s: float = TURN_S) -> int:
         """Wait for frames and take them, then do what is due. Returns the number of frames."""
+        if self._preparing.ready and not self._fold.ready:
+            self._begin_estimating()
         frames = self._buses.read(timeout_s)
         began_ns = self._clock.t_ns()
         for frame in frames:
@@ -173,6 +180,7 @@ class Daemon:
             last.callback(self._note_marks)
             last.callback(self._recording.close)
             last.callback(self._worker.close)
+            last.callback(self._preparing.close)
             last.callback(self._publish_events)
             last.callback(self._buses.close)
             while self.turn(0.0) and self._clock.t_ns() < deadline_ns:
@@ -202,7 +210,9 @@ class Daemon:
     def _second(self, t_ns: int) -> None:
         self._next_second_ns = t_ns + SECOND_NS
         self._watch_clock()
-        if self._fold.poses:  # a fit may be asked for soon; loading and compiling takes longer than one
+        if (
+            self._fold.ready and self._fold.poses
+        ):  # a fit may be asked for soon; loading and compiling takes longer than one
             self._worker.start()
         if t_ns >= self._next_keep_ns:
             self._keep(t_ns)
@@ -210,18 +220,18 @@ class Daemon:
         self._put("/status", t_ns, CHANNEL["/status"].encode(self._status))
         self._supervisor.status(plain_line(self._status, self._fold.estimates[RECOMMENDED]))
 
-    def _compile(self) -> None:
-        seconds = compiling.prepare(self._machine, self._starting)
-        if seconds:
-            text = f"kernels were compiled for {seconds:.0f} s before the buses were opened"
+    def _begin_estimating(self) -> None:
+        """With the next frame, which the log says before."""
+        if seconds := self._preparing.seconds:
+            text = f"kernels were compiled for {seconds:.0f} s while frames were recorded; estimates begin"
             self._report("compiled", text)
+        self._fold.ready = True
+        self._say_ready("")
+        gc.freeze()  # what was compiled or loaded stays
 
-    def _starting(self, text: str) -> None:
-        self._supervisor.starting(text)
-        try:
-            self._display.starting(text)
-        except OSError:  # the terminal is gone
-            self._display = NoDisplay()
+    def _say_ready(self, text: str) -> None:
+        told = Ready(self._clock.t_ns(), self._fold.ready, text)
+        self._recording.message(READY_TOPIC, told.t_ns, CHANNEL[READY_TOPIC].encode(told))
 
     def _keep(self, t_ns: int) -> None:
         """Store what has been learned, for the next run."""
@@ -304,14 +314,10 @@ class Daemon:
             receivers=self._sensors.receivers(t_ns),
             wheel_angle=self._sensors.wheel_angle(t_ns),
             rejected=[pb.Count(reason=reason, count=count) for reason, count in self._rejected().items()],
-            recording=recording.recording or recording.resting,
-            log_file=str(recording.files[-1]) if recording.recording else "",
-            log_bytes=recording.size_bytes,
-            resting=recording.resting,
+            preparing=self._preparing.text,
+            ready_in_s=self._preparing.left_s,
         )
-        if recording.free_bytes is not None:
-            status.disk_free_bytes = recording.free_bytes
-            status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
+        tell_of_log(status, recording)
         if self._worker.seconds is not None:
             status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem

@@ -9,9 +9,6 @@ from tilth.schemas.proto import tilth_pb2 as pb
 class Display(Protocol):
     """Where a person looks."""
 
-    def starting(self, text: str) -> None:
-        """What keeps the run from beginning; before the first status."""
-
     def show(self, status: pb.Status, estimate: Estimate | None) -> None: ...
 
     def event(self, event: Event) -> None: ...
@@ -19,9 +16,6 @@ class Display(Protocol):
 
 class NoDisplay:
     """Shows nothing: for tests and for a daemon inside another program."""
-
-    def starting(self, text: str) -> None:
-        return
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         return

@@ -1,8 +1,8 @@
 """Who makes the fits that the fold asks for: a worker process beside the live loop, or whoever replays.
 
 A fit takes a tenth of a second or more, a frame has microseconds. What was asked for is decided a fixed time
-of the log later: it is there and is used, or it is late and is dropped. Which of the two is logged, so that a
-replay does alike.
+of the log later: it is there and is used, or it is late and is used when it is ready. Both are logged before,
+so that a replay does alike.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from tilth.logger.fit_worker import Answer, make
 from tilth.schemas.machine import Machine
 
 UNDECIDED: Final = object()
+LATE: Final = object()
 LEAVE_S: Final = 2.0  # how long the end of a run waits for the worker
 ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -35,8 +36,9 @@ class Fitter(Protocol):
         """Begin a fit; nothing where just that one is under way. Takes microseconds."""
         ...
 
-    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
-        """The result; None if it is late or failed; UNDECIDED if that is not known at t_ns."""
+    def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
+        """The result; None if there will be none; LATE if it is not ready; UNDECIDED if nothing is known at
+        t_ns. awaited: it was LATE before."""
         ...
 
     def made(self, method: str, job: Any) -> Any:
@@ -53,7 +55,7 @@ class InPlace:
     def ask(self, method: str, job: Any) -> None:
         return
 
-    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+    def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
         return self.made(method, job)
 
     def made(self, method: str, job: Any) -> Any:
@@ -96,7 +98,7 @@ class Worker:
                 return
             if before is not None:
                 if self._busy == before[1] and not self._patient and self._process is not None:
-                    self._given_up = True  # a window later it is still at it: it would be for ever
+                    self._given_up = True  # what is asked for instead must not wait for it
                     self._process.kill()
                 self._results.pop(before[1], None)
             self._count += 1
@@ -104,7 +106,7 @@ class Worker:
         self.start()
         self._asks.put((self._count, method, job))
 
-    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
+    def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
         with self._changed:
             return self._take(method, job)
 
@@ -135,8 +137,10 @@ class Worker:
 
     def _take(self, method: str, job: Any) -> Any:
         asked_ns, ticket = self._tickets.get(method, (None, 0))
-        if asked_ns != job.asked_ns or ticket not in self._results:
+        if asked_ns != job.asked_ns:
             return None
+        if ticket not in self._results:
+            return LATE
         del self._tickets[method]
         return self._results.pop(ticket)
 
@@ -229,17 +233,17 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
 
 
 class Retold:
-    """Fits of a replay: in time or late as the log says; where it says nothing, in time."""
+    """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time."""
 
     def __init__(self, machine: Machine, report: Report) -> None:
         self.own = False  # whether the log is one that says so
         self._worker = Worker(machine, report, patient=True)
-        self._told: dict[tuple[str, int], bool] = {}
+        self._told: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
         self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
 
-    def tell(self, method: str, asked_ns: int, adopted: bool) -> None:
+    def tell(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
         """What the log says."""
-        self._told[method, asked_ns] = adopted
+        self._told[method, asked_ns] = adopted, awaited
 
     def forget(self) -> None:
         """The log goes on with another state, or another run."""
@@ -250,13 +254,15 @@ class Retold:
     def ask(self, method: str, job: Any) -> None:
         self._worker.ask(method, job)
 
-    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
-        """UNDECIDED until the log has told, which it does right after the frame at which a fit is due."""
+    def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
+        """UNDECIDED until the log has told, which it does right after the frame at which a fit is due, and
+        for one that is late whenever it was ready."""
         key = (method, job.asked_ns)
-        if key not in self._told and self.own and t_ns <= self._first.setdefault(key, t_ns):
+        if key not in self._told and (awaited or (self.own and t_ns <= self._first.setdefault(key, t_ns))):
             return UNDECIDED
         self._first.pop(key, None)
-        return self._worker.made(method, job) if self._told.pop(key, True) else None
+        adopted, late = self._told.pop(key, (True, False))
+        return self._worker.made(method, job) if adopted else LATE if late else None
 
     def made(self, method: str, job: Any) -> Any:
         return self._worker.made(method, job)

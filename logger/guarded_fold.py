@@ -22,7 +22,8 @@ from tilth.estimator.fold import (
 )
 from tilth.estimator.geometry import to_degrees
 from tilth.estimator.warm import Kept
-from tilth.logger.fitting import UNDECIDED, Fitter, InPlace
+from tilth.estimator.windows import AWAITED, OPEN, TAKEN
+from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
     PARAMETERS,
@@ -37,6 +38,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine
 
+GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
 _METHOD_OF = {  # topic -> method, of all channels that carry estimates
     channel.topic: channel.topic.removeprefix("/soil_tire").removeprefix("/") or RECOMMENDED
@@ -61,11 +63,12 @@ class GuardedFold:
         self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
         for method, job, due_ns in pending(self.state):
             decided = self.state.estimators[method].decided
-            if decided >= 0:
+            if decided in (OPEN, AWAITED, TAKEN):
                 self._fitter.ask(method, job)
-            if decided:  # between its outcome and the next frame
-                made = self._fitter.made(method, job) if decided > 0 else None
-                self._decided.append((FitOutcome(due_ns, method, job.asked_ns, decided > 0), made))
+            if decided not in (OPEN, AWAITED):  # between its outcome and the next frame
+                taken = decided == TAKEN
+                made = self._fitter.made(method, job) if taken else None
+                self._decided.append((FitOutcome(due_ns, method, job.asked_ns, taken), made))
         self._due_ns = self._first_due_ns()
         self._resume_ns = 0
         self._counted = Counter[str]()  # of states given up
@@ -76,6 +79,15 @@ class GuardedFold:
         """Latitude and longitude of the tractor's centre of gravity at the last pose that had a position."""
         place = self.state.place
         return (None, None) if place is None else to_degrees(place[:2], *place[2:])
+
+    @property
+    def ready(self) -> bool:
+        """Whether the estimators take the next frame. Who changes it logs that before."""
+        return self.state.ready
+
+    @ready.setter
+    def ready(self, ready: bool) -> None:
+        self.state.ready = ready
 
     @property
     def measurements(self) -> int:
@@ -116,7 +128,8 @@ class GuardedFold:
         return told
 
     def decided(self, t_ns: int) -> list[Publication]:
-        """What becomes of the fits that are due: logged now, used at the next frame."""
+        """What becomes of the fits that are due: logged now, used at the next frame. One that is not ready
+        is awaited from frame to frame; meanwhile no other of its method is asked for."""
         out: list[Publication] = []
         if self._due_ns is None or t_ns < self._due_ns:
             return out
@@ -124,12 +137,19 @@ class GuardedFold:
             waits = any((o.method, o.asked_ns) == (method, job.asked_ns) for o, _ in self._decided)
             if t_ns < due_ns or waits:
                 continue
-            made = self._fitter.outcome(method, job, t_ns)
-            if made is not UNDECIDED:
-                outcome = FitOutcome(t_ns, method, job.asked_ns, made is not None)
+            awaited = self.state.estimators[method].decided == AWAITED
+            late_ns = t_ns - due_ns if awaited else 0
+            made = self._fitter.outcome(method, job, t_ns, awaited)
+            if made is LATE and late_ns > GIVE_UP_NS:
+                made = None
+            if made is UNDECIDED or (made is LATE and awaited):
+                continue
+            late = made is LATE
+            outcome = FitOutcome(t_ns, method, job.asked_ns, not (late or made is None), late, late_ns)
+            if not late:
                 self._decided.append((outcome, made))
-                decide(self.state, method, outcome.adopted)
-                out.append(Publication(t_ns, FIT_TOPIC, outcome))
+            decide(self.state, outcome)
+            out.append(Publication(t_ns, FIT_TOPIC, outcome))
         return out
 
     def _ask(self, t_ns: int) -> None:
@@ -159,7 +179,7 @@ class GuardedFold:
         try:
             told = go_on(self.state, kept, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
-            self.state = initial(self._machine)
+            self.state = self._initial()
             return dict.fromkeys(kept, f"{type(error).__name__}: {error}")
         self.renew()
         self.estimates = dict(self.state.estimates)
@@ -180,9 +200,14 @@ class GuardedFold:
         self.faults += 1
         self._counted.update(measurements=self.state.measurements, poses=self.state.poses)
         self._rejected.update(self.state.rejected)
-        self.state = initial(self._machine)
+        self.state = self._initial()
         self._decided.clear()
         self._due_ns = None
+
+    def _initial(self) -> State:
+        state = initial(self._machine)
+        state.ready = self.state.ready
+        return state
 
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:
         self._give_up()

@@ -45,6 +45,17 @@ def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
     return status
 
 
+def tell_of_log(status: pb.Status, recording: Recording) -> None:
+    """Whether it is written, where, and how long there is room."""
+    status.recording = recording.recording or recording.resting
+    status.resting = recording.resting
+    status.log_file = str(recording.files[-1]) if recording.recording else ""
+    status.log_bytes = recording.size_bytes
+    if recording.free_bytes is not None:
+        status.disk_free_bytes = recording.free_bytes
+        status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
+
+
 def rejected(
     of_fold: Mapping[str, int], sources: Iterable[Source], other: Mapping[str, int]
 ) -> dict[str, int]:

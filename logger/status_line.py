@@ -34,10 +34,6 @@ class PlainDisplay:
         self._stream = stream
         self._next_ns = 0
 
-    def starting(self, text: str) -> None:
-        self._stream.write(f"{text}\n")
-        self._stream.flush()
-
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         if status.t_ns >= self._next_ns and status.t_ns:
             self._next_ns = status.t_ns + PLAIN_NS
@@ -62,9 +58,6 @@ class PanelDisplay:
         self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
         self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
 
-    def starting(self, text: str) -> None:
-        self._live.console.print(text)
-
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         self._live.start()  # only the first time does anything
         self._live.update(panel(self._machine, status, estimate, tuple(self._events)), refresh=True)
@@ -87,6 +80,7 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
         f"{status.frames} frames ({rate:.0f}/s)",
         f"receivers {alive}/{len(status.receivers)}",
         f"wheel angle {status.wheel_angle.state}",
+        *([preparing_text(status)] if status.preparing else []),
         *(f"{name} {stiffness_text(one)}" for name, one in _stiffnesses(estimate)),
     ]
     if status.problems:
@@ -95,6 +89,12 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
             + (f" (and {len(status.problems) - 1} more)" * (len(status.problems) > 1))
         )
     return ", ".join(parts)
+
+
+def preparing_text(status: pb.Status) -> str:
+    """What is still being made ready, and about how long that takes."""
+    left = f", about {status.ready_in_s:.0f} s left" if status.HasField("ready_in_s") else ""
+    return f"{status.preparing}{left}"
 
 
 def stiffness_text(one: ParameterEstimate) -> str:
@@ -115,6 +115,7 @@ def panel(
             _headline(status),
             Columns((_buses(status), _sensors(status), _soil(estimate)), padding=(0, 3)),
             _log_line(status),
+            *([Text(f"… {preparing_text(status)}", style="yellow")] if status.preparing else []),
             *(Text(f"✘ {problem}", style="bold red") for problem in status.problems[:PROBLEMS_SHOWN]),
             *(
                 Text(

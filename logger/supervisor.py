@@ -9,7 +9,6 @@ import os
 import socket
 from collections.abc import Mapping, MutableMapping
 
-STARTING_S = 1200  # the most that systemd waits for a start that takes long
 PER_PERIOD = 4  # times that the loop says so in the period that systemd waits for it
 
 
@@ -27,10 +26,6 @@ class Supervisor:
         self._period_ns = _watchdog_us(environment) * 1000 // PER_PERIOD
         self._next_ns = 0
         self._ready = False
-
-    def starting(self, text: str) -> None:
-        """The first turn will take long, for a reason: systemd is to wait for it."""
-        self._tell(f"EXTEND_TIMEOUT_USEC={STARTING_S * 1_000_000}\nSTATUS={text}")
 
     def turned(self, t_ns: int) -> None:
         """The loop has come round."""

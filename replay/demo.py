@@ -1,6 +1,7 @@
 """The demo: the virtual tractor on a CAN bus over loopback, the real daemon at its other end, a comparison.
 
-A second process plays the traffic; this one runs the same daemon as `tilth run`.
+A second process plays the traffic; this one runs the same daemon as `tilth run`. Where the daemon has to
+compile first, the tractor drives meanwhile, and its time counts from when the estimators are ready.
 """
 
 import json
@@ -19,17 +20,20 @@ from typing import Any, Final, Literal, Self
 
 from rich.table import Table
 
+from tilth.logger import compiling
 from tilth.logger.daemon import Summary, run_daemon
-from tilth.logger.display import Display
+from tilth.logger.display import Display, NoDisplay
 from tilth.logger.zenoh_session import free_endpoint
 from tilth.replay.answer import estimates_and_nuisances
 from tilth.replay.scenario import Scenario
 from tilth.replay.simulate import PACKAGED
 from tilth.replay.tractor import draw
-from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
 from tilth.schemas.machine import parse_machine
+from tilth.schemas.proto import tilth_pb2 as pb
 
 SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
+COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
 ENDING_S: Final = 30.0  # longest wait for it to end
@@ -86,7 +90,11 @@ def run_demo(
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    with Player(packaged, seed, seconds, stop, say) as player:
+    timed = _Timed(display or NoDisplay(), seconds)
+    kept = compiling.load(parse_machine(packaged))  # then the daemon estimates from its first frame on
+    if not kept:
+        say("kernels are compiled, once per machine; the tractor drives on until estimates had their time")
+    with Player(packaged, seed, seconds if kept else seconds + COMPILING_S, stop, say) as player:
         text = on_loopback(packaged, player.port)
         endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
@@ -98,13 +106,32 @@ def run_demo(
             text,
             log_folder=log_folder,
             prefix_suffix=SIMULATED,
-            status=display,
-            stop=lambda: player.finished(stop()),
+            status=timed,
+            stop=lambda: player.finished(stop() or (timed.over and not kept)),
         )
     if player.sent is None:
         files = " ".join(str(path) for path in summary.log_files)
         raise DemoError(f"the simulator died before its end; what came until then is in {files}")
     return Demo(seed, draw(machine, seed, Scenario()), summary, player.sent)
+
+
+class _Timed(Display):
+    """Shows what is to be shown, and knows when the estimators have been ready for so many seconds."""
+
+    def __init__(self, display: Display, seconds: float) -> None:
+        self.over = False
+        self._display = display
+        self._seconds = seconds
+        self._ready_ns = 0
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        if status.t_ns and not status.preparing:
+            self._ready_ns = self._ready_ns or status.t_ns
+            self.over = status.t_ns - self._ready_ns >= self._seconds * 1e9
+        self._display.show(status, estimate)
+
+    def event(self, event: Event) -> None:
+        self._display.event(event)
 
 
 def on_loopback(machine_text: str, port: int) -> str:
@@ -182,9 +209,9 @@ class Player:
     def close(self) -> None:
         if self._process.stdin is not None:
             self._process.stdin.close()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
         self._process.wait(ENDING_S)
+        if self._process.stdout is not None:  # not before it has said its last word
+            self._process.stdout.close()
 
     def __enter__(self) -> Self:
         return self

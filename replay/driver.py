@@ -18,12 +18,14 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers import open_log, place
 from tilth.replay.readers_log import EmptyLog, Log, Logged, Place
 from tilth.replay.readers_rig import Say, on_buses_of
-from tilth.schemas.channels import FIT_TOPIC, payload
+from tilth.schemas.channels import FIT_TOPIC, READY_TOPIC, payload
 from tilth.schemas.flow import Estimate, Event, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
-from tilth.schemas.proto.tilth_pb2 import FitOutcome, Snapshot
+from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC})  # what enters the fold besides frames and stored states
+WITH_RESULTS = IDENTICAL | INPUTS
 SHOWN = 4096  # frames between two looks of the progress bar
 SAID = frozenset({"fault", "clock_step", *startup.KINDS})  # events that a person at a replay should read
 
@@ -141,6 +143,7 @@ class _Run:
         self._say = say
         self._read_bytes = 0
         self._told_other = False
+        self._waited = 0  # frames for which the estimators were not ready
         self._place: Place | None = None  # of the last log
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
@@ -152,7 +155,7 @@ class _Run:
         self._unknown_before = self._unknown_now()
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
-        log = open_log(path, IDENTICAL if self._outputs.comparison else (FIT_TOPIC,))
+        log = open_log(path, WITH_RESULTS if self._outputs.comparison else INPUTS)
         try:
             self._follow(log)
             self._records(log, buses)
@@ -191,6 +194,8 @@ class _Run:
                     progress(self._read_bytes + log.position())
             elif isinstance(record, Snapshot):
                 self._snapshot(log, record)
+            elif record.topic == READY_TOPIC:
+                self._ready(log, record)
             else:
                 if comparison is not None:
                     comparison.logged(record)
@@ -200,13 +205,27 @@ class _Run:
     def _frame(self, frame: Frame) -> None:
         if self._outputs.writer is not None:
             self._outputs.writer.frame(frame)
+        self._waited += not self._fold.ready
         self._put(self._fold.take(frame))
 
     def _fit(self, record: Logged) -> None:
         """What the log says became of a fit: it is used at the next frame, as it was live."""
         told = FitOutcome.FromString(record.data)
-        self.fitter.tell(told.method, told.asked_ns, told.adopted)
+        self.fitter.tell(told.method, told.asked_ns, told.adopted, told.awaited)
         self._put([(p, payload(p)) for p in self._fold.decided(told.t_ns)])
+
+    def _ready(self, log: Log, record: Logged) -> None:
+        """From here on the estimators take part, or do not, as they did live."""
+        told = Ready.FromString(record.data)
+        if told.ready and not self._fold.ready and self._waited:
+            self._say(
+                f"{log.path}: {self._waited} frames came before the estimators were ready; estimates follow "
+                "after them, as they did live"
+            )
+        self._waited = 0
+        self._fold.ready = told.ready
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
 
     def _put(self, told: list[tuple[Publication, bytes]]) -> None:
         writer, publish = self._outputs.writer, self._outputs.publish
@@ -290,6 +309,8 @@ class _Run:
             self._counts["rejected", reason] += count
         if self._outputs.comparison is not None:
             self._outputs.comparison.finish(log.truncated)
+        if not self._fold.ready:
+            self._say(f"{log.path}: it ends before the estimators were ready; nothing is estimated, as live")
         if log.truncated:
             self.summary.truncated = True
             self._say(f"{log.path}: cut off; replayed as far as it is whole")

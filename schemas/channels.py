@@ -125,8 +125,17 @@ def _encode_event(event: flow.Event) -> bytes:
 
 def _encode_outcome(outcome: flow.FitOutcome) -> bytes:
     return pb.FitOutcome(
-        t_ns=outcome.t_ns, method=outcome.method, asked_ns=outcome.asked_ns, adopted=outcome.adopted
+        t_ns=outcome.t_ns,
+        method=outcome.method,
+        asked_ns=outcome.asked_ns,
+        adopted=outcome.adopted,
+        awaited=outcome.awaited,
+        late_ns=outcome.late_ns,
     ).SerializeToString()
+
+
+def _encode_ready(told: flow.Ready) -> bytes:
+    return pb.Ready(t_ns=told.t_ns, ready=told.ready, text=told.text).SerializeToString()
 
 
 def _encode_rig(machine: Machine) -> bytes:
@@ -187,6 +196,7 @@ KINDS: tuple[tuple[str, type[flow.Measurement]], ...] = (
 TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for name, kind in KINDS}
 
 FIT_TOPIC = "/fit"
+READY_TOPIC = "/ready"
 
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
@@ -203,6 +213,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
+    Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
     Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False),

@@ -323,10 +323,21 @@ class FitOutcome:
     t_ns: int
     method: str
     asked_ns: int
-    adopted: bool  # False: it was not ready in time and was dropped
+    adopted: bool  # False: it was not ready in time and was dropped, unless it is awaited
+    awaited: bool = False  # it is late: another outcome follows
+    late_ns: int = 0  # how much later than it was due it was decided
 
 
-Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """Whether the estimators take the frames that follow in the log."""
+
+    t_ns: int
+    ready: bool
+    text: str  # what they wait for, or what has happened
+
+
+Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Ready
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threa
 
 import can
 import pytest
+from logs import MACHINE
 from loopback import Sender
+
+from tilth.logger import compiling
 
 # Many tests start processes, which would each compile all that they import: three times the computing.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -39,6 +42,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
     (path,) = folder.glob("*.whl")
     return path
+
+
+@pytest.fixture(scope="session")
+def prepared() -> None:
+    """A daemon of this process estimates from its first frame on."""
+    compiling.prepare(MACHINE, lambda share: None)
 
 
 @pytest.fixture(scope="module")

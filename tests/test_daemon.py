@@ -118,6 +118,7 @@ class Shown(NoDisplay):
 # ---- the chain ----
 
 
+@pytest.mark.usefixtures("prepared")
 def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> None:
     """Frames of another process over a real socket: all logged as sent; the log gives the same bytes."""
     port = free_port()

@@ -1,5 +1,6 @@
 """Fits beside the loop: in time, late, lost; and that a replay uses each just where the live run did."""
 
+import json
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -15,8 +16,9 @@ from logs import Live, results_of
 from tilth.estimator import pem
 from tilth.estimator.estimators import ESTIMATORS
 from tilth.estimator.plain import to_plain
-from tilth.logger.fitting import UNDECIDED, InPlace, Retold, Worker
-from tilth.logger.guarded_fold import GuardedFold
+from tilth.estimator.windows import AWAITED, OPEN
+from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
+from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.driver import Outputs, replay
@@ -27,7 +29,7 @@ from tilth.replay.tractor import drive
 from tilth.replay.traffic import traffic
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
-from tilth.schemas.proto.tilth_pb2 import FitOutcome
+from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
 
 TWO_STEP = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that two methods fit
 MACHINE, MACHINE_TEXT = demo_machine(**dict([TWO_STEP])), PACKAGED.replace(*TWO_STEP)
@@ -36,6 +38,7 @@ GAP_S = 15.0  # into the drive: there a window closes, just long enough for a fi
 END_S = GAP_S + 6.0
 METHODS = tuple(row.method for row in ESTIMATORS if row.fitting)
 LOST = "signal 9"
+BUSY_S = 0.3  # by which a fit is late
 
 
 def without(rows: Iterable[Frame], after_s: float, until_s: float) -> list[Frame]:
@@ -54,16 +57,24 @@ def driven() -> list[Frame]:
 class Pocket:
     """Keeps the jobs. Whether fits are late is said beforehand: frames of a test come faster than any fit."""
 
-    def __init__(self, worker: Worker | None, late: Container[str] = ()) -> None:
+    def __init__(self, worker: Worker | None, late: Container[str] = (), by_s: float | None = BUSY_S) -> None:
+        """late: methods whose fits are so late; None: they are lost."""
         self.jobs: dict[str, Any] = {}
         self.late = late
+        self.by_s = by_s
+        self._first: dict[str, int] = {}
         self._worker = worker
 
     def ask(self, method: str, job: Any) -> None:
         self.jobs[method] = job
 
-    def outcome(self, method: str, job: Any, t_ns: int) -> Any:
-        return None if method in self.late else self.made(method, job)
+    def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
+        if method in self.late:
+            if self.by_s is None:
+                return None
+            if t_ns < self._first.setdefault(method, t_ns) + self.by_s * SECOND:
+                return LATE
+        return self.made(method, job)
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
@@ -108,11 +119,11 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     assert worker.seconds is not None and worker.seconds > 0.0
 
 
-def test_what_is_not_ready_is_late_and_is_not_kept(worker: Worker) -> None:
+def test_what_is_not_ready_is_late_and_is_not_kept_for_another(worker: Worker) -> None:
     job = replace(a_job(), asked_ns=1)
     assert worker.outcome(pem.METHOD, job, 2) is None  # was never asked for
     worker.ask(pem.METHOD, job)
-    assert worker.outcome(pem.METHOD, job, 2) is None
+    assert worker.outcome(pem.METHOD, job, 2) is LATE
     again = replace(a_job(), asked_ns=3)
     assert worker.made(pem.METHOD, again) is not None
     assert worker.outcome(pem.METHOD, job, 4) is None
@@ -219,18 +230,19 @@ def record(folder: Path, rows: Sequence[Frame], fitter: Pocket, cuts: Callable[[
 
 
 class Once:
-    """Cuts at the first frame after each stage of the one fit: asked for, decided, used."""
+    """Cuts at the first frame after each stage of the one fit: asked for, late, decided, used."""
 
     def __init__(self) -> None:
         self.stage = 0
 
     def __call__(self, fold: GuardedFold) -> bool:
         own = fold.state.estimators[pem.METHOD]
-        reached = (own.job is not None, own.decided != 0, own.fits + own.late > 0)
-        if self.stage < 3 and reached[self.stage]:
-            self.stage += 1
-            return True
-        return False
+        decided = own.decided not in (OPEN, AWAITED)
+        used = own.fits + own.late > 0
+        known = decided or used
+        reached = (own.job is not None or known, own.decided == AWAITED or known, known, used)
+        before, self.stage = self.stage, max(self.stage, sum(reached))
+        return self.stage > before
 
 
 def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
@@ -241,26 +253,80 @@ def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
     return comparison.difference, said
 
 
-def outcomes(paths: Sequence[Path]) -> dict[str, bool]:
+def outcomes(paths: Sequence[Path]) -> dict[str, list[FitOutcome]]:
     logged = results_of(paths, frozenset({FIT_TOPIC})).get(FIT_TOPIC, [])
     told = [FitOutcome.FromString(row.data) for row in logged]
-    assert len(told) == len(METHODS)
-    return {outcome.method: outcome.adopted for outcome in told}
+    return {method: [one for one in told if one.method == method] for method in METHODS}
 
 
+@pytest.mark.parametrize("by_s", [BUSY_S, None], ids=["late", "lost"])
 @pytest.mark.parametrize(
     ("late", "gap"), [((), False), ((pem.METHOD,), False), (METHODS[1:], False), (METHODS, True)]
 )
 def test_a_run_with_a_fit_gives_its_own_bytes_again(
-    tmp_path: Path, worker: Worker, late: tuple[str, ...], gap: bool
+    tmp_path: Path, worker: Worker, late: tuple[str, ...], gap: bool, by_s: float | None
 ) -> None:
     rows = without(driven(), GAP_S + 1.5, GAP_S + 5.5) if gap else driven()  # fits are due in the gap
-    live = record(tmp_path, rows, Pocket(worker, late), Once())
-    assert len(live.parts) == 4
-    assert outcomes(live.parts) == {method: method not in late for method in METHODS}
+    live = record(tmp_path, rows, Pocket(worker, late, by_s), Once())
+    awaits = by_s is not None and pem.METHOD in late
+    assert len(live.parts) == (5 if awaits else 4)
+    for method, told in outcomes(live.parts).items():
+        *waits, last = [(one.adopted, one.awaited) for one in told]
+        assert waits == [(False, True)] * (by_s is not None and method in late)
+        assert last == (by_s is not None or method not in late, False)
+        assert (told[-1].late_ns > 0) == bool(waits)
     assert replayed(live.parts) == ("", [])
-    for part in live.parts[1:3] if not gap else ():
+    for part in live.parts[1:-1] if not gap else ():
         assert replayed([part]) == ("", [])
+
+
+def test_a_late_fit_is_used_says_by_how_much_and_the_next_window_follows_it(
+    tmp_path: Path, late: Path, in_time: Path
+) -> None:
+    """What it learned is the same, and so is what it is worth; only the instant is another."""
+    events = [Event.FromString(row.data).text for row in results_of([late], frozenset({"/event"}))["/event"]]
+    (said,) = [text for text in events if text.startswith("a fit was ready 0.3 s late")]
+    assert "it is used from here" in said
+    rows = results_of([late], frozenset({"/soil_tire/pem"}))["/soil_tire/pem"]
+    after = SoilTireEstimate.FromString(rows[-1].data)
+    excitation = {one.name: one.value for one in after.excitation}
+    assert excitation["late"] == excitation["fits"] == 1.0
+    assert excitation["late_s"] == pytest.approx(BUSY_S, abs=0.02)
+    others = results_of([in_time], frozenset({"/soil_tire/pem"}))["/soil_tire/pem"]
+    other = SoilTireEstimate.FromString(others[-1].data)
+    assert [one.value for one in after.parameters] == [one.value for one in other.parameters]
+    assert "late_s" not in {one.name for one in other.excitation}
+
+
+def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_given_up() -> None:
+    fitter = Pocket(None, METHODS, 1e9)
+    fold = GuardedFold(MACHINE, fitter=fitter)
+    rows = driven()
+    for row in rows:
+        fold.take(row)
+    own = fold.state.estimators[pem.METHOD]
+    job = own.job
+    assert own.decided == AWAITED and job is fitter.jobs[pem.METHOD]
+    own.closed = job.record  # the next window
+    assert pem.wanted(own, job.asked_ns + 40 * SECOND) is None and own.closed is not None
+    later = job.asked_ns + pem.LATENCY_NS + GIVE_UP_NS
+    assert fold.decided(later) == []
+    (told,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
+    assert (told.adopted, told.awaited, told.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
+    told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
+    assert any("not ready 300 s after it was due and is given up" in getattr(v, "text", "") for v in told_of)
+    asked = pem.wanted(own, later + 2)
+    assert asked is not None and own.closed is None
+
+
+def test_a_state_stored_before_fits_could_be_awaited_is_taken_up() -> None:
+    fold = GuardedFold(MACHINE)
+    for row in driven()[:2000]:
+        fold.take(row)
+    plain = json.loads(fold.renew())
+    del plain["ready"], plain["estimators"]["pem"]["late_ns"], plain["estimators"]["pem_two_step"]["late_ns"]
+    again = GuardedFold(MACHINE, json.dumps(plain))
+    assert again.renew() == fold.renew()
 
 
 @pytest.fixture(scope="module")
@@ -271,7 +337,7 @@ def in_time(tmp_path_factory: pytest.TempPathFactory, worker: Worker) -> Path:
 
 @pytest.fixture(scope="module")
 def late(tmp_path_factory: pytest.TempPathFactory, worker: Worker) -> Path:
-    """Of the same drive; no fit was ready."""
+    """Of the same drive; no fit was ready in time."""
     return record(
         tmp_path_factory.mktemp("late"), driven(), Pocket(worker, METHODS), lambda fold: False
     ).parts[0]
@@ -291,7 +357,7 @@ def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(in_tim
 
 
 def test_the_same_run_twice_and_another_with_its_stamps(late: Path, in_time: Path) -> None:
-    assert outcomes([late]) == dict.fromkeys(METHODS, False)
+    assert all(len(told) == 2 for told in outcomes([late]).values())
     assert replayed([late, late, in_time, late])[0] == ""
 
 
@@ -317,6 +383,11 @@ def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
         assert retold.outcome(pem.METHOD, job, 10) is None
         assert retold.outcome(pem.METHOD, job, 20) is UNDECIDED
         assert retold.outcome(pem.METHOD, job, 21) is not None
+        retold.tell(pem.METHOD, job.asked_ns, False, True)
+        assert retold.outcome(pem.METHOD, job, 30) is LATE
+        assert retold.outcome(pem.METHOD, job, 99, True) is UNDECIDED
+        retold.tell(pem.METHOD, job.asked_ns, True)
+        assert retold.outcome(pem.METHOD, job, 99, True) is not None
     finally:
         retold.close()
 

@@ -111,7 +111,9 @@ class Heard(NoDisplay):
         self.told.append(event.text)
 
 
-def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(tmp_path: Path) -> None:
+def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     display, heard, pages = Heard(), list[bytes](), list[zenoh.Session]()
 
     def watch(endpoint: str) -> None:
@@ -122,6 +124,7 @@ def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded
 
     guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=20.0))
     pages[0].close()
+    assert "pipe" not in capfd.readouterr().err.lower()  # all processes have said their last word
     said = [event.text for event in map(pb.Event.FromString, heard) if event.kind == "guidance"]
     assert "the controller steers" in said and set(said) <= set(display.told)
     assert guided.commands["refused"] == {}

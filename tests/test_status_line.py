@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from tilth.logger.status_line import PanelDisplay, PlainDisplay, stiffness_text
+from tilth.logger.status_line import PanelDisplay, PlainDisplay, plain_line, stiffness_text
 from tilth.schemas.flow import Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -32,8 +32,6 @@ def status_with(**fields: object) -> pb.Status:
 def panel_text(status: pb.Status) -> str:
     stream = io.StringIO()
     display = PanelDisplay("rig", Console(file=stream, force_terminal=True, width=110, color_system=None))
-    display.starting("compiling")
-    assert stream.getvalue().split() == ["compiling"]  # at once, and no panel that has nothing to show yet
     display.event(Event(status.t_ns, "bus", "can0: heard again"))
     display.show(status, None)
     display.close()
@@ -62,12 +60,10 @@ def test_plain_lines_say_the_same() -> None:
     display = PlainDisplay(stream)
     status = status_with()
     status.problems.extend(["disk: 5 minutes", "x"])
-    display.starting("compiling")
     display.show(status, None)
     display.show(status, None)  # one line each five seconds
     display.event(Event(status.t_ns, "bus", "can0: silent"))
-    said, first, second = stream.getvalue().splitlines()
-    assert said == "compiling"
+    first, second = stream.getvalue().splitlines()
     assert first.startswith("14:13:20Z recording, 1.5 MB, 5 frames (800/s), receivers 1/2, wheel angle alive")
     assert first.endswith("PROBLEM disk: 5 minutes (and 1 more)")
     assert second == "14:13:20Z bus: can0: silent"
@@ -77,3 +73,12 @@ def test_a_stiffness_is_a_number_only_where_there_is_one() -> None:
     assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.ESTIMATED, "")) == "220 ± 20 kN/rad"
     assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.STALE, "")) == "220 ± 20 kN/rad (stale)"
     assert stiffness_text(ParameterEstimate(None, None, Status.INVALID, "")) == "invalid"
+
+
+def test_what_is_still_made_ready_is_said_with_the_time_that_is_left() -> None:
+    status = status_with(preparing="compiling kernels")
+    assert "wheel angle alive, compiling kernels, front" in plain_line(status, None)
+    status.ready_in_s = 40.4
+    assert "wheel angle alive, compiling kernels, about 40 s left, front" in plain_line(status, None)
+    assert "RECORDING" in panel_text(status) and "compiling kernels, about 40 s left" in panel_text(status)
+    assert "compiling" not in panel_text(status_with())

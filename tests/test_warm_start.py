@@ -246,6 +246,9 @@ class Told(NoDisplay):
         return [event.text for event in self.events if event.kind == "warm_start"]
 
 
+pytestmark = pytest.mark.usefixtures("prepared")
+
+
 @pytest.fixture
 def talker() -> Iterator[can.BusABC]:
     with can.Bus(interface="virtual", channel="tilth-warm") as bus:

@@ -41,6 +41,7 @@ from tilth.adaptive_guidance.study import (
     scenario_of,
 )
 from tilth.estimator.models.parameters import rig_of
+from tilth.logger import compiling
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.display import Display
 from tilth.logger.zenoh_session import free_endpoint
@@ -84,6 +85,7 @@ def run_guidance(
     stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
+    _compiled(stop, say)
     say("driving the field with nominal gains first, faster than real time")
     fixed = driven(packaged(), seed, "fixed", work)
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
@@ -114,6 +116,22 @@ def run_guidance(
         figure = summary.log_files[0].with_name(FIGURE)
         draw({"fixed": fixed, "adapting": adapting}, figure)
     return Guided(summary, fixed, adapting, watching.end, figure)
+
+
+def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
+    """Make ready what the estimators call: here the controller is to have estimates from the start.
+    Raises DemoError."""
+
+    def told(share: float) -> None:
+        if stop():
+            raise compiling.Stopped
+        if share == 0.0:
+            say(compiling.TEXT)
+
+    try:
+        compiling.prepare(packaged(), told)
+    except compiling.Stopped:
+        raise DemoError("stopped before it began") from None
 
 
 class _Process:
@@ -153,8 +171,8 @@ class _Process:
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.close()
         self._process.terminate()
-        self._process.stdout.close()
         self._process.wait(ENDING_S)
+        self._process.stdout.close()  # not before it has said its last word
 
 
 def _started(rig: _Process, text: str, seed: int, work: Work, stop: Callable[[], bool]) -> int:

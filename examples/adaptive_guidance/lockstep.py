@@ -47,7 +47,7 @@ class NoFits:
     def ask(self, method: str, job: object) -> None:
         return
 
-    def outcome(self, method: str, job: object, t_ns: int) -> None:
+    def outcome(self, method: str, job: object, t_ns: int, awaited: bool = False) -> None:
         return None
 
     def made(self, method: str, job: object) -> None:

@@ -223,16 +223,30 @@ class SoilTireEstimate(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
-    __slots__ = ("t_ns", "method", "asked_ns", "adopted")
+    __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     ASKED_NS_FIELD_NUMBER: _ClassVar[int]
     ADOPTED_FIELD_NUMBER: _ClassVar[int]
+    AWAITED_FIELD_NUMBER: _ClassVar[int]
+    LATE_NS_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     asked_ns: int
     adopted: bool
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ...) -> None: ...
+    awaited: bool
+    late_ns: int
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ..., awaited: _Optional[bool] = ..., late_ns: _Optional[int] = ...) -> None: ...
+
+class Ready(_message.Message):
+    __slots__ = ("t_ns", "ready", "text")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    READY_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    ready: bool
+    text: str
+    def __init__(self, t_ns: _Optional[int] = ..., ready: _Optional[bool] = ..., text: _Optional[str] = ...) -> None: ...
 
 class Event(_message.Message):
     __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns")

@@ -1,0 +1,141 @@
+"""Makes ready what the estimators call, while frames are recorded.
+
+Compiling takes a minute and would hold up the loop for seconds at a time. So a process of its own does it,
+into the folder where kernels are kept, and a thread here then only loads them. Where they cannot be kept a
+folder is lent for this run; where there is not even that, or the process fails, the thread compiles.
+"""
+
+import contextlib
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from tilth.logger import compiling
+from tilth.schemas.machine import Machine
+
+LOADING: Final = "loading kernels"
+COMPILING: Final = "compiling kernels, once per machine"
+ANEW: Final = "compiling kernels, which cannot be kept here"
+FOLLOW: Final = "frames are recorded meanwhile, estimates follow"
+LEAVE_S: Final = 2.0  # how long the end of a run waits for it
+SURE: Final = 0.02  # share of the work that must be done before the rest is foretold
+
+Report = Callable[[str, str], None]  # kind and text of an event
+
+
+class Preparing:
+    """Begins at once. `ready` is True from when the estimators can be called without waiting."""
+
+    def __init__(self, machine: Machine, report: Report) -> None:
+        """report: is told, from a thread, what it does and what goes wrong."""
+        self.ready = compiling.is_prepared(machine)
+        self.seconds = 0.0  # of compiling
+        self.text = "" if self.ready else LOADING  # what is being done, in a person's words
+        self._machine = machine
+        self._report = report
+        self._done = 0.0  # share of the compiling
+        self._began_s: float | None = None  # monotonic
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closing = False
+        self._lock = threading.Lock()  # of the two before
+        self._lent = contextlib.ExitStack()
+        self._thread = threading.Thread(target=self._work, name="tilth-preparing", daemon=True)
+        if not self.ready:
+            self._thread.start()
+
+    @property
+    def left_s(self) -> float | None:
+        """About how long it still takes; None where that is not known."""
+        if self.ready or self._began_s is None or self._done < SURE:
+            return None
+        return (time.monotonic() - self._began_s) * (1.0 / self._done - 1.0)
+
+    def close(self) -> None:
+        with self._lock:
+            self._closing = True
+            if self._process is not None:
+                self._process.kill()
+        if self._thread.ident is not None:
+            self._thread.join(LEAVE_S)
+        self._lent.close()
+
+    # What follows runs in the thread.
+
+    def _work(self) -> None:
+        # The process inherits this: Ctrl-C is for the daemon, which ends it.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            if not compiling.load(self._machine):
+                self._compile()
+        except compiling.Stopped:
+            return
+        except Exception as error:  # whatever it is, the fold has a guard of its own
+            what = f"{type(error).__name__}: {error}"
+            self._report("compiled", f"kernels could not be prepared ({what}); estimates may come late")
+        self.text, self.ready = "", True
+
+    def _compile(self) -> None:
+        began_s = time.monotonic()
+        self.text = COMPILING
+        try:
+            compiling.kept_in(self._machine)
+        except compiling.Unkept as why:
+            self.text = ANEW
+            self._report("compiled", str(why))
+            self._lend()
+        self._report("compiled", f"{self.text}: {FOLLOW}")
+        self._beside()
+        compiling.prepare(self._machine, self._told)  # loads, unless the process could not
+        self.seconds = time.monotonic() - began_s
+
+    def _lend(self) -> None:
+        """A folder for this run; without one the kernels are compiled here."""
+        with contextlib.suppress(OSError):
+            folder = self._lent.enter_context(
+                tempfile.TemporaryDirectory(prefix="tilth-kernels-", ignore_cleanup_errors=True)
+            )
+            self._lent.enter_context(compiling.keeping_in(folder))
+
+    def _beside(self) -> None:
+        """Compile in a process of its own."""
+        try:
+            status = self._process_ends()
+            why_not = f"it ended with status {status}" if status else ""
+        except OSError as error:
+            why_not = str(error)
+        if why_not and not self._closing:
+            now = "it is done beside the recording, which takes frames later than usual meanwhile"
+            self._report("compiled", f"the process that compiles has failed ({why_not}); {now}")
+
+    def _process_ends(self) -> int:
+        """Its exit status. Raises OSError where it cannot be started."""
+        with self._lock:
+            if self._closing:
+                return 0
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "tilth.logger.compiling", "-"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with self._process:
+            with contextlib.suppress(BrokenPipeError):  # its status tells
+                pickle.dump(self._machine, self._process.stdin, pickle.HIGHEST_PROTOCOL)
+                self._process.stdin.flush()
+            for line in self._process.stdout:
+                self._told(float(line))
+        return self._process.returncode
+
+    def _told(self, share: float) -> None:
+        if self._closing:
+            raise compiling.Stopped
+        if share == 0.0:
+            self._began_s = time.monotonic()
+        self._done = share
