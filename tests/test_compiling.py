@@ -108,6 +108,8 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     assert compiling.prepare(MACHINE, shares.append) > 0.0
     assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
     assert 0.2 < shares[len(shares) // 2] < 0.8
+    codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
+    assert len(shares) == 1 + len(codes)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +158,6 @@ def demo(environment: dict[str, str], folder: Path) -> tuple[dict[str, Any], str
     assert done.returncode == 0, done.stderr
     said: dict[str, Any] = json.loads(done.stdout)
     assert said["frames_lost"] == 0 and said["poses"] >= 25 and "stamp" not in said["rejected"], said
-    assert "no frame for" not in done.stderr and "is silent" not in done.stderr
     return said, done.stderr
 
 
