@@ -207,11 +207,11 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
     stretch = recorder.observe(state.record, state.aligner, pose)
+    if not state.ready:
+        return
     doubtful = _compare(state, t_ns, pose, stretch, out)
     if doubtful and stretch is not None:
         stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
-    if not state.ready:
-        return
     given = []
     for row in rows_for(state.machine):
         own = state.estimators[row.method]

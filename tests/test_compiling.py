@@ -56,7 +56,7 @@ for frame in frames:
     fold.take(frame)
 fold.renew()
 assert fold.faults == 0 and fold.poses > 190, (fold.faults, fold.poses)
-assert all(fold.estimates[method].parameters[0].value for method in ("tracker", "pem")), fold.estimates
+assert all(fold.estimates[method].parameters[0].age_s is not None for method in ("tracker", "pem"))
 assert compiled() == before, (compiled(), before)
 """
 DEMO = """

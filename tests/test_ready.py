@@ -125,7 +125,7 @@ def test_estimates_begin_where_the_log_says_and_a_replay_begins_there(
     drive.send(SENT[HALF:])
     summary = drive.end()
     assert any("compiled for 12 s while frames were recorded" in text for text in drive.shown.events)
-    assert summary.recorded == len(SENT) and summary.faults == 0 and summary.poses > 10
+    assert summary.recorded == len(SENT) and summary.faults == 0 and summary.poses > 3
     (not_yet, before, _), (ready, at, seen) = marks(summary.log_files)
     assert (not_yet, before, ready, at) == (False, 0, True, HALF)
     assert seen == {"/pose"}  # and estimates only after it
