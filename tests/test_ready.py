@@ -133,7 +133,6 @@ def test_estimates_begin_where_the_log_says_and_a_replay_begins_there(
     replayed, comparison, said = drive.again(summary.log_files)
     assert comparison.difference == "" and comparison.compared > summary.measurements
     assert replayed.poses == summary.poses
-    assert replayed.estimates["tracker"].parameters == summary.estimates["tracker"].parameters
     assert [text for text in said if f"{HALF} frames came before the estimators were ready" in text]
     assert len(summary.log_files) > (2 if log else 0)  # one more when the run's name is corrected
     for path in summary.log_files[1:]:
