@@ -13,7 +13,7 @@ from tilth.estimator import aligner, consistency, log_time, recorder, startup, w
 from tilth.estimator.aligner import Aligner
 from tilth.estimator.consistency import Consistency
 from tilth.estimator.drawing import body_frames, drawing
-from tilth.estimator.estimators import ROW, rows_for
+from tilth.estimator.estimators import ROW, Estimator, rows_for
 from tilth.estimator.geometry import to_degrees
 from tilth.estimator.log_time import LogTime
 from tilth.estimator.plain import from_plain, to_plain
@@ -218,9 +218,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         estimate = row.take(own, state.machine, pose, stretch)
         if estimate is not None:
             given.append(estimate)
-        for kind, text in row.events(own):
-            if state.consistency.confirmed:  # else it is the file that changed, and not the soil
-                _event(state, t_ns, kind, text, out)
+        _events_of(state, t_ns, row, out)
     if given:
         _estimates(state, t_ns, given, out)
 
@@ -270,6 +268,13 @@ def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]
         text = f"{text} (at {latitude:.6f}, {longitude:.6f})"
         event = Event(t_ns, kind, text, latitude, longitude)
     out.append(Publication(t_ns, "/event", event))
+
+
+def _events_of(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
+    """What a method noticed."""
+    for kind, text in row.events(state.estimators[row.method]):
+        if state.consistency.confirmed or kind != "soil_change":  # else it is the file, and not the soil
+            _event(state, t_ns, kind, text, out)
 
 
 def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:
@@ -322,9 +327,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         return out
     own = state.estimators[method]
     given = row.fitting.adopt(own, state.machine, made, t_ns)
-    for kind, text in row.events(own):
-        if state.consistency.confirmed:
-            _event(state, t_ns, kind, text, out)
+    _events_of(state, t_ns, row, out)
     _estimates(state, t_ns, [given], out)
     return out
 

@@ -10,7 +10,6 @@ import os
 import pickle
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType
@@ -69,7 +68,7 @@ def prepare(machine: Machine, told: Told) -> float:
     told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
     """
     began: list[float] = []
-    left: Counter[CodeType] = Counter()  # functions still to be compiled, as often as kernels hold them
+    left = set[CodeType]()  # functions still to be compiled; the second kernel to call one finds it kept
     work = 0
 
     def begins(code: CodeType) -> None:
@@ -82,17 +81,17 @@ def prepare(machine: Machine, told: Told) -> float:
             told(0.0)
 
     def ended(code: CodeType) -> None:
-        if left[code]:  # not one of numba's own, nor one for other types
-            left[code] -= 1
+        if code in left:  # not one of numba's own, nor one for other types
+            left.remove(code)
             told(min(1.0 - _size(left) / work, MOST))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
 
 
-def _size(functions: Counter[CodeType]) -> int:
+def _size(functions: set[CodeType]) -> int:
     """How much work they are, about: compiling takes the longer the longer they are."""
-    return sum(len(code.co_code) * count for code, count in functions.items())
+    return sum(len(code.co_code) for code in functions)
 
 
 def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:

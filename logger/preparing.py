@@ -24,7 +24,7 @@ COMPILING: Final = "compiling kernels, once per machine"
 ANEW: Final = "compiling kernels, which cannot be kept here"
 FOLLOW: Final = "frames are recorded meanwhile, estimates follow"
 LEAVE_S: Final = 2.0  # how long the end of a run waits for it
-SURE: Final = 0.02  # share of the work that must be done before the rest is foretold
+SURE: Final = 0.1  # share of the work that must be done before the rest is foretold
 
 Report = Callable[[str, str], None]  # kind and text of an event
 
