@@ -15,6 +15,7 @@ from tilth.estimator import advice, unknowns
 from tilth.estimator.unknowns import NAMES, SIX
 from tilth.monitor import words
 from tilth.monitor.plain import plain
+from tilth.schemas import spread
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -86,7 +87,7 @@ def test_what_is_no_advice_is_none(text: str) -> None:
 )  # fmt: skip
 def test_how_the_soil_holds_the_tyres(ratio: float | None, sd: float | None, status: int, word: str) -> None:
     value = None if ratio is None else 200e3 * ratio
-    within = None if sd is None else words.WITHIN * sd
+    within = None if sd is None else spread.WITHIN * sd
     assert words.ground(value, within, status, 200e3)["word"] == word
     if word not in ("withdrawn", "not known now"):
         assert words.ground(value, within, status, None)["word"] == "not known yet"  # of no rig
@@ -107,7 +108,7 @@ def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
     told = words.shown(came, RIG)
     sd = [math.sqrt(variance) for variance in came["log_covariance"][::7]]
     for name, within, own in zip(PARAMETERS, told["within"], sd, strict=True):
-        assert within == (None if name == "sigma_r" else pytest.approx(words.WITHIN * own, rel=1e-4))
+        assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * own, rel=1e-4))
     assert came["bound"][2] == pytest.approx(0.09) and told["known"][2] == "±18 %"
     assert came["bound"][4] is None and told["known"][4] is None
     assert json.dumps(came) == before
