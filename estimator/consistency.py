@@ -32,9 +32,12 @@ Array = NDArray[np.float64]
 CONTRADICTION: Final = "contradiction"
 REFUSED: Final = "the data contradict the machine file"
 BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
-BEGINS_TOTAL: Final = 55.0  # of all of them
+BEGINS_TOTAL: Final = 90.0  # of all of them
 ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
 LASTS: Final = 5  # poses (1 s) in a row before it is said
+LASTS_OPEN: Final = (
+    40  # poses (8 s), of what the open filter says: a change of soil looks like it for seconds
+)
 OVER: Final = 50  # poses (10 s) in a row without it before it is over
 FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is forgotten
 RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
@@ -91,6 +94,7 @@ class Consistency:
     rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
     """Method -> key -> what is wrong with what it last gave."""
+    accused: bool = False  # the open filter found something before and was begun anew: the second time counts
     forgets: bool = False  # what was learned while a contradiction lasted is to be forgotten
 
 
@@ -157,6 +161,13 @@ def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
         return estimate  # it says itself why it gives nothing
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
     return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
+
+
+def soil_changed(state: Consistency, machine: Machine) -> None:
+    """Begin anew with what driving says of the file: what tells other soil from another rig takes seconds."""
+    if state.confirmed:
+        learn_anew(state, machine)
+        state.confirmed = True
 
 
 def learn_anew(state: Consistency, machine: Machine) -> None:
@@ -267,7 +278,7 @@ def _in_words(machine: Machine, name: str, now: Misfit) -> str:
     if name in ("aside_i", "e"):
         what = "implement's receivers" if name == "aside_i" else "implement's axle"
         return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
-    low, high = interval(math.exp(off), sd)
+    low, high = interval(math.exp(min(off, 5.0)), min(sd, 5.0))
     what = "reading of the wheels' angle" if name == "wheel_gain" else _KEYS[name].partition(" or ")[0]
     return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
 
@@ -309,13 +320,17 @@ def _judge(
     """Keep count of what is found, and say what begins or is over."""
     events: list[tuple[str, str]] = []
     found = {**by_method, **found}
-    for key, text in found.items():
+    for key, text in list(found.items()):
         finding = state.findings.setdefault(key, Finding(key, text))
         finding.by_method = key in by_method
         finding.poses, finding.absent = finding.poses + 1, 0
         if not finding.said:
             finding.text = text
-        if finding.poses >= LASTS and not finding.said:
+        opened = key in _KEYS.values() and key not in by_method
+        if opened and finding.poses == LASTS_OPEN and not state.accused:
+            _try_again(state, machine, key)
+            continue
+        if finding.poses >= (LASTS_OPEN if opened else LASTS) and not finding.said:
             finding.said = True
             state.confirmed = False
             events.append((CONTRADICTION, f"{text} Until this is over no number is given"))
@@ -334,6 +349,13 @@ def _judge(
     return events
 
 
+def _try_again(state: Consistency, machine: Machine, key: str) -> None:
+    """Begin the open filter anew: from far off it may go astray, hardly twice in the same way."""
+    state.accused = True
+    state.open, state.rows = open_tracker.initial(machine), []
+    del state.findings[key]
+
+
 def _confirm(state: Consistency, machine: Machine) -> None:
     wide = open_tracker.still_open(state.open)
     now = open_tracker.misfit(state.open, machine)
@@ -341,5 +363,6 @@ def _confirm(state: Consistency, machine: Machine) -> None:
     if not wide and not fits:
         wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
     state.confirmed = not wide and len(state.rows) >= TOLD and state.rates_known
+    state.accused &= not state.confirmed
     keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates"
     state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"

@@ -275,6 +275,8 @@ def _events_of(state: State, t_ns: int, row: Estimator, out: list[Publication]) 
     for kind, text in row.events(state.estimators[row.method]):
         if state.consistency.confirmed or kind != "soil_change":  # else it is the file, and not the soil
             _event(state, t_ns, kind, text, out)
+            if kind == "soil_change":
+                consistency.soil_changed(state.consistency, state.machine)
 
 
 def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:

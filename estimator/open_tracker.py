@@ -22,9 +22,9 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 OPEN: Final = {
-    "wheel_zero": math.radians(5.0), "wheel_gain": 0.5, "latency": 0.1, "pair_t": math.radians(5.0),
-    "pair_i": math.radians(5.0), "aside_i": 0.7, "a": 0.5, "b": 0.5, "c": 0.5, "d": 0.5, "e": 0.7,
-    "m_i": 0.5, "I_t": 0.5, "I_i": 0.5,
+    "wheel_zero": math.radians(5.0), "wheel_gain": 0.4, "latency": 0.1, "pair_t": math.radians(5.0),
+    "pair_i": math.radians(5.0), "aside_i": 0.5, "a": 0.4, "b": 0.4, "c": 0.4, "d": 0.4, "e": 0.5,
+    "m_i": 0.4, "I_t": 0.4, "I_i": 0.4,
 }  # fmt: skip
 """Prior sd of each unknown that is left open, in its own unit (unknowns.NAMES)."""
 ALLOWED: Final = {
@@ -41,8 +41,9 @@ SHOWN: Final = {
 """Sd from which on a gross error would have shown: only then the file counts as confirmed."""
 NAMES: Final = tuple(OPEN)
 PLACES: Final = [AT[name] for name in NAMES]
-TYRES: Final = 1.0  # prior sd of each of the six logarithms, at the least
+TYRES: Final = 0.7  # prior sd of each of the six logarithms, at the least
 MEMORY: Final = 2400.0  # stretches with steering (8 min) over which what was found is forgotten
+SOIL_MEMORY: Final = 500.0  # stretches with steering (100 s), of the six: soil differs from place to place
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # what straight driving tells too
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
@@ -73,7 +74,8 @@ def initial(machine: Machine) -> TrackerState:
 def take(state: TrackerState, machine: Machine, stretch: Stretch) -> bool:
     """Take one stretch; whether it told anything of what only steering tells."""
     tracker.take_stretch(state, machine, stretch)
-    state.told.clear()  # of the soil only the tracker itself speaks
+    state.told.clear()
+    state.marks.clear()  # a change of soil is the tracker's own to find
     told = not state.reason and state.waiting is not None
     if told:
         _forget(state)
@@ -82,11 +84,12 @@ def take(state: TrackerState, machine: Machine, stretch: Stretch) -> bool:
 
 def _forget(state: TrackerState) -> None:
     """Let what was found fade towards the prior: a receiver may be moved in the middle of a day."""
-    keep = math.exp(-1.0 / MEMORY)
-    state.covariance[PLACES, :] *= keep
-    state.covariance[:, PLACES] *= keep
-    state.covariance[PLACES, PLACES] += (1.0 - keep**2) * state.prior_sd[PLACES] ** 2
-    state.between[:, PLACES] *= keep
+    for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
+        keep = math.exp(-1.0 / memory)
+        state.covariance[places, :] *= keep
+        state.covariance[:, places] *= keep
+        state.covariance[places, places] += (1.0 - keep**2) * state.prior_sd[places] ** 2
+        state.between[:, places] *= keep
 
 
 def misfit(state: TrackerState, machine: Machine) -> Misfit:

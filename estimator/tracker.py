@@ -47,6 +47,7 @@ PUSH_FOLLOWED: Final = 50.0  # stretches (10 s), of the ground
 PUSH_BELIEVED: Final = 1000.0  # stretches in which the ground is forgotten
 LARGEST_PUSH: Final = 5.0  # over what was expected, that one stretch may show
 LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # of a stated sd
+FARTHEST: Final = 10.0  # of a logarithm, that is said
 LARGEST_CHANGE: Final = 0.7  # of a logarithm, that the first guess after a change of soil may be
 
 
@@ -258,7 +259,7 @@ def _watch(state: TrackerState) -> None:
 def _give_up(state: TrackerState, logs: Array) -> None:
     """The six from the prior's covariance on, about where the change seems to have led; nuisances stay."""
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
-    factor = math.exp(logs[np.argmax(np.abs(logs))])
+    factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -FARTHEST, FARTHEST))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
     state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
     state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)

@@ -137,6 +137,7 @@ def events_of(path: Path, folder: Path) -> list[str]:
                 "text": event.text,
                 "latitude_deg": event.latitude_deg if event.HasField("latitude_deg") else None,
                 "longitude_deg": event.longitude_deg if event.HasField("longitude_deg") else None,
+                "utc_ns": event.utc_ns if event.HasField("utc_ns") else None,
             }
         )
         for event in told
