@@ -1,6 +1,7 @@
 """What estimators call is compiled while frames are recorded; who calls it later finds it compiled."""
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -162,7 +163,8 @@ def demo(environment: dict[str, str], folder: Path) -> tuple[dict[str, Any], str
 
 
 def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
-    """From a run's start to its first frame, to when the estimators were ready, to the first estimate."""
+    """From a run's start to its first frame, to when the estimators were ready, to the first estimate; nan
+    where the log has none, as where they are ready from the start."""
     began_ns, first = 0, dict[str, int]()
     for path in paths:
         with path.open("rb") as stream:
@@ -175,7 +177,9 @@ def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
                 if name != READY_TOPIC or Ready.FromString(message.data).ready:
                     first.setdefault(name, message.log_time)
     names = ("frame", READY_TOPIC, "/soil_tire/tracker")
-    return tuple((first[name] - began_ns) * 1e-9 for name in names)  # type: ignore[return-value]
+    return tuple(  # type: ignore[return-value]
+        (first[name] - began_ns) * 1e-9 if name in first else math.nan for name in names
+    )
 
 
 @pytest.mark.cold
@@ -202,7 +206,7 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     assert all(again[key] == said[key] for key in ("frames", "measurements", "poses", "estimates"))
     if kept:  # the second start finds them
         said, told = demo(own, tmp_path / "logs")
-        assert "compil" not in told and seconds_of([Path(said["log"][0])])[0] < 3.0
+        assert "compil" not in told and seconds_of([Path(name) for name in said["log"]])[0] < 3.0
 
 
 @pytest.mark.parametrize(
