@@ -362,5 +362,6 @@ def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = T
     except ValidationError as error:
         raise MachineError(sentence(error, raw, Machine)) from None
     if plausible:
-        refuse_impossible(machine)
+        # Checked as schemas/machine.py, it is for pyright another module than tilth.schemas.machine.
+        refuse_impossible(machine)  # pyright: ignore[reportArgumentType]
     return machine

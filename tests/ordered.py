@@ -42,7 +42,8 @@ class Ordered:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.process.poll() is None:
+        assert self.process.stdout is not None
+        if not self.process.stdout.closed:  # else `kill` has seen to it
             self.process.communicate(timeout=PATIENCE_S)
 
 
