@@ -123,6 +123,7 @@ def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
         other.declare_subscriber(
             f"{BASE}/**", lambda s: published[str(s.key_expr).removeprefix(BASE)].append(s.payload.to_bytes())
         )
+        until(lambda: all(published[t] for t in WANTED))  # what a viewer hears from now on, this one does too
         with viewer_at(address) as wild:
             wild.misbehave()
         with viewer_at(address) as viewer:
