@@ -35,9 +35,7 @@ BEGINS: Final = 22.0  # chi-square of one open number, everything else within wh
 BEGINS_TOTAL: Final = 90.0  # of all of them
 ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
 LASTS: Final = 5  # poses (1 s) in a row before it is said
-LASTS_OPEN: Final = (
-    40  # poses (8 s), of what the open filter says: a change of soil looks like it for seconds
-)
+LASTS_OPEN: Final = 40  # poses (8 s), of what the open filter says: other soil looks like it for seconds
 OVER: Final = 50  # poses (10 s) in a row without it before it is over
 FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is forgotten
 RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
@@ -157,7 +155,8 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
 
 
 def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
-    if status is Status.UNESTIMATED and all(p.status is not Status.ESTIMATED for p in estimate.parameters):
+    usable = (Status.ESTIMATED, Status.STALE)
+    if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
         return estimate  # it says itself why it gives nothing
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
     return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
