@@ -314,6 +314,7 @@ class Seen:
 
     given: dict[str, list[tuple[float, tuple[float, ...]]]]  # method -> (s, error over sd of each, or nan)
     reasons: list[str]  # contradictions that stand at the end
+    off: dict[str, list[float | None]]  # method -> natural log of what it gave last over the truth
     first: str = ""  # the first contradiction, and when
     first_s: float = math.nan
 
@@ -332,13 +333,14 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
         fold.ask(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    seen = Seen({}, [f.text for f in state.consistency.findings.values() if f.said])
+    seen = Seen({}, [f.text for f in state.consistency.findings.values() if f.said], {})
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
         if isinstance(value, Event) and value.kind == CONTRADICTION and not seen.first:
             seen.first, seen.first_s = value.text, at_s
         if isinstance(value, Estimate) and value.method != "pem_two_step":
             seen.given.setdefault(value.method, []).append((at_s, _errors(value, logs)))
+            seen.off[value.method] = _off(value, logs)
     return seen
 
 
@@ -355,6 +357,13 @@ def _errors(estimate: Estimate, logs: list[float]) -> tuple[float, ...]:
         else math.nan
         for p, log in zip(estimate.parameters, logs, strict=True)
     )
+
+
+def _off(estimate: Estimate, logs: list[float]) -> list[float | None]:
+    return [
+        round(math.log(p.value) - log, 4) if p.status is Status.ESTIMATED and p.value else None
+        for p, log in zip(estimate.parameters, logs, strict=True)
+    ]
 
 
 # What becomes of a change.
@@ -383,6 +392,7 @@ def outcome(name: str, change: Change) -> dict[str, Any]:
         "early_s": early_s,
         "first_s": seen.first_s,
         "first": seen.first,
+        "off": seen.off,
     }
     if seen.reasons:
         named = any(word in reason for reason in seen.reasons for word in GROUPS[change.group])

@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator import latency, open_tracker, startup, wheel_check
+from tilth.estimator import latency, motion_check, open_tracker, startup, wheel_check
 from tilth.estimator.aligner import MOUNTS, Aligner
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.motion_check import MotionCheck
 from tilth.estimator.open_tracker import Misfit
 from tilth.estimator.record import Stretch
 from tilth.estimator.startup import StartUp
@@ -85,6 +86,7 @@ class Consistency:
 
     open: TrackerState
     wheel: WheelCheck = field(default_factory=WheelCheck)
+    motion: MotionCheck = field(default_factory=MotionCheck)
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
     lacks: str = "nothing has been driven yet"  # what keeps it from being confirmed
@@ -107,6 +109,7 @@ def observe(
 ) -> list[tuple[str, str]]:  # fmt: skip
     """Take one pose and the stretch that ended with it. (kind, text) of what has begun or is over."""
     wheel_check.observe(state.wheel, machine, pose)
+    motion_check.observe(state.motion, pose)
     if stretch is not None and open_tracker.take(state.open, machine, stretch):
         state.rows = [*state.rows, open_tracker.beyond_belief(state.open)][-WATCHED:]
     state.rates_known |= startup.turn_rates_known(checks)
@@ -195,6 +198,7 @@ def _found(
         if flag.partition(":")[0] in _ROLL
     }
     key, text = wheel_check.verdict(state.wheel)
+    found |= motion_check.found(state.motion)
     if key:
         return found | {key: text}
     if not found and state.rates_known:
@@ -361,7 +365,8 @@ def _confirm(state: Consistency, machine: Machine) -> None:
     fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
     if not wide and not fits:
         wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
-    state.confirmed = not wide and len(state.rows) >= TOLD and state.rates_known
+    known = state.rates_known and not motion_check.waits(state.motion)
+    state.confirmed = not wide and len(state.rows) >= TOLD and known
     state.accused &= not state.confirmed
-    keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates"
+    keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates and rolls"
     state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"

@@ -1,7 +1,7 @@
 """A machine file that the data contradict gives no number, and says which key to look at."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 
@@ -10,23 +10,28 @@ import pytest
 import wrong_files
 from circle import demo_machine
 
-from tilth.estimator import consistency, fold, open_tracker, wheel_check
+from tilth.estimator import consistency, fold, motion_check, open_tracker, wheel_check
 from tilth.estimator.consistency import CONTRADICTION
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.motion_check import MotionCheck
 from tilth.estimator.wheel_check import WheelCheck
 from tilth.replay.scenario import Fault, Scenario
 from tilth.replay.tractor import draw
 from tilth.replay.traffic import simulate
+from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
+    Attitude,
     BodyPose,
     Estimate,
     Event,
     Frame,
+    Measurement,
     Mount,
     ParameterEstimate,
     Pose,
     Publication,
     Status,
+    Velocity,
 )
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.plausible import COEFFICIENT
@@ -49,6 +54,17 @@ def run(machine: Machine, frames: list[Frame]) -> tuple[fold.State, list[Publica
 @cache
 def frames(scenario: Scenario = RANDOM) -> list[Frame]:
     return list(simulate(demo_machine(), 2, scenario.seconds, scenario))
+
+
+class Changed(Decoder):
+    """A decoder whose measurements are changed: receivers that go wrong."""
+
+    def __init__(self, machine: Machine, change: Callable[[Measurement], Measurement]) -> None:
+        super().__init__(machine)
+        self._change = change
+
+    def measurements(self, frame: Frame) -> list[Measurement]:
+        return [self._change(one) for one in super().measurements(frame)]
 
 
 def given(out: list[Publication]) -> Iterator[tuple[int, Estimate]]:
@@ -160,6 +176,62 @@ def test_the_wheels_say_nothing_on_straight_rows_at_standstill_and_in_reverse() 
         for _ in range(100):
             wheel_check.observe(state, machine, pose_of(u, r, wheel))
     assert wheel_check.verdict(state) == ("", "")
+
+
+def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05) -> Iterator[Pose]:
+    """Two minutes of turns at 4 m/s: the way over the speed, roll per m/s^2, the implement's roll."""
+    rng = np.random.default_rng(2)
+    x = y = psi = 0.0
+    for k in range(600):
+        r = 0.35 * math.sin(0.05 * k)
+        psi += 0.2 * r
+        x, y = x + 0.2 * 4.0 * speed * math.cos(psi), y + 0.2 * 4.0 * speed * math.sin(psi)
+        pose = pose_of(4.0, r, None)
+        tractor = replace(
+            pose.tractor, x=x + rng.normal(0.0, 0.02), y=y + rng.normal(0.0, 0.02), heading=psi,
+            roll=0.05 + gradient * 4.0 * r + rng.normal(0.0, 0.01),
+        )  # fmt: skip
+        implement = replace(tractor, roll=lean_i + rng.normal(0.0, 0.01))
+        yield replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({}, ()), ({"speed": 1.06}, ()), ({"speed": 1.3}, ("1.30 times as far",) * 2),
+        ({"speed": 0.5}, ("0.50 times as far",) * 2), ({"gradient": 0.03}, ()),
+        ({"gradient": 0.1}, ("roll follows its turns",)), ({"gradient": -0.1}, ("as no tractor leans",)),
+        ({"lean_i": 0.15}, ()), ({"lean_i": -0.2}, ("lean apart by +14°",)),
+    ],
+)  # fmt: skip
+def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], words: tuple[str, ...]) -> None:
+    state = MotionCheck()
+    for pose in on_a_slope(**wrong):
+        motion_check.observe(state, pose)
+    found = list(motion_check.found(state).values())
+    assert len(found) == len(words)
+    assert all(word in text for word, text in zip(words, found, strict=True)), found
+
+
+def wrongly(what: str) -> Callable[[Measurement], Measurement]:
+    def change(one: Measurement) -> Measurement:
+        on_tractor = one.origin.mount in (Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR)
+        if what == "speed" and isinstance(one, Velocity) and on_tractor:
+            return replace(one, speed=1.3 * one.speed)
+        if what == "roll" and isinstance(one, Attitude) and one.roll is not None and on_tractor:
+            return replace(one, roll=one.roll + math.radians(14.0))
+        return one
+
+    return change
+
+
+@pytest.mark.parametrize(("what", "words"), [("speed", "receivers' speed"), ("roll", "lean apart")])
+def test_a_receiver_that_contradicts_itself_gives_no_number(what: str, words: str) -> None:
+    state = fold.initial(demo_machine())
+    state.decoder = Changed(demo_machine(), wrongly(what))
+    out = [p for frame in frames() for p in fold.step(state, frame)]
+    assert any(words in text for text in contradictions(out)), contradictions(out)
+    assert not list(given(out))
 
 
 def estimate_of(values: tuple[float, ...]) -> Estimate:

@@ -84,8 +84,9 @@ def test_no_frame_is_lost(short: dict[str, Any], machine: Machine) -> None:
     assert short["frames"] == pytest.approx(len(list(simulate(machine, 1, 4.0))), abs=80)
     assert short["frames_lost"] == 0
     (log,) = short["log"]
-    read = list(frames(Path(log)))  # sent for four seconds, and taken as soon as a busy computer could
-    assert (read[-1].rx_ns - read[0].rx_ns) * 1e-9 == pytest.approx(4.0, abs=0.1)
+    read = list(frames(Path(log)))
+    # Sent in real time, never faster; a busy computer may take the last ones late.
+    assert (read[-1].rx_ns - read[0].rx_ns) * 1e-9 > 3.9
     assert short["duration_s"] == pytest.approx((read[-1].t_ns - read[0].t_ns) * 1e-9)
 
 
