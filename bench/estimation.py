@@ -6,7 +6,7 @@ Run k of a row has seed k, on whatever number of processes; a row alone takes a 
 Six numbers in a row are those of C_af, C_ar, C_ai, sigma_f, sigma_r, sigma_i. `coverage` is the share of the
 95 % intervals that hold the truth, with the 95 % interval of that share (Wilson); a bias is the mean error
 over the published sd, and an sd is one of a natural logarithm. The plants are in replay/studies: in
-linear_plant.py the estimators' own model, in estimation.py the nonlinear one with frames, latency and
+linear_plant.py the estimators' own model, in estimation_study.py the nonlinear one with frames, latency and
 coloured noise.
 """
 
@@ -26,17 +26,17 @@ from pathlib import Path
 from typing import Any
 
 import estimation_runs as runs
+import estimation_study
 import numpy as np
 from estimation_runs import Linear, Plain
+from estimation_study import CHANGE_S, COVERAGE, DROP, HIDDEN, Case, Followed
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 
-from tilth.estimator.windows import WINDOW
+from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
-from tilth.replay.studies import estimation
-from tilth.replay.studies.estimation import CHANGE_S, COVERAGE, DROP, HIDDEN, Case, Followed
 
 Array = NDArray[np.float64]
 
@@ -187,7 +187,7 @@ def _last(run: Followed, method: str) -> Array:
 
 
 def three_steps(bench: Bench) -> list[Line]:
-    case = bench.case(estimation.STEPS)
+    case = bench.case(estimation_study.STEPS)
     made = [m for m in bench.each(partial(runs.window, case, 3, bench.window), 50) if m is not None]
     if not made:
         return [Line("three windows", "no run had three")]
@@ -202,7 +202,7 @@ def three_steps(bench: Bench) -> list[Line]:
 
 
 def trajectory(bench: Bench) -> list[Line]:
-    case = bench.case(estimation.HELD_OUT)
+    case = bench.case(estimation_study.HELD_OUT)
     made = [m for m in bench.each(partial(runs.trajectory, case, bench.window), 50) if m is not None]
     if not made:
         return [Line("two windows", "no run had two")]
@@ -234,8 +234,8 @@ def hidden(case: Case, bench: Bench) -> list[Line]:
 
 
 def soil_change(bench: Bench) -> list[Line]:
-    made: list[Followed] = bench.each(partial(runs.follow, bench.case(estimation.SOIL_CHANGE)), 100)
-    told = np.array([estimation.first_informed(run.wheel, CHANGE_S) for run in made])
+    made: list[Followed] = bench.each(partial(runs.follow, bench.case(estimation_study.SOIL_CHANGE)), 100)
+    told = np.array([estimation_study.first_informed(run.wheel, CHANGE_S) for run in made])
     seen = np.array([_first_event(run, CHANGE_S) for run in made]) - told
     early = sum(kind == "soil_change" and at < CHANGE_S for run in made for at, kind, _ in run.events)
     found = float(np.median(seen)) if np.all(np.isfinite(told)) else math.inf
@@ -293,7 +293,7 @@ def _last_after(run: Followed, method: str) -> Array:
 
 def straight_hour(bench: Bench) -> list[Line]:
     """Means and sds at the end against those when the rig is on its row, and false alarms."""
-    case = bench.case(estimation.STRAIGHT)
+    case = bench.case(estimation_study.STRAIGHT)
     made: list[Followed] = bench.each(partial(runs.follow, case), 6)
     hours = len(made) * case.scenario.seconds / 3600.0
     alarms = [(at, text) for run in made for at, kind, text in run.events if kind == "soil_change"]
@@ -303,7 +303,7 @@ def straight_hour(bench: Bench) -> list[Line]:
         moves, grew, z = [], [], []
         for run in made:
             rows = run.series[method]
-            began = rows[min(int(np.searchsorted(rows[:, 0], estimation.ON_ROW_S)), len(rows) - 1)]
+            began = rows[min(int(np.searchsorted(rows[:, 0], estimation_study.ON_ROW_S)), len(rows) - 1)]
             moves.append(np.abs(rows[:, 1:7] - began[1:7]).max(axis=0) / began[7:13])
             grew.append(rows[-1, 7:13] / began[7:13])
             z.append(_last(run, method))

@@ -1,4 +1,4 @@
-"""One run of each row of estimation.py: functions of a seed, for processes of their own."""
+"""One run of each row of estimation_study.py: functions of a seed, for processes of their own."""
 
 import os
 import pickle
@@ -12,24 +12,26 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
+import estimation_study
+import linear_plant
 import numpy as np
 import plain_filterpy
 import plain_least_squares
 import plain_statsmodels
+from estimation_study import Case, Fitted, Followed
 from numpy.typing import NDArray
 
-from tilth.estimator import likelihood, pem, unknowns
-from tilth.estimator.estimators import ROW
+from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.unknowns import AT, NOISE, SIX
+from tilth.estimator.methods import pem
+from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record import Stretch
-from tilth.estimator.unknowns import AT, NOISE, SIX
-from tilth.estimator.windows import WINDOW
+from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
-from tilth.replay.simulate import PACKAGED
-from tilth.replay.studies import estimation, linear_plant
-from tilth.replay.studies.estimation import Case, Fitted, Followed
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.simulate import PACKAGED
 
 Array = NDArray[np.float64]
 
@@ -110,21 +112,21 @@ def merged_rows(seconds: float, seed: int) -> Linear:
 
 
 def window(case: Case, count: int, length: int, seed: int) -> Fitted | None:
-    return estimation.window_of(machine(), case, seed, count, length)
+    return estimation_study.window_of(machine(), case, seed, count, length)
 
 
 def mean_bound(case: Case, made: list[Fitted]) -> Array:
     """Of the mean information of the runs, (6,)."""
     information = np.mean([m.information for m in made], axis=0)
-    return estimation.bound_of(information, case.believed(machine()))
+    return estimation_study.bound_of(information, case.believed(machine()))
 
 
 def trajectory(case: Case, length: int, seed: int) -> tuple[float, ...] | None:
-    return estimation.trajectory_error(machine(), case, seed, length)
+    return estimation_study.trajectory_error(machine(), case, seed, length)
 
 
 def follow(case: Case, seed: int) -> Followed:
-    return estimation.followed(estimation.driven(machine(), case, seed))
+    return estimation_study.followed(estimation_study.driven(machine(), case, seed))
 
 
 # Plain alternatives, on the same record.
@@ -170,10 +172,10 @@ def plain(seconds: float, seed: int) -> dict[str, Plain]:
 
 def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, ...]]]:
     """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
-    case, length = estimation.HELD_OUT, round(WINDOW * scale)
-    run = estimation.driven(machine(), case, 1, max(40.0 * scale, 12.0))
-    given = estimation.poses_and_stretches(run)
-    record = estimation.windows([stretch for _, stretch in given if stretch is not None], length)[0]
+    case, length = estimation_study.HELD_OUT, round(WINDOW * scale)
+    run = estimation_study.driven(machine(), case, 1, max(40.0 * scale, 12.0))
+    given = estimation_study.poses_and_stretches(run)
+    record = estimation_study.windows([stretch for _, stretch in given if stretch is not None], length)[0]
     mean, sd = unknowns.prior(machine())
     job = pem.Job(0, 0, record, mean, np.diag(sd**2))
     pem.fit(machine(), job)

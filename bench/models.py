@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from tilth.estimator import linear_analysis as la
+from tilth.estimator.models import linear_analysis as la
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.family import MODELS, Model

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import uvicorn
 from stage import Monitor, Stage, drive, estimate, pose, status
 
-from tilth.monitor.plain import plain
+from tilth.monitor.json_safe import plain
 from tilth.monitor.server import FILES, listening_socket
 from tilth.monitor.view import View, own_version
 from tilth.schemas.channels import CHANNEL

@@ -1,6 +1,6 @@
 """Output error with numpy and scipy: what one writes first. The model runs free of the measurements (K = 0).
 
-States, outputs and record are those of replay/studies/linear_plant.py: v, r_t, r_i, three slip angles and two
+States, outputs and record are those of bench/linear_plant.py: v, r_t, r_i, three slip angles and two
 headings; both yaw rates and both headings are seen.
 """
 

@@ -2,8 +2,9 @@
 
     python bench/reading.py [--seconds 600]
 
-A log of the demo's traffic (800 frames/s) with its results is read by `tilth.replay.arrays.read_frames` and
-by mcap's iter_messages; in turn, three times, by the processor's time; the best of each counts.
+A log of the demo's traffic (800 frames/s) with its results is read by
+`tilth.replay.readers.arrays.read_frames` and by mcap's iter_messages; in turn, three times, by the
+processor's time; the best of each counts.
 """
 
 import argparse
@@ -16,7 +17,7 @@ import numpy as np
 from mcap.reader import make_reader
 from replay_speed import logged_drive
 
-from tilth.replay.arrays import read_frames
+from tilth.replay.readers.arrays import read_frames
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 
 ROUNDS = 3

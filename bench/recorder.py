@@ -9,7 +9,7 @@ can_frame in them. `pytest -m vm -k beside` sets it beside `candump -L` and `pyt
 """
 
 # ruff: noqa: E402
-from tilth.logger.lean_can import import_can
+from tilth.logger.can.lean_can import import_can
 
 import_can()  # as `tilth run` does, before anybody else imports python-can
 
@@ -29,12 +29,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tilth.logger.bus_opening import open_port
-from tilth.logger.buses import Buses, Opener
+from tilth.logger.can.bus_opening import open_port
+from tilth.logger.can.buses import Buses, Opener
+from tilth.logger.can.port import Tally
+from tilth.logger.can.socketcan import CAN_FRAME, EXTENDED, SocketCanPort
 from tilth.logger.clock import Clock
-from tilth.logger.port import Tally
-from tilth.logger.recording import Recording
-from tilth.logger.socketcan import CAN_FRAME, EXTENDED, SocketCanPort
+from tilth.logger.log.run_log import Recording
 from tilth.logger.status import bus_status
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event

@@ -18,15 +18,15 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.compare import Comparison
-from tilth.replay.driver import Outputs, replay
-from tilth.replay.readers import frames
-from tilth.replay.traffic import simulate
+from tilth.replay.offline import Outputs, replay
+from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
+from tilth.simulator.traffic import simulate
 
 ROUNDS = 3
 MACHINE = "machines/jd7930-parker500.toml"

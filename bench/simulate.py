@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tilth.estimator.models import nonlinear
-from tilth.replay.scenario import Scenario, parse_scenario
-from tilth.replay.simulate import PACKAGED, Source, simulate_to
-from tilth.replay.tractor import Truth, drive
-from tilth.replay.traffic import traffic
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import Scenario, parse_scenario
+from tilth.simulator.simulate import PACKAGED, Source, simulate_to
+from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.traffic import traffic
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "examples" / "scenarios"
 SHOWN = ("demo", "row_autosteer", "side_slope", "soil_change", "field_day")

@@ -19,7 +19,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from tilth.logger.clock import Clock
-from tilth.logger.recording import FLUSH_NS, Recording
+from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame

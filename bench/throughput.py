@@ -12,7 +12,7 @@ tractor ECU 30, and 452 that nobody wants: 800 together. (b) plays the same on e
 """
 
 # ruff: noqa: E402
-from tilth.logger.lean_can import import_can
+from tilth.logger.can.lean_can import import_can
 
 import_can()  # as `tilth run` does, before anybody else imports python-can
 
@@ -40,10 +40,10 @@ from mcap.reader import make_reader
 from tilth.logger import compiling
 from tilth.logger.daemon import Daemon, Summary, run_daemon
 from tilth.logger.display import NoDisplay
-from tilth.replay.traffic import simulate
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.traffic import simulate
 
 GROUP = "239.74.163.2"
 RATE = 7500.0  # frames/s, four full buses of 250 kbit/s

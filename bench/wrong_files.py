@@ -36,16 +36,17 @@ from typing import Any, Final
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from estimation_study import fitted_at_once
+
 from tilth.estimator import fold
-from tilth.estimator.consistency import CONTRADICTION
-from tilth.replay.scenario import Ground, Manoeuvre, Parameter, Scenario, Soil, Turns, parse_scenario
-from tilth.replay.simulate import PACKAGED
-from tilth.replay.studies.estimation import fitted_at_once
-from tilth.replay.tractor import draw
-from tilth.replay.traffic import simulate
+from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.simulator.scenario import Ground, Manoeuvre, Parameter, Scenario, Soil, Turns, parse_scenario
+from tilth.simulator.simulate import PACKAGED
+from tilth.simulator.tractor import draw
+from tilth.simulator.traffic import simulate
 
 Raw = dict[str, Any]
 PARKED: Final = (12.0, 0.0)

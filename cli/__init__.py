@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
-from tilth.logger.lean_can import import_can
+from tilth.logger.can.lean_can import import_can
 from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual

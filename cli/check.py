@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tilth.cli import duration
-from tilth.logger.check import check
-from tilth.logger.finding import NOTE, OK, PROBLEM, WARNING
+from tilth.logger.checks.check import check
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING
 from tilth.logger.machine_file import read_machine
 
 _WORD = {OK: "OK", NOTE: "NOTE", WARNING: "WARNING", PROBLEM: "PROBLEM"}

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.unread import tell_unread
+from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
-from tilth.logger.mcap_log import machine_sha256
-from tilth.replay.readers import open_log
-from tilth.replay.readers_log import Log, LogError, Record
-from tilth.replay.readers_rig import bus_names, machine_in, on_buses_of
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import Log, LogError, Record
+from tilth.replay.readers.rig import bus_names, machine_in, on_buses_of
 from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.can_id import BROADCAST
 from tilth.schemas.decode import Decoder, Unread

@@ -15,8 +15,8 @@ from rich.console import Console
 from tilth.cli import WrongUse, duration
 from tilth.logger.display import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
-from tilth.replay.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
 from tilth.schemas.invocation import command
+from tilth.simulator.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -15,8 +15,8 @@ from pydantic import ValidationError
 from tilth.cli import WrongUse, duration
 from tilth.replay.discover import Findings, Source, Survey, listen
 from tilth.replay.machine_draft import described, draft
-from tilth.replay.readers import frames
-from tilth.replay.readers_log import LogError
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.log import LogError
 from tilth.replay.turn_rates import in_words
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command

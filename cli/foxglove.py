@@ -7,7 +7,7 @@ from http import HTTPStatus
 from importlib import resources
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_address, add_daemon, check_address, say_who_reaches
+from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
 from tilth.client.link import base_key, living, open_session
 from tilth.monitor.addresses import urls
 from tilth.monitor.origin import Refusal

@@ -14,7 +14,7 @@ from rich.table import Table
 from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
-from tilth.logger.runs import Beside, StoredRun
+from tilth.logger.log.runs import Beside, StoredRun
 from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
 from tilth.schemas.invocation import command
 

@@ -7,7 +7,7 @@ import threading
 import time
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_daemon
+from tilth.cli.zenoh_options import add_daemon
 from tilth.client import Client, Staleness
 from tilth.client.latest import judge
 from tilth.client.link import base_key, living, open_session

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tilth.analysis.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
+from tilth.analysis.rig_tables import rig_tables
 from tilth.cli import WrongUse, say_unusual
-from tilth.estimator.identifiability import SENSOR_SETS
-from tilth.estimator.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.identifiability import SENSOR_SETS
+from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
-from tilth.replay.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
-from tilth.replay.rig_tables import rig_tables
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float]) -> None:
-    from tilth.replay import plots, rig_plot  # matplotlib takes a second: only who plots pays for it
+    from tilth.analysis import plots, rig_plot  # matplotlib takes a second: only who plots pays for it
 
     if path.suffix.lower() not in plots.FORMATS:
         raise WrongUse(f"--plot {path}: give a name that ends in {', '.join(plots.FORMATS)}")

@@ -3,9 +3,9 @@
 import argparse
 
 from tilth.cli import WrongUse
-from tilth.cli.hearing import add_address, add_daemon, check_address, say_who_reaches
+from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
 from tilth.monitor.addresses import urls
-from tilth.monitor.heard import Heard
+from tilth.monitor.daemon_data import Heard
 from tilth.monitor.server import listening_socket, serve
 
 PORT = 8117

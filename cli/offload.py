@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from tilth.cli import WrongUse
-from tilth.logger.offload import CannotCopy, offload
-from tilth.logger.runs import StoredRun, stored_runs
+from tilth.logger.log.offload import CannotCopy, offload
+from tilth.logger.log.runs import StoredRun, stored_runs
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from tilth.logger.clock import DATED_NS, utc_text
-from tilth.logger.recovery import Finished, NoLog, finish
+from tilth.logger.log.recovery import Finished, NoLog, finish
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

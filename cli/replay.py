@@ -15,16 +15,16 @@ from rich.table import Table
 
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.unread import who
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.logger.machine_file import read_machine
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.logger.zenoh_session import why
-from tilth.logger.zenoh_sink import ZenohSink
-from tilth.replay.answer import estimates_and_nuisances
+from tilth.logger.zenoh.session import why
+from tilth.logger.zenoh.sink import ZenohSink
 from tilth.replay.compare import Comparison
-from tilth.replay.driver import Outputs, Pace, Summary, replay
-from tilth.replay.readers import MCAP, open_log
-from tilth.replay.readers_log import EmptyLog, LogError
-from tilth.replay.readers_rig import bus_names, machine_in
+from tilth.replay.estimates_json import estimates_and_nuisances
+from tilth.replay.offline import Outputs, Pace, Summary, replay
+from tilth.replay.readers.any_log import MCAP, open_log
+from tilth.replay.readers.log import EmptyLog, LogError
+from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine

@@ -14,7 +14,7 @@ from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.machine_file import read_machine
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
-from tilth.logger.zenoh_session import refusal
+from tilth.logger.zenoh.session import refusal
 from tilth.schemas.plausible import unusual
 
 

@@ -15,14 +15,14 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tilth.cli import WrongUse, say_unusual
-from tilth.logger.bus_opening import check_interface
-from tilth.logger.lean_can import import_can
+from tilth.logger.can.bus_opening import check_interface
+from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
-from tilth.replay.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
-from tilth.replay.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
-from tilth.replay.tractor import drive
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
+from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
+from tilth.simulator.tractor import drive
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -76,7 +76,7 @@ def _on_buses(args: argparse.Namespace, source: Source) -> int:
     """1 where it was not sent, or not to its end."""
     import_can()
     from tilth.cli.discover import parse_buses
-    from tilth.replay.on_a_bus import CannotSend, send, stays_here
+    from tilth.simulator.on_a_bus import CannotSend, send, stays_here
 
     given, names = parse_buses(args.bus), [bus.name for bus in source.machine.bus]
     if len(given) != len(names):

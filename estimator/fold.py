@@ -9,22 +9,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from tilth.estimator import aligner, consistency, log_time, recorder, startup, warm
-from tilth.estimator.aligner import Aligner
-from tilth.estimator.consistency import Consistency
-from tilth.estimator.drawing import body_frames, drawing
-from tilth.estimator.estimators import ROW, Estimator, rows_for
-from tilth.estimator.geometry import to_degrees
-from tilth.estimator.log_time import LogTime
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.pose import poses
-from tilth.estimator.recommend import PREFERRED, disagreement, recommend
-from tilth.estimator.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.record import Stretch
-from tilth.estimator.recorder import RecordState
-from tilth.estimator.startup import StartUp
-from tilth.estimator.warm import Kept
-from tilth.estimator.windows import AWAITED, DROPPED, TAKEN
+from tilth.estimator import warm_start
+from tilth.estimator.methods import consistency
+from tilth.estimator.methods.consistency import Consistency
+from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
+from tilth.estimator.pose import aligner, log_time, receiver_checks
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.body_frames import body_frames, drawing
+from tilth.estimator.pose.geometry import to_degrees
+from tilth.estimator.pose.log_time import LogTime
+from tilth.estimator.pose.pose import poses
+from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.record import record_builder
+from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record_builder import RecordState
+from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
+from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
+from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
+from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.warm_start import Kept
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -104,7 +107,7 @@ def initial(machine: Machine) -> State:
     """The state before the first frame."""
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(
-        machine, Decoder(machine), aligner.initial(machine), recorder.initial(machine),
+        machine, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
         consistency.initial(machine), estimators,
     )  # fmt: skip
     state.estimates = _estimates_now(state)
@@ -115,12 +118,12 @@ def keep(state: State, t_ns: int) -> dict[str, Kept]:
     """Method -> what it has learned by t_ns, for the next run; nothing where the machine file is in doubt."""
     if not state.consistency.confirmed:
         return {}
-    return warm.keep(state.machine, state.estimators, t_ns)
+    return warm_start.keep(state.machine, state.estimators, t_ns)
 
 
 def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
     """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
-    told = warm.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
+    told = warm_start.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
     state.time.latest_ns = t_ns
     state.kept = {method: before for method, before in kept.items() if told.get(method) == ""}
     state.consistency.confirmed = bool(state.kept)  # only then something had been kept
@@ -132,7 +135,7 @@ def _learn_anew(state: State, t_ns: int) -> None:
     """As at the beginning of the run, since it was learned from what is no measurement."""
     state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
     elapsed_s = max(0, t_ns - state.kept_ns) * 1e-9
-    warm.warm(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
+    warm_start.warm(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
     state.estimates = _estimates_now(state)
 
 
@@ -187,8 +190,8 @@ def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publicati
 
 def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
-    startup.observe(state.checks, state.aligner, pose)
-    if found := [*startup.flags(state.checks), *consistency.flags(state.consistency)]:
+    receiver_checks.observe(state.checks, state.aligner, pose)
+    if found := [*receiver_checks.flags(state.checks), *consistency.flags(state.consistency)]:
         pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
     _draw(state, t_ns, pose, out)
@@ -206,7 +209,7 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
-    stretch = recorder.observe(state.record, state.aligner, pose)
+    stretch = record_builder.observe(state.record, state.aligner, pose)
     if not state.ready:
         return
     doubtful = _compare(state, t_ns, pose, stretch, out)
@@ -245,17 +248,17 @@ def _draw(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
 
 def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
     """Say what was found wrong with receivers; leave out turn rates that are smoothed."""
-    events = startup.events(state.checks)
+    events = receiver_checks.events(state.checks)
     for kind, text in events:
         _event(state, t_ns, kind, text, out)
     _use_turn_rates(state)
-    if any(kind == startup.SMOOTHED for kind, _ in events):
+    if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
         consistency.learn_anew(state.consistency, state.machine)
         _learn_anew(state, t_ns)
 
 
 def _use_turn_rates(state: State) -> None:
-    usable = startup.usable_yaw_rates(state.checks)
+    usable = receiver_checks.usable_yaw_rates(state.checks)
     for mount, track in state.aligner.tracks.items():
         track.smoothed = mount not in usable
 
@@ -339,8 +342,8 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
     _use_turn_rates(state)
-    startup.clock_stepped(state.checks)
-    recorder.clock_stepped(state.record)
+    receiver_checks.clock_stepped(state.checks)
+    record_builder.clock_stepped(state.record)
     consistency.clock_stepped(state.consistency)
     state.place = None
     state.kept_ns += by_ns

@@ -16,7 +16,7 @@ from types import CodeType
 from typing import Any, Final
 
 from tilth.estimator.compiled import Kernel
-from tilth.estimator.estimators import rows_for
+from tilth.estimator.methods.estimators import rows_for
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 

@@ -17,23 +17,23 @@ from pathlib import Path
 from zenoh import ZError
 
 from tilth.estimator.fold import RECOMMENDED
-from tilth.logger import warm_start
-from tilth.logger.bus_opening import open_port
-from tilth.logger.buses import Buses, Opener
+from tilth.logger import warm_start_file
+from tilth.logger.can.bus_opening import open_port
+from tilth.logger.can.buses import Buses, Opener
 from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.liveness import Sensors
-from tilth.logger.marks import KIND, Marks
-from tilth.logger.mcap_log import software
+from tilth.logger.log.marks import KIND, Marks
+from tilth.logger.log.mcap_log import software
+from tilth.logger.log.run_log import Recording
 from tilth.logger.preparing import Preparing
-from tilth.logger.recording import Recording
 from tilth.logger.status import bus_status, health_of, problems_of, rejected, tell_of_log
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
-from tilth.logger.zenoh_session import why
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh.liveness import Sensors
+from tilth.logger.zenoh.session import why
+from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import Estimate, Event, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine import Machine
@@ -103,10 +103,10 @@ class Daemon:
         self._clock = Clock()
         self._started_ns = self._clock.t_ns()
         self._buses = Buses(machine.bus, self._clock, self._report, opener)
-        self._warm_path = warm_start.path_of(folder, machine) if keep else None
+        self._warm_path = warm_start_file.path_of(folder, machine) if keep else None
         warmed = False
         if self._warm_path is not None and not fresh:
-            warmed = warm_start.take_up(
+            warmed = warm_start_file.take_up(
                 self._warm_path, machine, self._started_ns, self._fold.warm, self._report
             )
         self._recording = Recording(
@@ -238,8 +238,8 @@ class Daemon:
         self._next_keep_ns = t_ns + KEEP_NS
         path, kept = self._warm_path, self._fold.keep(t_ns)
         if path is not None and kept:
-            text = warm_start.text_of(self._machine, kept, t_ns)
-            self._recording.beside(lambda: warm_start.write(path, text))
+            text = warm_start_file.text_of(self._machine, kept, t_ns)
+            self._recording.beside(lambda: warm_start_file.write(path, text))
 
     def _show(self, t_ns: int) -> None:
         self._next_show_ns = t_ns + SHOW_NS

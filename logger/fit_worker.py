@@ -11,7 +11,7 @@ import sys
 import time
 from typing import Any
 
-from tilth.estimator.estimators import ROW, rows_for
+from tilth.estimator.methods.estimators import ROW, rows_for
 from tilth.schemas.machine import Machine
 
 NICE = 10  # recording comes first

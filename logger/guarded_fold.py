@@ -20,9 +20,9 @@ from tilth.estimator.fold import (
     snapshot,
     step,
 )
-from tilth.estimator.geometry import to_degrees
-from tilth.estimator.warm import Kept
-from tilth.estimator.windows import AWAITED, OPEN, TAKEN
+from tilth.estimator.pose.geometry import to_degrees
+from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
+from tilth.estimator.warm_start import Kept
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Mapping
 
-from tilth.logger.buses import NOT_YET, Source
-from tilth.logger.recording import Recording
+from tilth.logger.can.buses import NOT_YET, Source
+from tilth.logger.log.run_log import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem

@@ -24,7 +24,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from tilth.monitor.heard import Heard, Mark
+from tilth.monitor.daemon_data import Heard, Mark
 from tilth.monitor.origin import refusal
 from tilth.monitor.view import View
 

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
 
 from tilth.client.received import LONGEST as LONGEST_TEXT
-from tilth.monitor.heard import Heard
+from tilth.monitor.daemon_data import Heard
 from tilth.monitor.history import History
 from tilth.monitor.words import priors, row, shown
 from tilth.schemas.invocation import command

@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
-from tilth.estimator.manoeuvres import MANOEUVRES
+from tilth.estimator.models.manoeuvres import MANOEUVRES
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.spread import WITHIN, even
 
@@ -93,7 +93,7 @@ def ground(value: float | None, within: float | None, status: int, usual: float 
 
 
 def advised(advice: str) -> str:
-    """The sentence of estimator/advice.py as one for a driver; "" where there is none to give."""
+    """The sentence of estimator/results/advice.py as one for a driver; "" where there is none to give."""
     slow = _SLOW.fullmatch(advice)
     if slow:
         return f"Drive faster than {3.6 * float(slow[1]):.1f} km/h: below, nothing can be learned."

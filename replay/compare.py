@@ -5,7 +5,7 @@ from typing import Any
 
 from google.protobuf.message import Message as ProtoMessage
 
-from tilth.replay.readers_log import Logged
+from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import CHANNEL, CHANNELS
 
 IDENTICAL = frozenset(channel.topic for channel in CHANNELS if channel.identical)

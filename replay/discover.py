@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.logger.buses import Buses, Report
+from tilth.logger.can.buses import Buses, Report
 from tilth.logger.clock import Clock
 from tilth.replay.turn_rates import TurnRates
 from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates

@@ -13,11 +13,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
-from tilth.logger.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
-from tilth.logger.mcap_log import CAN_TOPIC
-from tilth.logger.recording import ROTATION
-from tilth.logger.recovery import UNREADABLE, is_being_written, is_ours
-from tilth.logger.runs import file_name
+from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
+from tilth.logger.log.mcap_log import CAN_TOPIC
+from tilth.logger.log.recovery import UNREADABLE, is_being_written, is_ours
+from tilth.logger.log.run_log import ROTATION
+from tilth.logger.log.runs import file_name
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 

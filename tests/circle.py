@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tilth.estimator.geometry import lever, rotate, to_plane
+from tilth.estimator.pose.geometry import lever, rotate, to_plane
 from tilth.schemas.flow import (
     Attitude,
     Fix,

@@ -15,7 +15,7 @@ from typing import Any
 from loopback import PATIENCE_S, TEXT
 from ordered import Ordered, ready, take_orders
 
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.machine import parse_machine

@@ -60,7 +60,7 @@ def sender() -> Iterator[Sender]:
 @pytest.fixture
 def watched_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time goes by as the tests say, however busy this computer is."""
-    monkeypatch.setattr("tilth.logger.buses.WATCH_NS", 1 << 62)
+    monkeypatch.setattr("tilth.logger.can.buses.WATCH_NS", 1 << 62)
 
 
 @pytest.fixture

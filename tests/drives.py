@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 from circle import demo_machine
+from estimation_study import fitted_at_once
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.fold import State, initial, step
-from tilth.replay.studies.estimation import fitted_at_once
-from tilth.replay.tractor import Scenario, draw
-from tilth.replay.traffic import simulate
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose, Publication, Status
 from tilth.schemas.machine import Machine
+from tilth.simulator.tractor import Scenario, draw
+from tilth.simulator.traffic import simulate
 
 Array = NDArray[np.float64]
 Changes = tuple[tuple[str, str], ...]

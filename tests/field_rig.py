@@ -13,13 +13,13 @@ from pathlib import Path
 from loopback import PATIENCE_S, machine_text, udp_bus
 
 from tilth.logger.clock import Clock
-from tilth.replay.demo import on_loopback
-from tilth.replay.scenario import Scenario
-from tilth.replay.socketcand_server import open_server, play
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import traffic
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
+from tilth.simulator.demo import on_loopback
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.socketcand_server import open_server, play
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import traffic
 
 ADDRESS_CLAIM = 0xEE00
 PLAIN = Scenario(clock_offset_s=0.0)

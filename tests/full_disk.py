@@ -11,8 +11,8 @@ from pathlib import Path
 from loopback import logged_frames, numbered
 from test_mcap_log import Recorder
 
-from tilth.logger.recovery import finish
-from tilth.logger.runs import Beside, Copied, StoredRun
+from tilth.logger.log.recovery import finish
+from tilth.logger.log.runs import Beside, Copied, StoredRun
 
 LOG = "keep_free_megabytes = 1\nrotate_megabytes = 2"
 MEGABYTE = 1_000_000

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from tilth.logger.clock import Clock
-from tilth.logger.recording import Recording
+from tilth.logger.log.run_log import Recording
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
 

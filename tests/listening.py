@@ -5,12 +5,8 @@ from collections.abc import Callable
 import can
 from loopback import GROUP, until
 
-from tilth.logger.bus_opening import open_port
-from tilth.logger.buses import (
-    Buses,
-    Opener,
-    Source,
-)
+from tilth.logger.can.bus_opening import open_port
+from tilth.logger.can.buses import Buses, Opener, Source
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus

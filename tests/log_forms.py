@@ -9,7 +9,7 @@ from pathlib import Path
 
 from logs import SECOND, messages, write_mcap, write_with_can
 
-from tilth.replay.readers import frames
+from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
 from tilth.schemas.flow import Frame
 

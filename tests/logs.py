@@ -10,11 +10,11 @@ import can
 import numpy as np
 
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.logger.machine_file import read_machine
-from tilth.logger.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL
-from tilth.replay.readers import open_log
-from tilth.replay.readers_log import Log, Logged
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import Log, Logged
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto import tilth_pb2 as pb

@@ -21,7 +21,7 @@ from loopback import PATIENCE_S
 from ordered import Ordered, ready, take_orders
 from websockets.sync.client import ClientConnection, connect
 
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Event, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import parse_machine

@@ -8,14 +8,15 @@ import pytest
 from circle import demo_machine
 from numpy.typing import NDArray
 
-from tilth.estimator import advice, predictor, unknowns
-from tilth.estimator.advice import Advisor, Candidate
-from tilth.estimator.identifiability import Sensor, cramer_rao
-from tilth.estimator.manoeuvres import manoeuvre_named
+from tilth.estimator.filters import predictor, unknowns
+from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
+from tilth.estimator.models.identifiability import Sensor, cramer_rao
+from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.unknowns import AT, NAMES, SIX
+from tilth.estimator.results import advice
+from tilth.estimator.results.advice import Advisor, Candidate
+from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 

@@ -8,10 +8,10 @@ import pytest
 from logs import MACHINE, MACHINE_TEXT, chunk_ends, some_frames, write_mcap
 from mcap.writer import Writer
 
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay import arrays
-from tilth.replay.arrays import FrameArrays, read_frames
-from tilth.replay.readers_log import EmptyLog, ForeignLog
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.replay.readers import arrays
+from tilth.replay.readers.arrays import FrameArrays, read_frames
+from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 

@@ -11,8 +11,8 @@ import pytest
 from listening import Listening, data_frame, virtual
 from loopback import free_port, until
 
-from tilth.logger.bus_opening import open_port, why_not
-from tilth.logger.buses import (
+from tilth.logger.can.bus_opening import open_port, why_not
+from tilth.logger.can.buses import (
     BACK_OFF_MOST_NS,
     EMPTY_READS,
     HANGING,
@@ -22,9 +22,9 @@ from tilth.logger.buses import (
     WORKED_NS,
     Buses,
 )
-from tilth.logger.can_errors import BACK_NS
+from tilth.logger.can.can_errors import BACK_NS
+from tilth.logger.can.port import LibraryPort, Port, Tally
 from tilth.logger.clock import Clock
-from tilth.logger.port import LibraryPort, Port, Tally
 from tilth.logger.status import bus_status
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -211,7 +211,7 @@ def test_an_opening_that_hangs_is_said_and_begun_anew_and_no_other_bus_waits(
 ) -> None:
     times = {"WATCH_NS": 5, "SLOW_NS": 50, "GIVE_UP_NS": 100, "BACK_OFF_MOST_NS": 10}  # ms
     for name, milliseconds in times.items():
-        monkeypatch.setattr(f"tilth.logger.buses.{name}", milliseconds * 1_000_000)
+        monkeypatch.setattr(f"tilth.logger.can.buses.{name}", milliseconds * 1_000_000)
     hanging = Hanging()
     events: list[str] = []
     configs = [Bus(name="hung", interface="pcan", channel="x"), virtual("v")]

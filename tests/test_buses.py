@@ -10,16 +10,10 @@ from listening import Listening, data_frame, udp, virtual
 from loopback import GROUP, Sender, free_port, numbered, until
 
 from tilth.logger import clock as clock_of_a_run
-from tilth.logger.bus_opening import check_interface
-from tilth.logger.buses import (
-    ASK_NS,
-    BATCH,
-    EMPTY_READS,
-    SILENT_NS,
-    Buses,
-)
+from tilth.logger.can.bus_opening import check_interface
+from tilth.logger.can.buses import ASK_NS, BATCH, EMPTY_READS, SILENT_NS, Buses
+from tilth.logger.can.receive_buffer import dropped
 from tilth.logger.clock import OLDEST_NS, Clock
-from tilth.logger.receive_buffer import dropped
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, MachineError
 

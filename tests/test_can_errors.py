@@ -2,7 +2,7 @@
 
 import pytest
 
-from tilth.logger.can_errors import (
+from tilth.logger.can.can_errors import (
     AGAIN_NS,
     BACK_NS,
     ERRORS,

@@ -8,7 +8,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from tilth.estimator.estimators import ESTIMATORS
+from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.schemas import flow
 from tilth.schemas.channels import CHANNELS, KINDS, TOLERANCES, TOPIC_OF, file_descriptor_set, payload
 from tilth.schemas.proto import tilth_pb2 as pb

@@ -17,10 +17,10 @@ import pytest
 from loopback import free_port, machine_text, rig, udp_bus
 
 from tilth.cli import duration, main
-from tilth.logger import check as check_module
-from tilth.logger.check import check
+from tilth.logger.checks import check as check_module
+from tilth.logger.checks.check import check
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, Finding
 from tilth.logger.clock import Clock, Relation
-from tilth.logger.finding import NOTE, OK, PROBLEM, Finding
 from tilth.logger.machine_file import read_machine
 from tilth.replay.discover import Survey
 from tilth.replay.machine_draft import draft

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 from logs import MACHINE_TEXT
 
-from tilth.logger.check_devices import Devices
-from tilth.logger.finding import NOTE, OK, PROBLEM, WARNING, Finding
-from tilth.replay.scenario import Fault, Scenario
-from tilth.replay.traffic import simulate
+from tilth.logger.checks.devices import Devices
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
 from tilth.schemas.can_id import join, split
 from tilth.schemas.decode import claim
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import parse_machine
+from tilth.simulator.scenario import Fault, Scenario
+from tilth.simulator.traffic import simulate
 
 MACHINE = parse_machine(MACHINE_TEXT)
 HEMISPHERE = 88

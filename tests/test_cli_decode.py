@@ -14,13 +14,13 @@ from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, record
 from loopback import PATIENCE_S
 
 from tilth.cli import main
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay.readers import frames
-from tilth.replay.traffic import simulate
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Word
 from tilth.schemas.messages import PGNS
 from tilth.schemas.words import WORDS
+from tilth.simulator.traffic import simulate
 
 HEAD = ("t_ns", "bus", "source", "name", "pgn")
 FURTHER = {"title", "priority", "destination", "sid", "repeat", "reason", "dropped"} | {

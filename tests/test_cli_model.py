@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tilth.analysis.rig_report import SAMPLE_S, Drive, rig_report, speed_key
 from tilth.cli import main
-from tilth.estimator.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
-from tilth.estimator.linear_analysis import steady_gains
 from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
+from tilth.estimator.models.linear_analysis import steady_gains
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, rig_of
 from tilth.logger.machine_file import read_machine
-from tilth.replay.rig_report import SAMPLE_S, Drive, rig_report, speed_key
 from tilth.schemas.flow import PARAMETERS
 
 ROOT = Path(__file__).resolve().parents[1]

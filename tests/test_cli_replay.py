@@ -21,13 +21,13 @@ from logs import (
 )
 
 from tilth.cli import main
-from tilth.logger.zenoh_session import free_endpoint
-from tilth.replay.readers import frames, open_log
-from tilth.replay.readers_log import Logged
-from tilth.replay.traffic import simulate
+from tilth.logger.zenoh.session import free_endpoint
+from tilth.replay.readers.any_log import frames, open_log
+from tilth.replay.readers.log import Logged
 from tilth.schemas.decode import claim, encode
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.traffic import simulate
 
 Answer = Callable[..., tuple[int, str, str]]
 

@@ -11,14 +11,14 @@ import pytest
 
 from tilth.cli import main
 from tilth.estimator.fold import initial, step
-from tilth.estimator.geometry import to_plane
-from tilth.replay.readers import frames
-from tilth.replay.readers_rig import machine_in
-from tilth.replay.scenario import parse_scenario
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import host_clock, simulate
+from tilth.estimator.pose.geometry import to_plane
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.rig import machine_in
 from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import parse_scenario
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import host_clock, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIOS = ROOT / "examples" / "scenarios"

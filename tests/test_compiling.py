@@ -19,10 +19,10 @@ from tilth.cli import main
 from tilth.estimator.compiled import Kernel
 from tilth.logger import compiling
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.replay.traffic import simulate
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Ready, Status
+from tilth.simulator.traffic import simulate
 
 HERE = Path(__file__).parent
 NEEDED = """

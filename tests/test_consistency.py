@@ -10,14 +10,13 @@ import pytest
 import wrong_files
 from circle import demo_machine
 
-from tilth.estimator import consistency, fold, motion_check, open_tracker, wheel_check
-from tilth.estimator.consistency import CONTRADICTION
+from tilth.estimator import fold
+from tilth.estimator.methods import consistency, open_tracker
+from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.estimator.models.parameters import rig_of, static_loads
-from tilth.estimator.motion_check import MotionCheck
-from tilth.estimator.wheel_check import WheelCheck
-from tilth.replay.scenario import Fault, Scenario
-from tilth.replay.tractor import draw
-from tilth.replay.traffic import simulate
+from tilth.estimator.pose import motion_check, wheel_check
+from tilth.estimator.pose.motion_check import MotionCheck
+from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
     Attitude,
@@ -35,6 +34,9 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.plausible import COEFFICIENT
+from tilth.simulator.scenario import Fault, Scenario
+from tilth.simulator.tractor import draw
+from tilth.simulator.traffic import simulate
 
 SECONDS = 55.0
 RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)

@@ -12,7 +12,7 @@ import pytest
 from logs import some_frames, write_mcap
 from loopback import logged_frames, messages
 
-from tilth.logger.recovery import finish, unfinished
+from tilth.logger.log.recovery import finish, unfinished
 
 pytestmark = pytest.mark.cuts
 HERE = Path(__file__).resolve().parent

@@ -41,10 +41,10 @@ from tilth.logger.daemon import Daemon, run_daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import PAUSE_NS, GuardedFold
 from tilth.logger.status_line import PlainDisplay
-from tilth.replay.traffic import simulate
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Publication, Status
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.traffic import simulate
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-daemon"\n\n'
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tilth.replay.readers import frames
+from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
 from tilth.schemas.decode import REASONS, ROUTES, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Message

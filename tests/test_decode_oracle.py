@@ -20,8 +20,8 @@ import pytest
 from nmea2000 import NMEA2000Decoder
 from nmea2000.input_formats import N2KFormat
 
-from tilth.replay.readers import frames
-from tilth.replay.readers_log import LogError
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.log import LogError
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Message

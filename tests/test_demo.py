@@ -25,7 +25,10 @@ from tilth.cli import main
 from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Summary
-from tilth.replay.demo import (
+from tilth.replay.readers.any_log import frames
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
+from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.demo import (
     Demo,
     DemoError,
     compare,
@@ -35,14 +38,11 @@ from tilth.replay.demo import (
     result,
     run_demo,
 )
-from tilth.replay.readers import frames
-from tilth.replay.scenario import Scenario
-from tilth.replay.simulate import PACKAGED
-from tilth.replay.socketcand_server import Server, open_server, play
-from tilth.replay.tractor import draw
-from tilth.replay.traffic import simulate
-from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.simulate import PACKAGED
+from tilth.simulator.socketcand_server import Server, open_server, play
+from tilth.simulator.tractor import draw
+from tilth.simulator.traffic import simulate
 
 TEXT = resources.files("tilth.deploy").joinpath(PACKAGED).read_text()
 # Without asammdf, which reads files that are not needed here and takes two seconds to import.

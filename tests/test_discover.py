@@ -14,11 +14,11 @@ from tilth.cli import WrongUse, main
 from tilth.cli.discover import parse_buses
 from tilth.replay.discover import Findings, Survey
 from tilth.replay.machine_draft import FILL_IN, draft
-from tilth.replay.tractor import Fault, Scenario
-from tilth.replay.traffic import simulate
 from tilth.replay.wheel_search import WheelCandidate, candidates
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import Bus, Machine, parse_machine
+from tilth.simulator.tractor import Fault, Scenario
+from tilth.simulator.traffic import simulate
 
 MACHINE = Path(__file__).resolve().parents[1] / "deploy" / "machines" / "jd7930-parker500.toml"
 STEER = 0x18FF0B15

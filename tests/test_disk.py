@@ -13,8 +13,8 @@ import pytest
 from loopback import logged_frames, numbered, records_of
 from test_mcap_log import Recorder
 
-from tilth.logger.recording import FLUSH_NS
-from tilth.logger.runs import stored_runs
+from tilth.logger.log.run_log import FLUSH_NS
+from tilth.logger.log.runs import stored_runs
 from tilth.logger.status import hours_left
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -99,7 +99,7 @@ def test_a_disk_that_never_answers_stops_the_recording_before_memory_is_full(
         sync(descriptor)
 
     monkeypatch.setattr(os, "fdatasync", stalling)
-    monkeypatch.setattr("tilth.logger.recording.MOST_WAITING", 50_000)
+    monkeypatch.setattr("tilth.logger.log.run_log.MOST_WAITING", 50_000)
     run = Recorder(tmp_path)
     for frame in run.from_now(numbered(9000)):
         run.take(frame)

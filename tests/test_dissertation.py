@@ -8,12 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tilth.estimator.linear_analysis import dominant, steady_gains
-from tilth.estimator.models.actuator import BOSSERD
-from tilth.replay import plots
-from tilth.replay.dissertation import COMMAND, DOCS, page, sections
-from tilth.replay.studies import closed_loop, errata, open_loop
-from tilth.replay.studies.closed_loop import (
+from tilth.analysis import plots
+from tilth.analysis.dissertation import closed_loop, errata, open_loop
+from tilth.analysis.dissertation.closed_loop import (
     HEADING,
     SPEED,
     WIRINGS,
@@ -24,8 +21,11 @@ from tilth.replay.studies.closed_loop import (
     wired_poles,
     wired_run,
 )
-from tilth.replay.studies.compared import Line, claim, figures, number, verdict
-from tilth.replay.studies.drawings import DRAWINGS
+from tilth.analysis.dissertation.compared import Line, claim, figures, number, verdict
+from tilth.analysis.dissertation.figures import DRAWINGS
+from tilth.analysis.dissertation.page import COMMAND, DOCS, page, sections
+from tilth.estimator.models.actuator import BOSSERD
+from tilth.estimator.models.linear_analysis import dominant, steady_gains
 
 NUMBER = re.compile(r"−?\d+(?:\.\d+)?(?:e-?\d+)?")
 

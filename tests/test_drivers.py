@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tilth.estimator.models.parameters import rig_of
-from tilth.replay.drivers import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
-from tilth.replay.noise import generator
-from tilth.replay.scenario import STEP_S, Fieldwork, Ground, Manoeuvre, Row, Scenario, Soil
-from tilth.replay.tractor import Truth, drive
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.noise import generator
+from tilth.simulator.pilots import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
+from tilth.simulator.scenario import STEP_S, Fieldwork, Ground, Manoeuvre, Row, Scenario, Soil
+from tilth.simulator.tractor import Truth, drive
 
 MACHINE = Path(__file__).resolve().parents[1] / "deploy" / "machines" / "jd7930-parker500.toml"
 FIRM = Soil(grip=0.7, rolling=0.06)

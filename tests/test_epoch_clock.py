@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tilth.estimator.epoch_clock import EpochClock, UtcClock
+from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 
 START_NS = 1_777_881_600_000_000_000
 CLUMP = (65267, 65256, 65535)

@@ -13,23 +13,23 @@ from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
 from logs import Live, results_of
 
-from tilth.estimator import pem
-from tilth.estimator.estimators import ESTIMATORS
-from tilth.estimator.plain import to_plain
-from tilth.estimator.windows import AWAITED, OPEN
+from tilth.estimator.methods import pem
+from tilth.estimator.methods.estimators import ESTIMATORS
+from tilth.estimator.record.windows import AWAITED, OPEN
+from tilth.estimator.state_json import to_plain
 from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
-from tilth.logger.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.driver import Outputs, replay
-from tilth.replay.readers import open_log
-from tilth.replay.readers_log import Logged
-from tilth.replay.scenario import Manoeuvre, Scenario
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import traffic
+from tilth.replay.offline import Outputs, replay
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
+from tilth.simulator.scenario import Manoeuvre, Scenario
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import traffic
 
 TWO_STEP = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that two methods fit
 MACHINE, MACHINE_TEXT = demo_machine(**dict([TWO_STEP])), PACKAGED.replace(*TWO_STEP)

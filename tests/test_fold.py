@@ -8,14 +8,15 @@ from functools import cache, lru_cache
 import pytest
 from circle import demo_machine
 
-from tilth.estimator import estimators, fold
-from tilth.estimator.estimators import ESTIMATORS
+from tilth.estimator import fold
 from tilth.estimator.fold import State, initial, restore, snapshot, step
-from tilth.replay.tractor import Fault, Reclaim, Scenario, drive
-from tilth.replay.traffic import simulate
+from tilth.estimator.methods import estimators
+from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.schemas.channels import CHANNEL, payload
 from tilth.schemas.flow import Estimate, Event, Frame, Mount, Pose, Position, Publication, Status
 from tilth.schemas.machine import Machine
+from tilth.simulator.tractor import Fault, Reclaim, Scenario, drive
+from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()
 QUIET = Scenario(other_traffic=False)

@@ -19,11 +19,11 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tilth.estimator.drawing import body_frames
 from tilth.estimator.fold import initial, step
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay.traffic import simulate
+from tilth.estimator.pose.body_frames import body_frames
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.schemas.flow import PARAMETERS, BodyPose, Mount, Pose
+from tilth.simulator.traffic import simulate
 
 LAYOUT = Path(__file__).resolve().parents[1] / "deploy/foxglove/tilth.json"
 PANELS = json.loads(LAYOUT.read_text())["configById"]

@@ -8,8 +8,8 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.fold import initial, step
-from tilth.replay.traffic import simulate
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
+from tilth.simulator.traffic import simulate
 
 GOLDEN = Path(__file__).parent / "golden" / "demo_seed_1.csv"
 COLUMNS = {  # name -> tolerance: other machines round differently, and a filter carries that on

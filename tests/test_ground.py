@@ -5,9 +5,9 @@ import pytest
 
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import TABLE_5_1
-from tilth.replay.ground import Waves, axles_of, crossings, field, share, terrain, waves
-from tilth.replay.scenario import Change, Ground, Soil
 from tilth.schemas.flow import PARAMETERS
+from tilth.simulator.ground import Waves, axles_of, crossings, field, share, terrain, waves
+from tilth.simulator.scenario import Change, Ground, Soil
 
 RIG = TABLE_5_1
 THETA: dict[str, float] = {name: getattr(RIG, name) for name in PARAMETERS}

@@ -17,12 +17,12 @@ from tilth.adaptive_guidance.wires import throw_away
 from tilth.client import Cautious, Limits
 from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.replay.receivers import ORIGIN_DEG
-from tilth.replay.scenario import Change, Ground, Scenario, Soil
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.messages import row
+from tilth.simulator.receivers import ORIGIN_DEG
+from tilth.simulator.scenario import Change, Ground, Scenario, Soil
 
 WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.identifiability import (
+from tilth.estimator.models.family import model_named
+from tilth.estimator.models.identifiability import (
     DISTURBANCES,
     NUISANCES,
     SENSOR_SETS,
@@ -16,9 +17,8 @@ from tilth.estimator.identifiability import (
     steady_sensitivities,
     whitened,
 )
-from tilth.estimator.linear_analysis import discretise, outputs_of, simulate, system
-from tilth.estimator.manoeuvres import MANOEUVRES, Manoeuvre, manoeuvre_named
-from tilth.estimator.models.family import model_named
+from tilth.estimator.models.linear_analysis import discretise, outputs_of, simulate, system
+from tilth.estimator.models.manoeuvres import MANOEUVRES, Manoeuvre, manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2
 from tilth.schemas.flow import PARAMETERS
 

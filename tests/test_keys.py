@@ -24,8 +24,8 @@ from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.machine_file import read_machine
-from tilth.logger.zenoh_session import try_session
-from tilth.logger.zenoh_sink import ZenohSink
+from tilth.logger.zenoh.session import try_session
+from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.machine import MachineError
 from tilth.schemas.proto import tilth_pb2 as pb
 

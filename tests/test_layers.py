@@ -1,13 +1,25 @@
 """The straight line of layers, and what the two inner ones must not know."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("schemas", "estimator", "logger", "replay", "client", "monitor", "adaptive_guidance", "cli")
+LAYERS = (
+    "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor",
+    "adaptive_guidance", "cli",
+)  # fmt: skip
+ROOMS = {
+    "estimator": ("models", "pose", "record", "filters", "results", "methods", ""),
+    "logger": ("can", "log", "zenoh", "", "checks"),
+    "replay": ("readers", ""),
+    "analysis": ("", "dissertation"),
+}
+"""Of each folder, in the order of imports; "" is the folder itself."""
+UNDER_ALL = {"estimator": ("compiled",), "logger": ("clock",)}
+"""Modules of a folder itself that its rooms may use."""
 HEARS_ZENOH_ONLY = ("client", "monitor")  # they can crash or lag without touching the recorder
 CONTROLLER = ("plan", "law", "follower", "controller", "wires", "__main__")  # they hear Zenoh only
 PURE = ("schemas", "estimator")
@@ -31,12 +43,32 @@ def _imports(tree: ast.AST) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def _room(folder: str, parts: Sequence[str]) -> int:
+    """Index of the room of a module whose name goes on with `parts` after the folder's."""
+    if parts and parts[0] in ROOMS[folder]:
+        return ROOMS[folder].index(parts[0])
+    return ROOMS[folder].index("")
+
+
+def _wrong_doors(folder: str, room: str, source: str) -> list[str]:
+    """Imports from rooms that come after this one."""
+    found = []
+    for name in _imports(ast.parse(source)):
+        top, _, rest = name.partition(".")
+        parts = rest.split(".")
+        if top != "tilth" or parts[0] != folder or len(parts) < 2 or parts[1] in UNDER_ALL.get(folder, ()):
+            continue
+        if _room(folder, parts[1:]) > ROOMS[folder].index(room):
+            found.append(name)
+    return found
+
+
 def _faults(layer: str, source: str, module: str = "") -> list[str]:
     """What this source of that layer may not do."""
     tree = ast.parse(source)
     outer = LAYERS[LAYERS.index(layer) + 1 :]
     if layer in HEARS_ZENOH_ONLY or (layer == "adaptive_guidance" and module in CONTROLLER):
-        outer += ("logger", "replay")
+        outer += ("logger", "replay", "simulator", "analysis")
     found = [name for name in _imports(tree) if f"{name}.".startswith(tuple(f"tilth.{o}." for o in outer))]
     if layer in PURE:
         found += [name for name in _imports(tree) if name.split(".")[0] in IMPURE]
@@ -58,6 +90,26 @@ def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
     parts = path.relative_to(ROOT).parts
     layer = parts[1] if parts[0] == "examples" else parts[0]
     assert _faults(layer, path.read_text(), path.stem) == []
+    if layer in ROOMS:
+        room = parts[1] if len(parts) > 2 else ""
+        assert room in ROOMS[layer], f"{layer}/{room} is no room: add it to ROOMS"
+        assert _wrong_doors(layer, room, path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    ("folder", "room", "source"),
+    [
+        ("estimator", "models", "from tilth.estimator.pose.geometry import wrap"),
+        ("estimator", "filters", "from tilth.estimator.results import advice"),
+        ("estimator", "methods", "from tilth.estimator import fold"),
+        ("logger", "can", "from tilth.logger.log import runs"),
+        ("logger", "log", "import tilth.logger.daemon"),
+        ("replay", "readers", "from tilth.replay.offline import replay"),
+        ("analysis", "", "from tilth.analysis.dissertation import page"),
+    ],
+)
+def test_the_check_sees_a_wrong_door(folder: str, room: str, source: str) -> None:
+    assert _wrong_doors(folder, room, source)
 
 
 @pytest.mark.parametrize(
@@ -66,11 +118,13 @@ def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
         ("adaptive_guidance", "from tilth.cli import demo"),
         ("schemas", "from tilth.estimator.fold import step"),
         ("estimator", "import time"),
-        ("estimator", "import tilth.logger.buses"),
+        ("estimator", "import tilth.logger.can.buses"),
         ("schemas", "def f():\n    open('x')"),
         ("estimator", "import numpy as np\nnp.random.normal()"),
         ("logger", "from tilth.replay import readers"),
         ("replay", "from tilth.client import follow"),
+        ("replay", "from tilth.simulator import traffic"),
+        ("simulator", "from tilth.analysis import plots"),
         ("monitor", "from tilth.logger import status"),
     ],
 )

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from tilth.estimator import linear_analysis as la
+from tilth.estimator.models import linear_analysis as la
 from tilth.estimator.models.actuator import BOSSERD, Actuator, with_actuator
 from tilth.estimator.models.family import MODELS, Model, model_named
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, linear_tyres

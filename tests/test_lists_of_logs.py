@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from tilth.cli import main
 from tilth.logger.clock import Clock
-from tilth.logger.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event

@@ -20,13 +20,13 @@ from tilth.adaptive_guidance.demo import run_guidance, table
 from tilth.adaptive_guidance.plan import Work
 from tilth.client.link import open_session
 from tilth.logger.display import NoDisplay
-from tilth.replay.readers import frames
-from tilth.replay.scenario import Scenario, as_json, from_json
-from tilth.replay.steering import COMMAND, REFUSALS
+from tilth.replay.readers.any_log import frames
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Event, Word
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.scenario import Scenario, as_json, from_json
+from tilth.simulator.steering import COMMAND, REFUSALS
 
 QUIET = Scenario(speed=3.0, other_traffic=False, speed_sd=0.0)
 
@@ -42,7 +42,7 @@ def test_a_scenario_goes_to_another_process_and_comes_back() -> None:
 @pytest.fixture
 def rig() -> Iterator[subprocess.Popen[bytes]]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "tilth.replay.live_rig"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-m", "tilth.simulator.real_time_rig"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     with process:
         yield process

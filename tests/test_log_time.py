@@ -8,10 +8,10 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.fold import initial, step
-from tilth.estimator.log_time import LogTime, follow
-from tilth.replay.tractor import Scenario
-from tilth.replay.traffic import simulate
+from tilth.estimator.pose.log_time import LogTime, follow
 from tilth.schemas.flow import Event, Frame
+from tilth.simulator.tractor import Scenario
+from tilth.simulator.traffic import simulate
 
 START = 1_700_000_000.0
 Stamps = list[tuple[float, str]]  # s since the start, bus

@@ -16,7 +16,7 @@ from tilth.cli import main
 from tilth.logger.clock import HEARD
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
-from tilth.logger.recovery import finish
+from tilth.logger.log.recovery import finish
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEY = "tilth/jd7930-parker500/mark"

@@ -13,11 +13,11 @@ import pytest
 from loopback import PATIENCE_S, free_port, numbered, until
 from pymavlink.dialects.v20 import common
 
-from tilth.logger.bus_opening import check_interface, open_port
-from tilth.logger.buses import Buses
+from tilth.logger.can.bus_opening import check_interface, open_port
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.mavlink_bus import MavlinkBus
+from tilth.logger.can.port import KERNEL
 from tilth.logger.clock import Clock
-from tilth.logger.mavlink_bus import MavlinkBus
-from tilth.logger.port import KERNEL
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 

@@ -26,18 +26,18 @@ from loopback import (
 )
 from mcap.reader import make_reader
 
-from tilth.logger import recording as recording_module
 from tilth.logger.clock import NEWEST_NS, OLDEST_NS, Clock, Relation
-from tilth.logger.disk import Disk, Spool
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.logger.recording import FLUSH_NS, Recording
-from tilth.logger.recovery import finish
-from tilth.replay.traffic import simulate
+from tilth.logger.log import run_log as recording_module
+from tilth.logger.log.disk import Disk, Spool
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.recovery import finish
+from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.traffic import simulate
 
 RUN = Run("run", 1, START_NS)
 

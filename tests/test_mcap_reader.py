@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from logs import MACHINE, MACHINE_TEXT, chunk_ends, drained, messages, some_frames, write_mcap, write_with_can
 from mcap.writer import CompressionType, Writer
 
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay.readers import frames, metadata, open_log
-from tilth.replay.readers_log import EmptyLog, ForeignLog, Logged
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.replay.readers.any_log import frames, metadata, open_log
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.linear_analysis import (
+from tilth.estimator.models import nonlinear
+from tilth.estimator.models.family import MODELS, Model
+from tilth.estimator.models.linear_analysis import (
     characteristic_speed,
     eigenvalues,
     settling_distance,
     steady_gains,
     understeer_gradient,
 )
-from tilth.estimator.models import nonlinear
-from tilth.estimator.models.family import MODELS, Model
 from tilth.estimator.models.parameters import RIG_PARAMETERS, TABLE_5_1, Rig
 
 Array = NDArray[np.float64]

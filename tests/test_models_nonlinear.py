@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from tilth.estimator.linear_analysis import simulate as simulate_linear
-from tilth.estimator.linear_analysis import steady_gains
 from tilth.estimator.models import nonlinear, relaxation
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.family import model_named
+from tilth.estimator.models.linear_analysis import simulate as simulate_linear
+from tilth.estimator.models.linear_analysis import steady_gains
 from tilth.estimator.models.nonlinear import STATES, derivative, inputs_of, running, simulate, wheels
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, linear_tyres, loaded, static_loads
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.linear_analysis import (
+from tilth.estimator.models.actuator import BOSSERD
+from tilth.estimator.models.family import MODELS, Model, model_named
+from tilth.estimator.models.linear_analysis import (
     decibel,
     dominant,
     eigenvalues,
@@ -18,11 +20,9 @@ from tilth.estimator.linear_analysis import (
     steady_gains,
     system,
 )
-from tilth.estimator.models.actuator import BOSSERD
-from tilth.estimator.models.family import MODELS, Model, model_named
 from tilth.estimator.models.parameters import GEOMETRY, TABLE_5_1, TABLE_7_2, Rig
-from tilth.estimator.regulator import closed_loop, gain_on, regulator
-from tilth.estimator.sensitivity import VARIED, local_sensitivities
+from tilth.estimator.models.regulator import closed_loop, gain_on, regulator
+from tilth.estimator.models.sensitivity import VARIED, local_sensitivities
 
 REFERENCE = Path(__file__).resolve().parents[1].parent / "shared" / "reference" / "model_values.json"
 TABLES = {"table_5_1": TABLE_5_1, "table_7_2": TABLE_7_2}

@@ -26,10 +26,10 @@ from websockets.sync.client import ClientConnection
 
 from tilth.cli import main
 from tilth.monitor.addresses import network_addresses
-from tilth.monitor.heard import Heard
+from tilth.monitor.daemon_data import Heard
 from tilth.monitor.history import MOST, RECENT_S, History
+from tilth.monitor.json_safe import plain
 from tilth.monitor.origin import refusal
-from tilth.monitor.plain import plain
 from tilth.monitor.server import FILES, VIEWERS
 from tilth.monitor.view import WAIT_S, View
 from tilth.schemas.proto import tilth_pb2 as pb

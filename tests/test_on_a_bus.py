@@ -14,16 +14,16 @@ import pytest
 from loopback import GROUP, TEXT, free_port
 
 from tilth.cli import main
-from tilth.logger import can_link
+from tilth.logger.can import can_link
 from tilth.logger.clock import Clock
 from tilth.replay.discover import Survey, listen
-from tilth.replay.on_a_bus import Watch, play, stays_here, watch_of
-from tilth.replay.scenario import parse_scenario
-from tilth.replay.traffic import simulate
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, Machine, parse_machine
 from tilth.schemas.wheel_angle import compile_sensor
+from tilth.simulator.on_a_bus import Watch, play, stays_here, watch_of
+from tilth.simulator.scenario import parse_scenario
+from tilth.simulator.traffic import simulate
 
 SCENARIO = Path(__file__).resolve().parents[1] / "examples" / "scenarios" / "demo.toml"
 PROGRAM = [

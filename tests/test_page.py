@@ -23,7 +23,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
 from stage import Monitor, Stage
 
-from tilth.replay.scenario import Change, Manoeuvre, Scenario, Soil
+from tilth.simulator.scenario import Change, Manoeuvre, Scenario, Soil
 
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = Path(__file__).resolve().parents[1] / "docs/pictures"

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stage import estimate
 
-from tilth.estimator import advice, unknowns
-from tilth.estimator.unknowns import NAMES, SIX
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.unknowns import NAMES, SIX
+from tilth.estimator.results import advice
 from tilth.monitor import words
-from tilth.monitor.plain import plain
+from tilth.monitor.json_safe import plain
 from tilth.schemas import spread
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Status

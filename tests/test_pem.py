@@ -3,27 +3,29 @@
 import math
 from functools import cache
 
+import linear_plant
 import numpy as np
 import pytest
 from logs import MACHINE
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from tilth.estimator import likelihood, pem, predictor, recorder, unknowns
+from tilth.estimator.filters import likelihood, predictor, unknowns
+from tilth.estimator.filters.likelihood import find, rigging
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
-from tilth.estimator.likelihood import find, rigging
-from tilth.estimator.manoeuvres import manoeuvre_named
+from tilth.estimator.methods import pem
 from tilth.estimator.models import relaxation
+from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.record import HEADING, YAW_RATE, Record, Stretch, concatenate
-from tilth.estimator.unknowns import AT, NAMES, NOISES, SIX
-from tilth.replay.scenario import Manoeuvre, Scenario, Soil
-from tilth.replay.studies import linear_plant
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import traffic
+from tilth.estimator.record import record_builder
+from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
+from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.simulator.scenario import Manoeuvre, Scenario, Soil
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
 
@@ -155,12 +157,12 @@ def _driven(seed: int) -> tuple[Record, Array]:
     machine = MACHINE
     scenario = Scenario(seconds=33.0, steering=Manoeuvre("random"), soil=Soil(grip=0.8), other_traffic=False)
     truth = drive(machine, seed, scenario.seconds, scenario)
-    state, recording = initial(machine), recorder.initial(machine)
+    state, recording = initial(machine), record_builder.initial(machine)
     stretches: list[Stretch] = []
     for frame in traffic(machine, truth):
         for publication in step(state, frame):
             if isinstance(publication.value, Pose):
-                stretch = recorder.observe(recording, state.aligner, publication.value)
+                stretch = record_builder.observe(recording, state.aligner, publication.value)
                 if stretch is not None and not stretch.reason:
                     stretches.append(stretch)
     return concatenate(stretches), np.log([truth.parameters[name] for name in PARAMETERS])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.plain import SHORT, from_plain, to_plain
+from tilth.estimator.state_json import SHORT, from_plain, to_plain
 
 
 @dataclass

@@ -14,13 +14,13 @@ from pydantic import BaseModel
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.machine_file import read_machine
-from tilth.replay.scenario import Scenario
-from tilth.replay.traffic import simulate
 from tilth.schemas.flow import Frame
 from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Implement, Machine, MachineError, Receiver, Tractor, Tyre, WheelAngle
 from tilth.schemas.machine import parse_machine as parse
 from tilth.schemas.plausible import doubts, refuse_impossible, unusual
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.traffic import simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 RECEIVER = {

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 from circle import ORIGIN_DEG, START_NS, Circle, demo_machine
 
-from tilth.estimator import aligner
-from tilth.estimator.aligner import Aligner
-from tilth.estimator.geometry import to_plane, wrap
-from tilth.estimator.pose import poses
+from tilth.estimator.pose import aligner
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.geometry import to_plane, wrap
+from tilth.estimator.pose.pose import poses
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Pose, Position, VehicleSpeed
 
 ALL = tuple(Mount)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from logs import DATA, SECOND, drained, messages, write_mcap, write_with_can
 
-from tilth.replay import readers_text
-from tilth.replay.readers import frames, open_log
-from tilth.replay.readers_log import EmptyLog, ForeignLog
+from tilth.replay.readers import text
+from tilth.replay.readers.any_log import frames, open_log
+from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
 
 # file, frames, first and last t_ns, buses, lines that are none
@@ -310,7 +310,7 @@ def test_logs_without_a_frame(tmp_path: Path) -> None:
 
 
 def test_forms_are_told_by_their_lines() -> None:
-    assert [readers_text.form_of(line) for line in ("14:23:39 R 0DF20D4B 01", "# x", "")] == [
+    assert [text.form_of(line) for line in ("14:23:39 R 0DF20D4B 01", "# x", "")] == [
         "a gateway's raw text",
         None,
         None,

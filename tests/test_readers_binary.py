@@ -22,8 +22,8 @@ from log_forms import (
 )
 from logs import SECOND, drained
 
-from tilth.replay.readers import frames
-from tilth.replay.readers_log import ForeignLog
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.log import ForeignLog
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Frame
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from log_forms import CUT, WRITTEN, rows, text_of, whole
 from logs import SECOND, drained, write_mcap
 
-from tilth.replay.readers import frames
-from tilth.replay.readers_log import EmptyLog, ForeignLog, LogError
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.schemas.flow import Frame
 
 

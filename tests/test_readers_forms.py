@@ -12,8 +12,8 @@ from nmea2000.encoder_formats import ENCODER_CLASSES
 from nmea2000.input_formats import N2KFormat
 
 from tilth.cli import main
-from tilth.replay.readers import KINDS, frames, readable
-from tilth.replay.readers_log import ForeignLog
+from tilth.replay.readers.any_log import KINDS, frames, readable
+from tilth.replay.readers.log import ForeignLog
 from tilth.schemas import can_id
 from tilth.schemas.decode import encode
 from tilth.schemas.flow import Frame, Word

@@ -13,15 +13,15 @@ from tilth.logger import daemon as daemon_module
 from tilth.logger.daemon import Daemon, Summary
 from tilth.logger.display import NoDisplay
 from tilth.replay.compare import Comparison
-from tilth.replay.driver import Outputs, replay
-from tilth.replay.driver import Summary as Replayed
-from tilth.replay.readers import open_log
-from tilth.replay.readers_log import Logged
-from tilth.replay.traffic import simulate
+from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import Summary as Replayed
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.flow import Estimate, Event, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.traffic import simulate
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-v"\n\n'
 SENT = list(simulate(demo_machine(), 5, 4.5))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tilth.estimator.recommend import BEGINS, ENDS, RECOMMENDED, SINCE_CHANGE, disagreement, recommend
+from tilth.estimator.results.recommend import BEGINS, ENDS, RECOMMENDED, SINCE_CHANGE, disagreement, recommend
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 
 SIX = (220e3, 430e3, 100e3, 1.3, 1.6, 1.0)

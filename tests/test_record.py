@@ -5,9 +5,9 @@ from collections import deque
 import numpy as np
 import pytest
 
-from tilth.estimator.lean import share_of_sway
-from tilth.estimator.record import INPUTS, ROWS, TICK_NS, Record, Stretch, concatenate
-from tilth.estimator.recorder import wheel_angles
+from tilth.estimator.pose.roll_pitch import share_of_sway
+from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.record.record_builder import wheel_angles
 
 
 def stretch(number: int) -> Stretch:

@@ -14,25 +14,15 @@ from circle import ORIGIN_DEG as CIRCLE_ORIGIN_DEG
 from circle import START_NS, Circle, demo_machine
 from numpy.typing import NDArray
 
-from tilth.estimator import aligner, recorder
-from tilth.estimator.aligner import Aligner
-from tilth.estimator.geometry import rotate, to_plane
 from tilth.estimator.models import nonlinear
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.pose import poses
-from tilth.estimator.record import (
-    EAST,
-    HEADING,
-    NORTH,
-    TICK_NS,
-    VELOCITY,
-    YAW_RATE,
-    Stretch,
-)
-from tilth.estimator.recorder import RecordState
-from tilth.replay.receivers import ORIGIN_DEG, reports, wheel_readings
-from tilth.replay.scenario import Ground, Scenario, Survey
-from tilth.replay.tractor import AT, Truth, drive
+from tilth.estimator.pose import aligner
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.geometry import rotate, to_plane
+from tilth.estimator.pose.pose import poses
+from tilth.estimator.record import record_builder
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Stretch
+from tilth.estimator.record.record_builder import RecordState
+from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -48,6 +38,9 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine
+from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
+from tilth.simulator.scenario import Ground, Scenario, Survey
+from tilth.simulator.tractor import AT, Truth, drive
 
 Array = NDArray[np.float64]
 Change = Callable[[Pose], Pose]
@@ -91,9 +84,9 @@ def posed(machine: Machine, measurements: list[Measurement]) -> Iterator[tuple[A
 
 
 def record(machine: Machine, measurements: list[Measurement]) -> tuple[RecordState, list[Stretch]]:
-    state, out = recorder.initial(machine), []
+    state, out = record_builder.initial(machine), []
     for aligned, pose in posed(machine, measurements):
-        stretch = recorder.observe(state, aligned, pose)
+        stretch = record_builder.observe(state, aligned, pose)
         if stretch is not None:
             out.append(stretch)
     return state, out
@@ -265,10 +258,10 @@ def test_learned_latencies_are_taken_out() -> None:
 def edited(changes: Mapping[int, Change]) -> tuple[RecordState, list[Stretch]]:
     """Of a circle whose poses of these numbers are changed."""
     circle = Circle()
-    state, out = recorder.initial(circle.machine), []
+    state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
         change = changes.get(number)
-        stretch = recorder.observe(state, aligned, change(pose) if change else pose)
+        stretch = record_builder.observe(state, aligned, change(pose) if change else pose)
         if stretch is not None:
             out.append(stretch)
     return state, out[:50]
@@ -329,9 +322,9 @@ def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
     _, out = edited(moved)
     assert Counter(s.reason for s in out[28:41]) == {"new origin of the plane": 2, "settling": 10, "": 1}
     circle = Circle()
-    state, out = recorder.initial(circle.machine), []
+    state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
-        stretch = None if 20 <= number < 25 else recorder.observe(state, aligned, pose)
+        stretch = None if 20 <= number < 25 else record_builder.observe(state, aligned, pose)
         if stretch is not None:
             out.append(stretch)
     assert [s.reason for s in out[18:31]] == ["gap in the poses"] * 2 + ["settling"] * 10 + [""]
@@ -387,12 +380,12 @@ def test_a_repeating_receiver_gives_no_rows() -> None:
 
 def test_a_sample_that_comes_after_its_stretch_was_cut_is_dropped_and_counted_once() -> None:
     circle = Circle()
-    state, out = recorder.initial(circle.machine), []
+    state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
         if number == 30:  # its yaw rates of the last second come only now
             held = list(aligned.tracks["tractor_rear"].yaw_rates)[-8:]
             state.used.newest_ns[1][2] = held[0][0] - 1
-        out.append(recorder.observe(state, aligned, pose))
+        out.append(record_builder.observe(state, aligned, pose))
     assert 3 <= state.used.late <= 7
     assert len([s for s in out if s]) == len(out) - 2
 
@@ -402,7 +395,7 @@ def test_time_that_runs_back_starts_anew() -> None:
     state, out = record(circle.machine, list(circle.measurements(6.0)))
     taught = state.stretches
     for aligned, pose in posed(circle.machine, list(circle.measurements(6.0))):
-        stretch = recorder.observe(state, aligned, pose)
+        stretch = record_builder.observe(state, aligned, pose)
         if stretch is not None:
             out.append(stretch)
     assert state.stretches == 2 * taught and state.refused == {"settling": 20} and state.used.late == 0
@@ -410,14 +403,14 @@ def test_time_that_runs_back_starts_anew() -> None:
 
 def test_the_state_is_plain_and_goes_on_as_it_was() -> None:
     circle = Circle(noise_m=0.01, jitter_s=0.01)
-    state, other, same = recorder.initial(circle.machine), None, 0
+    state, other, same = record_builder.initial(circle.machine), None, 0
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(8.0)))):
         if number == 20:
             other = from_plain(RecordState, json.loads(json.dumps(to_plain(state))))
             assert to_plain(other) == to_plain(state)
-        one = recorder.observe(state, aligned, pose)
+        one = record_builder.observe(state, aligned, pose)
         if other is not None:
-            two = recorder.observe(other, aligned, pose)
+            two = record_builder.observe(other, aligned, pose)
             assert one is not None and two is not None
             assert one.record.rows.tobytes() == two.record.rows.tobytes()
             assert one.record.ticks.tobytes() == two.record.ticks.tobytes()

@@ -11,9 +11,9 @@ from loopback import logged_frames
 from mcap.reader import make_reader
 
 from tilth.cli import main
-from tilth.logger import recovery
-from tilth.logger.mcap_file import HEAD, is_finished
-from tilth.logger.recovery import NoLog, finish, unfinished
+from tilth.logger.log import recovery
+from tilth.logger.log.mcap_file import HEAD, is_finished
+from tilth.logger.log.recovery import NoLog, finish, unfinished
 from tilth.schemas.flow import Frame
 
 ROWS = some_frames(400)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tilth.estimator.linear_analysis import system
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.actuator import BOSSERD, Actuator
 from tilth.estimator.models.family import MODELS, Model, model_named
+from tilth.estimator.models.linear_analysis import system
 from tilth.estimator.models.parameters import TABLE_5_1
-from tilth.estimator.regulator import closed_loop, gain_at, gain_on, regulator, schedule
+from tilth.estimator.models.regulator import closed_loop, gain_at, gain_on, regulator, schedule
 
 every_model = pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
 every_actuator = pytest.mark.parametrize("actuator", [None, BOSSERD], ids=["bare", "actuator"])

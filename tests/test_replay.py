@@ -8,17 +8,17 @@ import can
 import pytest
 from logs import MACHINE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
 
-from tilth.estimator.estimators import rows_for
 from tilth.estimator.fold import State, step
+from tilth.estimator.methods.estimators import rows_for
 from tilth.logger import guarded_fold
-from tilth.logger.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.driver import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
-from tilth.replay.readers import frames, open_log
-from tilth.replay.readers_log import EmptyLog, Logged
-from tilth.replay.traffic import simulate
+from tilth.replay.offline import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
+from tilth.replay.readers.any_log import frames, open_log
+from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine import parse_machine
+from tilth.simulator.traffic import simulate
 
 
 @pytest.fixture(scope="module")

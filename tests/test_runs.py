@@ -12,11 +12,11 @@ from logs import MACHINE, MACHINE_TEXT, chunk_ends, some_frames, write_mcap
 from loopback import numbered, rig, udp_bus
 
 from tilth.cli import main
-from tilth.logger import offload
 from tilth.logger.clock import HEARD, Clock
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.logger.recording import Recording
-from tilth.logger.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_runs, unused_name
+from tilth.logger.log import offload
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.run_log import Recording
+from tilth.logger.log.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event

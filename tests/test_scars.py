@@ -30,16 +30,17 @@ from drives import (
     values,
 )  # fmt: skip
 
-from tilth.estimator import likelihood, pem
-from tilth.estimator.estimators import ESTIMATORS
-from tilth.estimator.plain import to_plain
-from tilth.estimator.recommend import PREFERRED
-from tilth.replay.tractor import Fault, draw
-from tilth.replay.traffic import simulate
+from tilth.estimator.filters import likelihood
+from tilth.estimator.methods import pem
+from tilth.estimator.methods.estimators import ESTIMATORS
+from tilth.estimator.results.recommend import PREFERRED
+from tilth.estimator.state_json import to_plain
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Frame, Measurement, Mount, Pose, Status
 from tilth.schemas.flow import Velocity as VelocityMeasurement
 from tilth.schemas.flow import YawRate as YawRateMeasurement
+from tilth.simulator.tractor import Fault, draw
+from tilth.simulator.traffic import simulate
 
 METHODS = [row.method for row in ESTIMATORS if row.method in PREFERRED]
 each_method = pytest.mark.parametrize("method", METHODS)

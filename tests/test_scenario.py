@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tilth.estimator.manoeuvres import MANOEUVRES
+from tilth.estimator.models.manoeuvres import MANOEUVRES
 from tilth.logger.machine_file import read_machine
-from tilth.replay.receivers import FAULTS
-from tilth.replay.scenario import (
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import PARAMETERS, Mount
+from tilth.schemas.machine import parse_machine
+from tilth.simulator.receivers import FAULTS
+from tilth.simulator.scenario import (
     FaultKind,
     Manoeuvre,
     Parameter,
@@ -20,10 +23,7 @@ from tilth.replay.scenario import (
     check_mounts,
     parse_scenario,
 )
-from tilth.replay.traffic import simulate
-from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import PARAMETERS, Mount
-from tilth.schemas.machine import parse_machine
+from tilth.simulator.traffic import simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "examples" / "scenarios").glob("*.toml"))

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from loopback import until
 
-from tilth.logger.bus_opening import open_port, why_not
-from tilth.logger.buses import Buses
+from tilth.logger.can.bus_opening import open_port, why_not
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.port import LibraryPort, Tally
+from tilth.logger.can.slcan import SlcanPort
 from tilth.logger.clock import Clock
-from tilth.logger.port import LibraryPort, Tally
-from tilth.logger.slcan import SlcanPort
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from loopback import until
 
-from tilth.logger import can_link, socketcan
 from tilth.logger import clock as clock_of_a_run
+from tilth.logger.can import can_link, socketcan
+from tilth.logger.can.port import Tally
+from tilth.logger.can.receive_buffer import RECEIVE_BYTES
+from tilth.logger.can.socketcan import CAN_FRAME, ERROR, EXTENDED, REMOTE, SocketCanPort
 from tilth.logger.clock import Clock
-from tilth.logger.port import Tally
-from tilth.logger.receive_buffer import RECEIVE_BYTES
-from tilth.logger.socketcan import CAN_FRAME, ERROR, EXTENDED, REMOTE, SocketCanPort
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 

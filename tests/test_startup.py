@@ -11,20 +11,22 @@ import pytest
 from circle import demo_machine
 from logs import MACHINE_TEXT, record
 
-from tilth.estimator import aligner, fold, pem, startup
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.pose import poses
-from tilth.estimator.record import YAW_RATE, concatenate
-from tilth.estimator.startup import StartUp
-from tilth.estimator.turn_rate_lag import Lag, regress, time_constant
-from tilth.estimator.warm import Kept
+from tilth.estimator import fold
+from tilth.estimator.methods import pem
+from tilth.estimator.pose import aligner, receiver_checks
+from tilth.estimator.pose.pose import poses
+from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant
+from tilth.estimator.record.record import YAW_RATE, concatenate
+from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.warm_start import Kept
 from tilth.replay.compare import Comparison
-from tilth.replay.driver import Outputs, replay
-from tilth.replay.scenario import Ground, Scenario
-from tilth.replay.traffic import simulate
+from tilth.replay.offline import Outputs, replay
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Event, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
+from tilth.simulator.scenario import Ground, Scenario
+from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()
 TRACTOR = (Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR)
@@ -93,11 +95,11 @@ def drive(
             aligner.take(tracks, edit(measurement))
         for pose in poses(tracks, frame.rx_ns):
             first_ns = first_ns or pose.t_ns
-            startup.observe(state, tracks, pose)
+            receiver_checks.observe(state, tracks, pose)
             count += 1
             if count == stored_at:
                 state = from_plain(StartUp, json.loads(json.dumps(to_plain(state))))
-            for kind, text in startup.events(state):
+            for kind, text in receiver_checks.events(state):
                 found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
     return state, found
 
@@ -135,20 +137,22 @@ def test_a_lag_is_the_slope_of_what_is_missing(tau: float, mean: bool) -> None:
 
 def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
     state, found = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
-    assert {(kind, who(text)) for _, kind, text in found} == {(startup.SMOOTHED, m.value) for m in TRACTOR}
+    assert {(kind, who(text)) for _, kind, text in found} == {
+        (receiver_checks.SMOOTHED, m.value) for m in TRACTOR
+    }
     assert all("turn its smoothing off" in text for _, _, text in found)
     assert len(found) == 2 and max(at for at, _, _ in found) < 20.0
-    assert startup.usable_yaw_rates(state) == {m.value for m in IMPLEMENT}
+    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in IMPLEMENT}
     for lag in state.lags[:2]:
         tau, sd = time_constant(lag)
         assert abs(tau - 1.0) < 0.15 and sd < 0.1
-    assert startup.flags(state) == [f"smoothed_yaw_rate:{m.value}" for m in TRACTOR]
+    assert receiver_checks.flags(state) == [f"smoothed_yaw_rate:{m.value}" for m in TRACTOR]
 
 
 def test_one_of_four_that_is_a_mean_over_two_seconds_is_told_from_the_others() -> None:
     state, found = drive(FLAT, 30.0, Smoothed({Mount.IMPLEMENT_REAR: 2.0}, mean=True))
     assert [who(text) for _, _, text in found] == ["implement_rear"]
-    assert startup.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
+    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
 
 
 ALONE = MACHINE.model_copy(
@@ -161,9 +165,9 @@ ALONE = MACHINE.model_copy(
 def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float) -> None:
     state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, told=ALONE)
     ((at, kind, text),) = found
-    assert (kind, who(text)) == (startup.SMOOTHED, "implement_front") and at < 35.0
-    assert startup.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
-    assert startup.flags(state) == ["smoothed_yaw_rate:implement_front"]
+    assert (kind, who(text)) == (receiver_checks.SMOOTHED, "implement_front") and at < 35.0
+    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
+    assert receiver_checks.flags(state) == ["smoothed_yaw_rate:implement_front"]
     lag, sd = time_constant(state.lags[2])
     assert abs(lag - tau) < max(0.25 * tau, 4 * sd)
 
@@ -171,7 +175,7 @@ def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float
 def test_the_heading_of_one_receiver_alone_accuses_nobody() -> None:
     for scenario in (FLAT, ROUGH):
         state, found = drive(scenario, 40.0, really=ALONE, told=ALONE)
-        assert not found and not startup.flags(state) and state.lags[2].intervals > 12
+        assert not found and not receiver_checks.flags(state) and state.lags[2].intervals > 12
 
 
 def test_one_not_a_number_poisons_nothing() -> None:
@@ -207,31 +211,31 @@ def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
 ) -> None:
     state, found = drive(ROUGH, 60.0, really=turned_round(mounts))
     word = "true" if kind == "roll_corrected_twice" else "false"
-    told = {who(text): (k, text) for _, k, text in found if k != startup.UNCLEAR}
+    told = {who(text): (k, text) for _, k, text in found if k != receiver_checks.UNCLEAR}
     assert told.keys() == {m.value for m in mounts}
     for k, text in told.values():
         assert k == kind and text.endswith(f"set roll_corrected = {word} in the machine file")
-    assert set(startup.flags(state)) == {f"{kind}:{m.value}" for m in mounts}
+    assert set(receiver_checks.flags(state)) == {f"{kind}:{m.value}" for m in mounts}
 
 
 def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_knows() -> None:
     """Both bodies lean alike: either of the two explains where they see the hitch."""
     state, found = drive(HILL, 40.0, really=turned_round(IMPLEMENT))
-    assert [kind for _, kind, _ in found] == [startup.UNCLEAR]
-    assert startup.flags(state) == ["roll_correction:rig"]
+    assert [kind for _, kind, _ in found] == [receiver_checks.UNCLEAR]
+    assert receiver_checks.flags(state) == ["roll_correction:rig"]
 
 
 def test_on_even_ground_nothing_can_be_said_of_roll() -> None:
     state, found = drive(FLAT, 40.0, really=turned_round(IMPLEMENT))
-    assert not found and not startup.flags(state)
-    assert np.all(np.isinf(startup.responses(state)[1]))
+    assert not found and not receiver_checks.flags(state)
+    assert np.all(np.isinf(receiver_checks.responses(state)[1]))
 
 
 @pytest.mark.parametrize("scenario", [FLAT, ROUGH, HILL], ids=["flat", "rough", "hill"])
 def test_where_nothing_is_wrong_nothing_is_found(scenario: Scenario) -> None:
     state, found = drive(scenario, 60.0)
-    assert not found and not startup.flags(state)
-    assert startup.usable_yaw_rates(state) == {m.value for m in Mount}
+    assert not found and not receiver_checks.flags(state)
+    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount}
     assert all(abs(time_constant(lag)[0]) < 0.05 for lag in state.lags)
 
 
@@ -245,9 +249,9 @@ def test_its_state_is_plain_data_that_goes_on_exactly() -> None:
 
 def test_after_a_step_of_the_clock_intervals_begin_anew_and_findings_stay() -> None:
     state, _ = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
-    before = startup.flags(state)
-    startup.clock_stepped(state)
-    assert startup.flags(state) == before and state.seen_ns == 0
+    before = receiver_checks.flags(state)
+    receiver_checks.clock_stepped(state)
+    assert receiver_checks.flags(state) == before and state.seen_ns == 0
 
 
 # In the fold.
@@ -292,12 +296,12 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     out = [p.value for row in rows for p in fold.step(state, row)]
     # Until it is found, one method or another may well disagree.
     events = [value for value in out if isinstance(value, Event) and value.kind != "disagreement"]
-    assert [(e.kind, who(e.text)) for e in events] == [(startup.SMOOTHED, m.value) for m in IMPLEMENT]
+    assert [(e.kind, who(e.text)) for e in events] == [(receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT]
     assert all(e.latitude_deg is not None and "turn its smoothing off" in e.text for e in events)
     found = out.index(events[0])
     before = [value for value in out[:found] if isinstance(value, Pose)]
     after = [value for value in out[found:] if isinstance(value, Pose)]
-    told = {f"{startup.SMOOTHED}:{m.value}" for m in IMPLEMENT}
+    told = {f"{receiver_checks.SMOOTHED}:{m.value}" for m in IMPLEMENT}
     assert all(told <= set(pose.flags) for pose in after) and len(after) > 20
     assert not any(told & set(pose.flags) for pose in before[:-1])
     assert any("yaw_rate_of_heading:implement" in pose.flags for pose in after)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from circle import START_NS, demo_machine
 
-from tilth.estimator import steady_state, unknowns
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.steady_outputs import CONSTANTS, outputs
+from tilth.estimator.methods import steady_state
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.steady_outputs import CONSTANTS, outputs
+from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 
 MACHINE = demo_machine()

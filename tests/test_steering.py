@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tilth.replay.live import LiveDriver
-from tilth.replay.scenario import STEP_S, Scenario
-from tilth.replay.steering import ADDRESS, COMMAND, REFUSALS, TIMEOUT_S, Steering
-from tilth.replay.tractor import Setting, Truth, drive
-from tilth.replay.traffic import traffic
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Position, Velocity, WheelAngle, Word, YawRate
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.steered_rig import LiveDriver
+from tilth.simulator.steering import ADDRESS, COMMAND, REFUSALS, TIMEOUT_S, Steering
+from tilth.simulator.tractor import Setting, Truth, drive
+from tilth.simulator.traffic import traffic
 
 MACHINE = Path(__file__).resolve().parents[1] / "deploy" / "machines" / "jd7930-parker500.toml"
 WHEELBASE = 2.9

@@ -7,9 +7,9 @@ import pytest
 from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, START_NS
 
 from tilth.cli import main
-from tilth.logger.mcap_log import LogWriter, Run
-from tilth.replay.scenario import Scenario
-from tilth.replay.traffic import simulate
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.traffic import simulate
 
 TEXT = MACHINE_TEXT.replace("a = 1.7\n", "a = 1700.0\n")
 SENTENCE = "tractor.a = 1700 m: must be from 0.3 to 5; did you mean 1.7 (1700 mm)?"

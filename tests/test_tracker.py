@@ -9,19 +9,22 @@ import pytest
 from logs import MACHINE
 from numpy.typing import NDArray
 
-from tilth.estimator import fold, likelihood, recorder, soil_change, tracker, unknowns
+from tilth.estimator import fold
+from tilth.estimator.filters import likelihood, soil_change, unknowns
+from tilth.estimator.filters.predictor import DT, PAIRED, PLACED, PUSHED, rig_at
+from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED, seen, tracked
+from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.methods import tracker
+from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
-from tilth.estimator.predictor import DT, PAIRED, PLACED, PUSHED, rig_at
-from tilth.estimator.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
-from tilth.estimator.soil_change import Mark
-from tilth.estimator.tracker import TrackerState
-from tilth.estimator.tracker_kernel import BAD, GATED, USED, seen, tracked
-from tilth.estimator.tracker_model import N_X
-from tilth.estimator.unknowns import AT, SIX
-from tilth.replay.scenario import Change, Ground, Manoeuvre, Scenario, Soil
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import traffic
+from tilth.estimator.record import record_builder
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
+from tilth.simulator.scenario import Change, Ground, Manoeuvre, Scenario, Soil
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
 Given = list[tuple[Pose, Stretch | None]]
@@ -160,14 +163,14 @@ def driven(
 ) -> tuple[fold.State, list[tuple[Pose, Stretch | None]], list[Event], Array]:
     """(the fold at the end, what the tracker was given, soil changes, true logarithms before any change)."""
     truth = drive(MACHINE, seed, scenario.seconds, scenario)
-    state, recording = fold.initial(MACHINE), recorder.initial(MACHINE)
+    state, recording = fold.initial(MACHINE), record_builder.initial(MACHINE)
     given: Given = []
     said: list[Event] = []
     for frame in traffic(MACHINE, truth):
         for publication in fold.step(state, frame):
             value = publication.value
             if isinstance(value, Pose):
-                given.append((value, recorder.observe(recording, state.aligner, value)))
+                given.append((value, record_builder.observe(recording, state.aligner, value)))
             elif isinstance(value, Event) and value.kind == "soil_change":
                 said.append(value)
     return state, given, said, np.log([truth.parameters[name] for name in PARAMETERS])

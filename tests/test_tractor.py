@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tilth.estimator.geometry import lever, to_plane
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import geometry_of, rig_of
-from tilth.replay import tractor
-from tilth.replay.receivers import ORIGIN_DEG, Report, reports, wheel_readings
-from tilth.replay.scenario import STEP_S, Fault, FaultKind, Ground, Link, Scenario, Soil, Survey, Wheel
-from tilth.replay.tractor import Track, Truth, draw, drive
+from tilth.estimator.pose.geometry import lever, to_plane
 from tilth.schemas.flow import PARAMETERS, FixType, Mount
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator import tractor
+from tilth.simulator.receivers import ORIGIN_DEG, Report, reports, wheel_readings
+from tilth.simulator.scenario import STEP_S, Fault, FaultKind, Ground, Link, Scenario, Soil, Survey, Wheel
+from tilth.simulator.tractor import Track, Truth, draw, drive
 
 MACHINE = Path(__file__).resolve().parents[1] / "deploy" / "machines" / "jd7930-parker500.toml"
 QUIET = Scenario(speed_sd=0.0, noise=0.0, steering=((2.0, 0.0), (12.0, 8.0), (3.0, -5.0)))

@@ -7,11 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tilth.replay.other_traffic import DEVICES, ROWS
-from tilth.replay.receivers import reports
-from tilth.replay.scenario import STEP_S, Fault, Reclaim, Scenario, Wheel
-from tilth.replay.tractor import drive
-from tilth.replay.traffic import simulate
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -28,6 +23,11 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.other_traffic import DEVICES, ROWS
+from tilth.simulator.receivers import reports
+from tilth.simulator.scenario import STEP_S, Fault, Reclaim, Scenario, Wheel
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import simulate
 
 MACHINE = Path(__file__).resolve().parents[1] / "deploy" / "machines" / "jd7930-parker500.toml"
 SECONDS = 12.0

@@ -9,7 +9,7 @@ import pytest
 from logs import DATA, START_NS
 
 from tilth.cli import main
-from tilth.replay.readers import frames
+from tilth.replay.readers.any_log import frames
 from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame

@@ -9,14 +9,15 @@ from circle import START_NS, demo_machine
 from drives import QUIET, Changes, driven
 from numpy.typing import NDArray
 
-from tilth.estimator import two_step, two_step_fit, unknowns
+from tilth.estimator.filters import two_step_fit, unknowns
+from tilth.estimator.filters.two_step_fit import Window, identify, merge_scalar
 from tilth.estimator.fold import initial, restore, snapshot
-from tilth.estimator.linear_analysis import simulate
+from tilth.estimator.methods import two_step
 from tilth.estimator.models.family import model_named
+from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.plain import from_plain, to_plain
-from tilth.estimator.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
-from tilth.estimator.two_step_fit import Window, identify, merge_scalar
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
+from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import BodyPose, Pose, Status
 
 Array = NDArray[np.float64]

@@ -12,22 +12,24 @@ import pytest
 from logs import MACHINE, MACHINE_TEXT
 from loopback import rig
 
-from tilth.estimator import fold, pem, steady_state, tracker, unknowns
-from tilth.estimator.estimators import ESTIMATORS
+from tilth.estimator import fold
+from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import go_on, keep
-from tilth.estimator.warm import DOUBLES_S
-from tilth.logger import warm_start
+from tilth.estimator.methods import pem, steady_state, tracker
+from tilth.estimator.methods.estimators import ESTIMATORS
+from tilth.estimator.warm_start import DOUBLES_S
+from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
-from tilth.logger.warm_start import CLOCK_IS_WRONG_S, NotUsable
+from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
-from tilth.replay.driver import Outputs, replay
-from tilth.replay.readers import open_log
-from tilth.replay.traffic import simulate
+from tilth.replay.offline import Outputs, replay
+from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Event, Frame, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
 NOW = 1_800_000_000 * SECOND
@@ -167,15 +169,15 @@ def test_what_is_spoilt_is_not_used(change: dict[str, Any], told: str) -> None:
 
 
 def stored(tmp_path: Path) -> Path:
-    path = warm_start.path_of(tmp_path, MACHINE)
-    warm_start.write(path, warm_start.text_of(MACHINE, keep(taught(), NOW), NOW))
+    path = warm_start_file.path_of(tmp_path, MACHINE)
+    warm_start_file.write(path, warm_start_file.text_of(MACHINE, keep(taught(), NOW), NOW))
     return path
 
 
 def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None:
     path = stored(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
-    found = warm_start.read(path, MACHINE, NOW + 7 * SECOND)
+    found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
     kept, elapsed_s = found
     assert elapsed_s == 7.0
@@ -185,8 +187,8 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
 
 
 def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) -> None:
-    assert warm_start.read(tmp_path / "x.warm.json", MACHINE, NOW) is None
-    found = warm_start.read(stored(tmp_path), MACHINE, NOW - 1)
+    assert warm_start_file.read(tmp_path / "x.warm.json", MACHINE, NOW) is None
+    found = warm_start_file.read(stored(tmp_path), MACHINE, NOW - 1)
     assert found is not None and found[1] == CLOCK_IS_WRONG_S
 
 
@@ -204,10 +206,10 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
     assert text != MACHINE_TEXT
     path = stored(tmp_path)
     if not told:
-        assert warm_start.read(path, parse_machine(text), NOW) is not None
+        assert warm_start_file.read(path, parse_machine(text), NOW) is not None
         return
     with pytest.raises(NotUsable) as caught:
-        warm_start.read(path, parse_machine(text), NOW)
+        warm_start_file.read(path, parse_machine(text), NOW)
     assert told in str(caught.value)
 
 
@@ -226,10 +228,10 @@ def test_a_file_that_is_none_is_told(tmp_path: Path, change: Any) -> None:
     path = stored(tmp_path)
     path.write_text(json.dumps(change(json.loads(path.read_text()))))
     with pytest.raises(NotUsable, match=r"damaged|another version"):
-        warm_start.read(path, MACHINE, NOW)
+        warm_start_file.read(path, MACHINE, NOW)
     path.write_text(path.read_text()[:-9])
     with pytest.raises(NotUsable, match="cannot be read"):
-        warm_start.read(path, MACHINE, NOW)
+        warm_start_file.read(path, MACHINE, NOW)
 
 
 # The daemon

@@ -13,9 +13,9 @@ from loopback import PATIENCE_S, START_NS, answers, free_port, rig, session, udp
 
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
-from tilth.logger.open_network import is_local, ways_in
-from tilth.logger.zenoh_session import free_endpoint, open_session, refusal, try_session
-from tilth.logger.zenoh_sink import STALE_NS, ZenohSink
+from tilth.logger.zenoh.open_network import is_local, ways_in
+from tilth.logger.zenoh.session import free_endpoint, open_session, refusal, try_session
+from tilth.logger.zenoh.sink import STALE_NS, ZenohSink
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
 from tilth.schemas.machine import Machine, Zenoh

@@ -44,12 +44,12 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.logger import compiling
 from tilth.logger.daemon import Summary, run_daemon
 from tilth.logger.display import Display
-from tilth.logger.zenoh_session import free_endpoint
-from tilth.replay.demo import SIMULATED, DemoError, on_loopback
-from tilth.replay.receivers import ORIGIN_DEG
-from tilth.replay.scenario import as_json
-from tilth.replay.simulate import PACKAGED
+from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.demo import SIMULATED, DemoError, on_loopback
+from tilth.simulator.receivers import ORIGIN_DEG
+from tilth.simulator.scenario import as_json
+from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
 STARTING_S: Final = 180.0
@@ -90,7 +90,7 @@ def run_guidance(
     fixed = driven(packaged(), seed, "fixed", work)
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     with ExitStack() as ends:
-        rig = _Process("tilth.replay.live_rig")
+        rig = _Process("tilth.simulator.real_time_rig")
         ends.callback(rig.close)
         text = on_loopback(text, _started(rig, text, seed, work, stop))
         endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from tilth.estimator.linear_analysis import System, discretise, output_row, system
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.dynamic import inertia
 from tilth.estimator.models.family import model_named
+from tilth.estimator.models.linear_analysis import System, discretise, output_row, system
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.regulator import regulator
+from tilth.estimator.models.regulator import regulator
 
 Array = NDArray[np.float64]
 

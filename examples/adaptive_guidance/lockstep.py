@@ -25,12 +25,12 @@ from tilth.client import Limits
 from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.replay.live import LiveDriver
-from tilth.replay.receivers import ORIGIN_DEG
-from tilth.replay.scenario import STEP_S, Scenario
-from tilth.replay.tractor import Setting, Truth, drive
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose
 from tilth.schemas.machine import Machine
+from tilth.simulator.receivers import ORIGIN_DEG
+from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.steered_rig import LiveDriver
+from tilth.simulator.tractor import Setting, Truth, drive
 
 Array = NDArray[np.float64]
 

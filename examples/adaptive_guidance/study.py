@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from tilth.adaptive_guidance.controller import LIMITS
 from tilth.adaptive_guidance.lockstep import EVERY, Told, cross_track, run
 from tilth.adaptive_guidance.plan import Work
+from tilth.analysis import plots
 from tilth.estimator.models.parameters import rig_of
-from tilth.replay import plots
-from tilth.replay.scenario import STEP_S, Change, Ground, Scenario, Soil
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import STEP_S, Change, Ground, Scenario, Soil
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from guest import CHECKOUT, boot, missing
 from loopback import logged_frames
 from write_load import MARK, NOW, SPACING_NS
 
-from tilth.logger.recovery import finish
+from tilth.logger.log.recovery import finish
 
 pytestmark = [pytest.mark.vm, pytest.mark.skipif(missing() != "", reason=missing())]
 TOOLS = ("mkfs.ext4", "e2fsck", "debugfs")

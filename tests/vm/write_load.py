@@ -26,7 +26,7 @@ BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop mak
 
 def main(folder: Path, sector: str = "") -> None:
     from tilth.logger.clock import Clock
-    from tilth.logger.recording import Recording
+    from tilth.logger.log.run_log import Recording
     from tilth.schemas.flow import Frame
     from tilth.schemas.machine import parse_machine
 

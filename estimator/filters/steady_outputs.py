@@ -1,0 +1,103 @@
+"""What a rig in a steady turn shows, for everything about it that is not known exactly.
+
+The closed form is that of small angles and of tyres that are linear in the slip. Here it is bent by the tyre
+curve, with the secant of F = A N (1 − exp(−C α/(A N))) (Karkee 2009, 5.34) at the slip of the turn, and by
+the squares of wheel angle and articulation where they count: 0.6 % of the yaw rate at 8°, which passes for
+5 % of C_af.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.steady_turn import GRAVITY, steady_turn
+from tilth.estimator.record.steady_driving import Sample
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+CONSTANTS: Final = (
+    "C_af", "C_ar", "C_ai", "wheel_zero", "wheel_gain", "pair_t", "pair_i", "lever_t", "cg_t", "cg_i",
+    "rolling", "curvature", "a", "b", "c", "d", "e", "m_t", "m_i",
+)  # fmt: skip
+"""Of unknowns.NAMES, where they are defined: what a steady turn depends on. A lever of the implement's
+antennas shows in none of OUTPUTS."""
+OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
+NOISY: Final = ("u", "wheel_angle", "roll_t", "roll_i")  # inputs of a Sample, each with a white noise
+STEP: Final = 1e-4  # of the central differences
+PASSES: Final = 4  # of the tyre curve; each leaves a tenth of the error of the one before
+
+
+def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
+    """OUTPUTS, shape [n, 3].
+
+    points: [n, 19], CONSTANTS. inputs: [n, 4], as NOISY, wheel_angle as the sensor reads it. Lateral velocity
+    is where the machine file puts the CG, by where it puts the antennas; the pairs' errors are not in it.
+    Raises numpy.linalg.LinAlgError where there is no steady turn.
+    """
+    at = dict(zip(CONSTANTS, points.T, strict=True))
+    t, i = machine.tractor, machine.implement
+    a = t.a.value * np.exp(at["a"]) - at["cg_t"]
+    b = t.b.value * np.exp(at["b"]) + at["cg_t"]
+    c = t.c.value * np.exp(at["c"]) + at["cg_t"]
+    d = i.d.value * np.exp(at["d"]) - at["cg_i"]
+    e = i.e.value + at["e"] + at["cg_i"]
+    m_t, m_i = t.mass.value * np.exp(at["m_t"]), i.mass.value * np.exp(at["m_i"])
+    u, reading, roll_t, roll_i = inputs.T
+    delta = (reading - at["wheel_zero"]) * np.exp(-at["wheel_gain"])
+    tongue = m_i * e / (d + e)
+    front = (b * m_t - (c - b) * tongue) / (a + b)
+    loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
+    stiffness: Array = np.exp(points[:, :3])
+    softness = np.maximum(at["curvature"], 0.0)[:, None] * stiffness / loads
+    heights = (t.cg_height.value, i.cg_height.value)
+    steered, straight = np.tan(delta), np.cos(delta)
+    # Across the tractor: slip = ((v + a r)/u − tan δ) cos² δ, and of the force the cosine.
+    turned = np.column_stack([straight**3, np.ones_like(u), np.ones_like(u)])
+    secant, turn = stiffness, np.zeros_like(stiffness)
+    for _ in range(PASSES):
+        driven = np.column_stack([secant * turned, m_t, m_i, u, steered, roll_t, roll_i])
+        turn = steady_turn(driven, a, b, c, d, e, at["rolling"], heights)
+        v, r, articulation = turn.T
+        slip = np.column_stack(
+            [
+                ((v + a * r) / u - steered) * straight**2,
+                (v - b * r) / u,
+                (v - (c + d + e) * r) / u + articulation,
+            ]
+        )
+        bend = np.maximum(softness * np.abs(slip), 1e-9)
+        secant = stiffness * -np.expm1(-bend) / bend
+    v, r, articulation = turn.T
+    # The hitch goes u sin λ + (v − c r) cos λ across the implement, not u λ + v − c r.
+    bent = articulation + (d + e) * r / u * (1.0 / np.cos(articulation) - 1.0)
+    shown = v + r * (at["lever_t"] - at["cg_t"])
+    return np.column_stack([r, np.arctan(bent), shown])
+
+
+def linearised(point: Array, sample: Sample, machine: Machine) -> tuple[Array, Array, Array]:
+    """(OUTPUTS [3], their slope over CONSTANTS [3, 19] and over NOISY [3, 4]).
+
+    point: [19]. Raises as `outputs`.
+    """
+    inputs = np.array([sample.u, sample.wheel_angle, sample.roll_t, sample.roll_i])
+    here = np.concatenate([point, inputs])
+    nudges = STEP * np.eye(len(here))
+    rows = np.vstack([here, here + nudges, here - nudges])
+    z = outputs(rows[:, : len(point)], rows[:, len(point) :], machine)
+    n = len(here)
+    slope = (z[1 : n + 1] - z[n + 1 :]).T / (2 * STEP)
+    return z[0], slope[:, : len(point)], slope[:, len(point) :]
+
+
+def largest_slip(sample: Sample, zero: float, machine: Machine) -> float:
+    """Of the three axles as measured, rad; 0 without a lateral velocity. zero: of the wheel angle, rad."""
+    if sample.v is None:
+        return 0.0
+    t, i = machine.tractor, machine.implement
+    back = t.c.value + i.d.value + i.e.value
+    front = (sample.v + t.a.value * sample.yaw_rate) / sample.u - (sample.wheel_angle - zero)
+    rear = (sample.v - t.b.value * sample.yaw_rate) / sample.u
+    cart = (sample.v - back * sample.yaw_rate) / sample.u + sample.articulation
+    return max(abs(front), abs(rear), abs(cart))

@@ -1,0 +1,132 @@
+"""Everything that the estimators of all six parameters do not know, in one vector, with the file's priors.
+
+One Gaussian over these is the prior of a fit and its result. What the machine file gives without an sd has a
+prior sd of zero and stays fixed.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.parameters import GEOMETRY, geometry_of
+from tilth.estimator.pose import latency
+from tilth.schemas.flow import PARAMETERS, Mount
+from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
+
+Array = NDArray[np.float64]
+
+NOISES: Final = ("push_t", "push_i", "push_yaw", "memory", "s_yaw_rate", "s_velocity", "s_position")
+"""Natural logarithms: sds of how the ground pushes across the tractor and the implement (m/s^2) and turns the
+tractor (rad/s^2), and how long that lasts (s, of a first-order Gauss-Markov process; white where that is less
+than a tick); factors on the sds that the machine file states for yaw rates, velocities, and positions and
+headings."""
+
+NAMES: Final = (
+    *PARAMETERS,  # natural logarithms of N/rad and m
+    "wheel_zero",  # rad: reading when straight
+    "wheel_gain",  # logarithm: reading over true angle
+    "latency",  # s: by how much all receivers report later than the file says
+    "pair_t", "pair_i",  # rad: heading by the surveyed antennas less true heading
+    "lever_t", "lever_i",  # m: a body's antennas further forward than surveyed
+    "aside_i",  # m: the implement's antennas further right, against the tractor's
+    "cg_t", "cg_i",  # m: CG further forward than the file says
+    "rolling",  # rolling resistance over load
+    "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
+    *NOISES,
+    *GEOMETRY,  # logarithms of true over surveyed; e as m
+)  # fmt: skip
+
+AT: Final = {name: k for k, name in enumerate(NAMES)}
+SIX: Final = slice(0, 6)
+NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
+SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
+_SHAPE: Final = AT["a"]
+_CG: Final = AT["cg_t"]
+
+ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
+CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
+DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
+DISTURBANCE_LOG_SD: Final = 1.2
+MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
+SENSOR_LOG_SD: Final = 0.5
+
+
+def prior(machine: Machine) -> tuple[Array, Array]:
+    """(mean [n], sd [n]) of NAMES before any data."""
+    mean, sd = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+    tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
+    mean[SIX] = np.log([t.cornering_stiffness for t in tyres] + [t.relaxation_length for t in tyres])
+    sd[SIX] = [t.log_sd for t in tyres] * 2
+    wheel, tractor, implement = machine.wheel_angle, machine.tractor, machine.implement
+    gain = wheel.gain.sd / wheel.gain.value
+    sd[AT["wheel_zero"]], sd[AT["wheel_gain"]] = math.radians(wheel.zero.sd), gain
+    sd[AT["latency"]] = _common_latency(machine)
+    bodies: tuple[Tractor | Implement, ...] = (tractor, implement)
+    for k, body in enumerate(bodies):
+        survey = _survey(machine, ("tractor", "implement")[k])
+        sd[AT["pair_t"] + k] = math.radians(body.pair_yaw_sd)
+        sd[AT["lever_t"] + k] = survey
+        sd[AT["cg_t"] + k] = body.cg_sd
+    sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
+    (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
+    (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
+    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0])
+    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1]] + [SENSOR_LOG_SD] * 3
+    sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
+    return mean, sd
+
+
+def geometry(base: Array, point: Array) -> Array:
+    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. May be compiled."""
+    changed: Array = base * np.exp(point[_SHAPE : _SHAPE + 9])
+    changed[4] = base[4] + point[_SHAPE + 4]
+    changed[0] -= point[_CG]
+    changed[1] += point[_CG]
+    changed[2] += point[_CG]
+    changed[3] -= point[_CG + 1]
+    changed[4] += point[_CG + 1]
+    return changed
+
+
+def levers(machine: Machine) -> Array:
+    """(forward, right) of each receiver from its body's CG, m, shape (4, 2), in the order of flow.Mount."""
+    by_mount = {r.mount: r.position[:2] for r in machine.receiver}
+    return np.array([by_mount.get(mount, (0.0, 0.0)) for mount in Mount], dtype=np.float64)
+
+
+def pair_middles(machine: Machine) -> Array:
+    """(forward, right) of the middle of each body's receivers, m, shape (2, 2)."""
+    middles = np.zeros((2, 2))
+    for k, body in enumerate(("tractor", "implement")):
+        places = [r.position[:2] for r in machine.receiver if r.mount.startswith(body)]
+        if places:
+            middles[k] = np.mean(places, axis=0)
+    return middles
+
+
+def base_geometry(machine: Machine) -> Array:
+    """As the machine file has it, shape (9,)."""
+    return geometry_of(machine)
+
+
+def _common_latency(machine: Machine) -> float:
+    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
+    sds = [by_mount[m] for m in Mount if m in by_mount]
+    return latency.prior([*sds, *[0.0] * (4 - len(sds))]).sd_mean(list(range(len(sds))))
+
+
+def _survey(machine: Machine, body: str) -> float:
+    """Sd of the middle of a body's receivers, m."""
+    sds = [r.survey_sd for r in machine.receiver if r.mount.startswith(body)]
+    return math.hypot(*sds) / len(sds) if sds else 0.0
+
+
+def _quantities(machine: Machine) -> tuple[Quantity, ...]:
+    t, i = machine.tractor, machine.implement
+    return (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)
+
+
+def _share(name: str, quantity: Quantity) -> float:
+    return quantity.sd if name == "e" else quantity.sd / abs(quantity.value)

@@ -1,0 +1,373 @@
+"""Do the data contradict the machine file? While they do, no number that rests on it is given.
+
+Each check looks at one thing that the file says: where receivers stand, what they correct, how the wheels'
+angle follows the yaw rate, and, by the tracker with the file left open, lengths, wheel angle, latency and
+inertias. A check that fails names the key to look at. Until driving has shown that a gross error would have
+been seen, nothing is given either: a wrong file must never give a number.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods.open_tracker import Misfit
+from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.pose import latency, motion_check, receiver_checks, wheel_check
+from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.estimator.pose.motion_check import MotionCheck
+from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.wheel_check import WheelCheck
+from tilth.estimator.record.record import Stretch
+from tilth.schemas.flow import Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import COEFFICIENT
+from tilth.schemas.spread import interval, plus_minus
+
+Array = NDArray[np.float64]
+
+CONTRADICTION: Final = "contradiction"
+REFUSED: Final = "the data contradict the machine file"
+BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
+BEGINS_TOTAL: Final = 90.0  # of all of them
+ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
+LASTS: Final = 5  # poses (1 s) in a row before it is said
+LASTS_OPEN: Final = 40  # poses (8 s), of what the open filter says: other soil looks like it for seconds
+OVER: Final = 50  # poses (10 s) in a row without it before it is over
+FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is forgotten
+RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
+OUTLIERS: Final = 0.25  # share of the rows of the last WATCHED stretches that nothing explains
+WATCHED: Final = 100
+TOLD: Final = 40  # stretches with steering (8 s) before the filter with the file left open is believed
+LATENCIES: Final = 30.0  # chi-square of three differences of latency
+PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
+HEARD: Final = 25  # poses of that
+
+EDGE: Final = 4.5  # of what a right file may differ by
+
+_KEYS: Final = {
+    "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
+    "latency": "receiver.latency or wheel_angle.delay", "pair_t": "receiver.position on the tractor",
+    "pair_i": "receiver.position on the implement", "aside_i": "receiver.position (right)",
+    "a": "tractor.a", "b": "tractor.b", "c": "tractor.c", "d": "implement.d", "e": "implement.e",
+    "m_i": "implement.mass or tractor.mass", "I_t": "tractor.yaw_inertia or tractor.mass",
+    "I_i": "implement.yaw_inertia or implement.mass",
+}  # fmt: skip
+_ROUGH: Final = frozenset({"floating", "no_rtk", "no_fix", "fix_unknown"})
+_ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
+_OFFSETS: Final = (
+    "length of the tractor's pair",
+    "length of the implement's pair",
+    "hitch, along",
+    "hitch, across",
+)
+
+
+@dataclass(slots=True)
+class Finding:
+    """One key of the machine file that the data contradict."""
+
+    key: str
+    text: str
+    poses: int = 0  # in a row in which it was found
+    absent: int = 0  # in a row in which it was not
+    said: bool = False  # it lasted long enough to count
+    by_method: bool = False  # it shows in what a method gives, which therefore has to go on learning
+    lasted: int = 0  # poses since it counts
+
+
+@dataclass(slots=True)
+class Consistency:
+    """Plain data."""
+
+    open: TrackerState
+    wheel: WheelCheck = field(default_factory=WheelCheck)
+    motion: MotionCheck = field(default_factory=MotionCheck)
+    findings: dict[str, Finding] = field(default_factory=dict)  # by key
+    confirmed: bool = False
+    lacks: str = "nothing has been driven yet"  # what keeps it from being confirmed
+    rates_known: bool = False  # whether turn rates lag: smoothed ones would make lengths look wrong
+    rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
+    methods: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Method -> key -> what is wrong with what it last gave."""
+    accused: bool = False  # the open filter found something before and was begun anew: the second time counts
+    forgets: bool = False  # what was learned while a contradiction lasted is to be forgotten
+
+
+def initial(machine: Machine) -> Consistency:
+    """Nothing driven yet."""
+    return Consistency(open_tracker.initial(machine))
+
+
+def observe(
+    state: Consistency, machine: Machine, aligner: Aligner, checks: StartUp, pose: Pose,
+    stretch: Stretch | None,
+) -> list[tuple[str, str]]:  # fmt: skip
+    """Take one pose and the stretch that ended with it. (kind, text) of what has begun or is over."""
+    wheel_check.observe(state.wheel, machine, pose)
+    motion_check.observe(state.motion, pose)
+    if stretch is not None and open_tracker.take(state.open, machine, stretch):
+        state.rows = [*state.rows, open_tracker.beyond_belief(state.open)][-WATCHED:]
+    state.rates_known |= receiver_checks.turn_rates_known(checks)
+    found = _found(state, machine, aligner, checks, pose)
+    by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
+    if found and not any(key in state.findings for key in by_method):
+        by_method = {}  # what follows from what was found
+    return _judge(state, machine, found, by_method)
+
+
+def weigh(state: Consistency, machine: Machine, estimate: Estimate) -> None:
+    """Look at what a method gives, before anything of it is withheld."""
+    found = _no_tyre(machine, estimate)
+    limits = dict(zip(open_tracker.NAMES, EDGE * open_tracker.allowed(machine), strict=True))
+    for name, (value, _) in estimate.nuisances.items():
+        if abs(value) > limits.get(name, math.inf):
+            found[_KEYS[name]] = (
+                f"{estimate.method} needs {name} = {value:+.3g}, far from the file: {_KEYS[name]}?"
+            )
+    state.methods[estimate.method] = found
+
+
+def contradicted(state: Consistency) -> str:
+    """Why no number may be given, in words that name the keys; "" where nothing is contradicted."""
+    return "; ".join(finding.text for finding in state.findings.values() if finding.said)
+
+
+def stops_learning(state: Consistency) -> bool:
+    """Whether what is measured now must not teach."""
+    return any(finding.said and not finding.by_method for finding in state.findings.values())
+
+
+def flags(state: Consistency) -> list[str]:
+    """`contradiction:<key>` of all that counts now."""
+    return [f"{CONTRADICTION}:{finding.key}" for finding in state.findings.values() if finding.said]
+
+
+def withheld(state: Consistency, estimate: Estimate) -> Estimate:
+    """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
+    text = contradicted(state) or "; ".join(state.methods.get(estimate.method, {}).values())
+    if text:
+        return _without(estimate, Status.INVALID, f"{REFUSED}: {text}")
+    if not state.confirmed:
+        return _without(estimate, Status.UNESTIMATED, state.lacks)
+    return estimate
+
+
+def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
+    usable = (Status.ESTIMATED, Status.STALE)
+    if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
+        return estimate  # it says itself why it gives nothing
+    parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
+    return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
+
+
+def soil_changed(state: Consistency, machine: Machine) -> None:
+    """Begin anew with what driving says of the file: what tells other soil from another rig takes seconds."""
+    if state.confirmed:
+        learn_anew(state, machine)
+        state.confirmed = True
+
+
+def learn_anew(state: Consistency, machine: Machine) -> None:
+    """Forget what was found with measurements that were none, such as smoothed turn rates."""
+    state.open, state.rows = open_tracker.initial(machine), []
+    state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
+    state.methods, state.confirmed = {}, False
+
+
+def clock_stepped(state: Consistency) -> None:
+    """Time ran back: where the rig was means nothing any more; what was found stays."""
+    state.open.waiting, state.open.running = None, False
+    state.open.before = np.zeros((0, 8))
+
+
+# What is found at one pose: key -> what is wrong.
+
+
+def _found(
+    state: Consistency, machine: Machine, aligner: Aligner, checks: StartUp, pose: Pose
+) -> dict[str, str]:
+    found = {**_receivers(pose), **_parked(aligner), **_latencies(machine, aligner)}
+    found |= {
+        f"receiver.{flag.partition(':')[2]}.roll_corrected": receiver_checks.in_words(checks, flag)
+        for flag in receiver_checks.flags(checks)
+        if flag.partition(":")[0] in _ROLL
+    }
+    key, text = wheel_check.verdict(state.wheel)
+    found |= motion_check.found(state.motion)
+    if key:
+        return found | {key: text}
+    if not found and state.rates_known:
+        found |= _left_open(state, machine) or _outliers(state)
+    return found
+
+
+def _receivers(pose: Pose) -> dict[str, str]:
+    """What poses say of where receivers stand, while all of them have RTK."""
+    kinds = [flag.partition(":") for flag in pose.flags]
+    if any(kind in _ROUGH for kind, _, _ in kinds):
+        return {}
+    found = {}
+    for kind, _, mount in kinds:
+        if kind == "moved":
+            text = f"{mount} is not where the machine file says: its position, or the lengths to the hitch?"
+            found[f"receiver.{mount}.position"] = text
+        elif kind == "swapped":
+            text = f"{mount} stands in another's place: are names or sources exchanged?"
+            found[f"receiver.{mount}.name"] = text
+        elif kind == "latency":
+            text = f"{mount} seems to report at another time than the file allows: its latency or position?"
+            found[f"receiver.{mount}.latency"] = text
+    return found
+
+
+def _parked(aligner: Aligner) -> dict[str, str]:
+    """What distances say while the rig stands or creeps, when time plays no part in them."""
+    keys = ("receiver.position on the tractor", "receiver.position on the implement",
+            "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
+    return {
+        key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
+        for key, what, mean in zip(keys, _OFFSETS, aligner.lasting.parked, strict=True)
+        if mean.count >= HEARD and abs(mean.value) > PARKED
+    }
+
+
+def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
+    """Whether differences of latency that explain the distances are too large to be any."""
+    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
+    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
+    if len(present) < 2:
+        return {}
+    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
+    differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
+    off = differences @ aligner.latency.tau[present]
+    spread = differences @ prior[np.ix_(present, present)] @ differences.T
+    if float(off @ np.linalg.solve(spread, off)) < LATENCIES:
+        return {}
+    key = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
+    return {key: f"distances between the receivers fit no likely latency: {key}?"}
+
+
+def _left_open(state: Consistency, machine: Machine) -> dict[str, str]:
+    """What the tracker with the file left open says of it."""
+    if len(state.rows) < TOLD:
+        return {}
+    now = open_tracker.misfit(state.open, machine)
+    known = any(key in state.findings and state.findings[key].said for key in _KEYS.values())
+    share = ENDS if known else 1.0
+    best = float(now.by_name.max())
+    if best < share * BEGINS and now.total < share * BEGINS_TOTAL:
+        return {}
+    if known:  # under its first name for as long as it lasts
+        return {f.key: f.text for f in state.findings.values() if f.said and f.key in _KEYS.values()}
+    order = np.argsort(-now.by_name)
+    names = [open_tracker.NAMES[k] for k in order if now.by_name[k] >= RIVAL * best]
+    others = "".join(f", or {_KEYS[name]}" for name in names[1:3])
+    return {_KEYS[names[0]]: f"{_in_words(machine, names[0], now)}: {_KEYS[names[0]]}{others}?"}
+
+
+def _in_words(machine: Machine, name: str, now: Misfit) -> str:
+    k = open_tracker.NAMES.index(name)
+    off, sd = float(now.off[k]), float(now.sd[k])
+    if name in ("wheel_zero", "pair_t", "pair_i"):
+        what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
+        return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
+    if name == "latency":
+        return f"driving finds a latency of {plus_minus(off, sd, 's')} beyond the file's"
+    if name in ("aside_i", "e"):
+        what = "implement's receivers" if name == "aside_i" else "implement's axle"
+        return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
+    low, high = interval(math.exp(min(off, 5.0)), min(sd, 5.0))
+    what = "reading of the wheels' angle" if name == "wheel_gain" else _KEYS[name].partition(" or ")[0]
+    return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
+
+
+_BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}
+
+
+def _outliers(state: Consistency) -> dict[str, str]:
+    """Whether a good part of what receivers say lately is beyond what any such rig does."""
+    if len(state.rows) < WATCHED // 2:
+        return {}
+    refused, rows = (state.rows[-1][k] - state.rows[0][k] for k in (0, 1))
+    if rows <= 0 or refused < OUTLIERS * rows:
+        return {}
+    share = f"{100 * refused / rows:.0f} %"
+    text = f"{share} of what the receivers say fits no rig like this: receiver, tractor or implement?"
+    return {"receiver": text}
+
+
+def _no_tyre(machine: Machine, estimate: Estimate) -> dict[str, str]:
+    """Stiffnesses that no tyre has under its static load, as the key that must be wrong."""
+    loads = static_loads(rig_of(machine))
+    for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
+        if given.value is None or given.status is not Status.ESTIMATED:
+            continue
+        if not COEFFICIENT[0] <= given.value / load <= COEFFICIENT[1]:
+            key = "masses, lengths or wheel_angle"
+            size = f"a stiffness of {given.value / load:.2g} times its load per rad"
+            return {key: f"{size} is no tyre's ({name}): {key}?"}
+    return {}
+
+
+# What becomes of it.
+
+
+def _judge(
+    state: Consistency, machine: Machine, found: Mapping[str, str], by_method: Mapping[str, str]
+) -> list[tuple[str, str]]:
+    """Keep count of what is found, and say what begins or is over."""
+    events: list[tuple[str, str]] = []
+    found = {**by_method, **found}
+    for key, text in list(found.items()):
+        finding = state.findings.setdefault(key, Finding(key, text))
+        finding.by_method = key in by_method
+        finding.poses, finding.absent = finding.poses + 1, 0
+        if not finding.said:
+            finding.text = text
+        opened = key in _KEYS.values() and key not in by_method
+        if opened and finding.poses == LASTS_OPEN and not state.accused:
+            _try_again(state, machine, key)
+            continue
+        if finding.poses >= (LASTS_OPEN if opened else LASTS) and not finding.said:
+            finding.said = True
+            state.confirmed = False
+            events.append((CONTRADICTION, f"{text} Until this is over no number is given"))
+    for key, finding in list(state.findings.items()):
+        finding.lasted += finding.said
+        if key in found:
+            continue
+        finding.poses, finding.absent = 0, finding.absent + 1
+        if not finding.said or finding.absent >= OVER:
+            del state.findings[key]
+            if finding.said:
+                events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
+                state.forgets |= finding.lasted - OVER >= FORGETS
+    if not state.confirmed and not any(f.said for f in state.findings.values()):
+        _confirm(state, machine)
+    return events
+
+
+def _try_again(state: Consistency, machine: Machine, key: str) -> None:
+    """Begin the open filter anew: from far off it may go astray, hardly twice in the same way."""
+    state.accused = True
+    state.open, state.rows = open_tracker.initial(machine), []
+    del state.findings[key]
+
+
+def _confirm(state: Consistency, machine: Machine) -> None:
+    wide = open_tracker.still_open(state.open)
+    now = open_tracker.misfit(state.open, machine)
+    fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
+    if not wide and not fits:
+        wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
+    known = state.rates_known and not motion_check.waits(state.motion)
+    state.confirmed = not wide and len(state.rows) >= TOLD and known
+    state.accused &= not state.confirmed
+    keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates and rolls"
+    state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"

@@ -1,0 +1,133 @@
+"""The tracker with the machine file left open: what driving itself says of lengths, wheel angle and antennas.
+
+It is the filter of tracker.py, over the same stretches, with priors as wide as people are wrong. Where its
+answer is further from the file than the file's own uncertainty and the filter's allow, the file is wrong, or
+the rig is not the one that it describes. The antennas' places along a body are held: moved together with the
+centre of gravity they change nothing that is measured, so the lengths a to e answer for them.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
+from tilth.estimator.filters.unknowns import AT, NOISE, SIX
+from tilth.estimator.methods import tracker
+from tilth.estimator.methods.tracker import SOIL, TrackerState
+from tilth.estimator.record.record import Stretch
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+OPEN: Final = {
+    "wheel_zero": math.radians(5.0), "wheel_gain": 0.4, "latency": 0.1, "pair_t": math.radians(5.0),
+    "pair_i": math.radians(5.0), "aside_i": 0.5, "a": 0.4, "b": 0.4, "c": 0.4, "d": 0.4, "e": 0.5,
+    "m_i": 0.4, "I_t": 0.4, "I_i": 0.4,
+}  # fmt: skip
+"""Prior sd of each unknown that is left open, in its own unit (unknowns.NAMES)."""
+ALLOWED: Final = {
+    "wheel_zero": math.radians(0.3), "wheel_gain": 0.05, "latency": 0.02, "pair_t": math.radians(0.1),
+    "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
+    "m_i": 0.08, "I_t": 0.08, "I_i": 0.1,
+}  # fmt: skip
+"""Sd by which a right file may differ beyond its own sds: what the model is worth. From right files."""
+SHOWN: Final = {
+    "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
+    "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
+    "I_t": 0.25,
+}  # fmt: skip
+"""Sd from which on a gross error would have shown: only then the file counts as confirmed."""
+NAMES: Final = tuple(OPEN)
+PLACES: Final = [AT[name] for name in NAMES]
+TYRES: Final = 0.7  # prior sd of each of the six logarithms, at the least
+MEMORY: Final = 2400.0  # stretches with steering (8 min) over which what was found is forgotten
+SOIL_MEMORY: Final = 500.0  # stretches with steering (100 s), of the six: soil differs from place to place
+STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # what straight driving tells too
+_STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
+
+
+class Misfit(NamedTuple):
+    """How far the file is from what driving says."""
+
+    total: float  # chi-square over all that is open, len(NAMES) degrees of freedom
+    by_name: Array  # [n]; how much of it each one alone takes away
+    off: Array  # [n]; found less the file's, in the unit of each
+    sd: Array  # [n]; of what was found
+
+
+def initial(machine: Machine) -> TrackerState:
+    """At the machine file's values, with the priors of OPEN."""
+    state = tracker.initial(machine)
+    sd = state.prior_sd
+    for name, wide in OPEN.items():
+        sd[AT[name]] = max(sd[AT[name]], wide)
+    sd[SIX] = np.maximum(sd[SIX], TYRES)
+    sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
+    state.covariance = np.diag(sd**2)
+    state.covariance[NOISE, NOISE] = 0.0
+    state.steered = list(_STEERED)
+    return state
+
+
+def take(state: TrackerState, machine: Machine, stretch: Stretch) -> bool:
+    """Take one stretch; whether it told anything of what only steering tells."""
+    tracker.take_stretch(state, machine, stretch)
+    state.told.clear()
+    state.marks.clear()  # a change of soil is the tracker's own to find
+    told = not state.reason and state.waiting is not None
+    if told:
+        _forget(state)
+    return told
+
+
+def _forget(state: TrackerState) -> None:
+    """Let what was found fade towards the prior: a receiver may be moved in the middle of a day."""
+    for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
+        keep = math.exp(-1.0 / memory)
+        state.covariance[places, :] *= keep
+        state.covariance[:, places] *= keep
+        state.covariance[places, places] += (1.0 - keep**2) * state.prior_sd[places] ** 2
+        state.between[:, places] *= keep
+
+
+def misfit(state: TrackerState, machine: Machine) -> Misfit:
+    """What is found against the machine file."""
+    off = (state.mean - state.prior_mean)[PLACES]
+    covariance = state.covariance[np.ix_(PLACES, PLACES)]
+    inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
+    towards = inverse @ off
+    return Misfit(float(off @ towards), towards**2 / np.diag(inverse), off, np.sqrt(np.diag(covariance)))
+
+
+def allowed(machine: Machine) -> Array:
+    """Sd by which a right file may differ from what is found, [n] in the order of NAMES."""
+    _, stated = unknowns.prior(machine)
+    shape = unknowns.base_geometry(machine)
+    out = np.array([math.hypot(stated[AT[name]], ALLOWED[name]) for name in NAMES])
+    centres = {"a": 0, "b": 0, "c": 0, "d": 1, "e": 1}
+    for name, body in centres.items():
+        length = 1.0 if name == "e" else float(shape["abcde".index(name)])
+        moved = (machine.tractor, machine.implement)[body].cg_sd / length
+        out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], moved)
+    for name, which in (("pair_t", "tractor"), ("pair_i", "implement")):
+        pair = [r for r in machine.receiver if r.mount.startswith(which)]
+        if len(pair) == 2:
+            length = math.dist(pair[0].position[:2], pair[1].position[:2])
+            k = NAMES.index(name)
+            out[k] = math.hypot(out[k], math.hypot(*(r.survey_sd for r in pair)) / length)
+    return out
+
+
+def still_open(state: TrackerState) -> list[str]:
+    """The names of which a gross error would not have shown yet, widest first."""
+    sds = {name: math.sqrt(max(state.covariance[AT[name], AT[name]], 0.0)) for name in SHOWN}
+    wide = [name for name, most in SHOWN.items() if sds[name] > most]
+    return sorted(wide, key=lambda name: -sds[name] / SHOWN[name])
+
+
+def beyond_belief(state: TrackerState) -> tuple[float, float]:
+    """(rows refused as outliers or as no numbers, rows in all) so far."""
+    return float(state.counts[GATED] + state.counts[BAD]), float(state.counts[[USED, GATED, BAD]].sum())

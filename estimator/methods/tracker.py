@@ -1,0 +1,326 @@
+"""All six parameters, recursively: an extended Kalman filter that takes every sample once, in order.
+
+Its states and equations stand in tracker_kernel.py, how another soil is noticed in soil_change.py. Here: what
+may teach, how the noise of ground and sensors is followed, and what is said. A stretch is taken when the one
+after it is there, because a latency smaller than the machine file's asks for wheel angles that come later.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import likelihood, soil_change, unknowns
+from tilth.estimator.filters.predictor import DT, N_STATES, START, START_PLACE, innovations
+from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED, tracked
+from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.record.record import Record, Stretch
+from tilth.estimator.results import advice
+from tilth.estimator.results.advice import Advisor
+from tilth.estimator.results.recommend import SINCE_CHANGE
+from tilth.estimator.results.reporting import PUBLISH_NS, WORST, forgotten, of_six
+from tilth.schemas.flow import PARAMETERS, Estimate, Pose
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+METHOD = "tracker"
+
+WIDER: Final = 1.25
+"""By which what data told counts for less, as an sd, when it is said. The ground's waves and the receivers'
+slow errors last longer than the filter's model of them; the factor is from Monte Carlo over uneven ground."""
+SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # what only steering teaches
+STEERING: Final = math.radians(1.5)
+"""Root mean square of the wheel angle lately, below which soil and tyres are not learned: what looks like
+information there is mostly the ground's own forces."""
+STEERING_MEMORY: Final = 6.0  # stretches, 1.2 s
+SETTLES: Final = 5
+"""Stretches (1 s) after x began anew in which soil and tyres are not learned either: slip angles that are
+not known yet would be taken for stiffness."""
+
+PUSH_MEMORY_S: Final = 0.25
+FOLLOWED: Final = 30.0  # stretches (6 s) over which the noise of the sensors is averaged
+PUSH_FOLLOWED: Final = 50.0  # stretches (10 s), of the ground
+PUSH_BELIEVED: Final = 1000.0  # stretches in which the ground is forgotten
+LARGEST_PUSH: Final = 5.0  # over what was expected, that one stretch may show
+LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # of a stated sd
+FARTHEST: Final = 10.0  # of a logarithm, that is said
+LARGEST_CHANGE: Final = 0.7  # of a logarithm, that the first guess after a change of soil may be
+
+
+@dataclass(slots=True)
+class TrackerState:
+    """Arrays in the order of unknowns.NAMES, x in that of tracker_kernel; times ns, distances m."""
+
+    mean: Array
+    covariance: Array
+    prior_mean: Array
+    prior_sd: Array
+    x: Array = field(default_factory=lambda: np.zeros(N_X))
+    own: Array = field(default_factory=lambda: np.zeros((N_X, N_X)))
+    between: Array = field(default_factory=lambda: np.zeros((N_X, len(NAMES))))
+    left: Array = field(default_factory=lambda: np.ones(3))
+    """Variances of yaw rates, velocities, positions over the stated ones, running means."""
+    push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
+    """Variances of the ground's pushes."""
+    running: bool = False  # x goes on where the next stretch begins
+    since: int = 0  # stretches since x began anew
+    waiting: Record | None = None
+    before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
+    steering: float = 0.0  # recent mean square of the wheel angle, rad^2
+    marks: list[Mark] = field(default_factory=list)
+    marks_after: int = 0  # stretches since the last mark
+    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows: used, beyond belief, no numbers
+    distance: float = 0.0  # taught over
+    window_s: float = 0.0
+    seen_ns: int = 0
+    informed_ns: int = 0
+    published_ns: int = 0
+    changed_ns: int = 0
+    changes: int = 0
+    restarts: int = 0
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
+    given: list[bool] = field(default_factory=lambda: [False] * 6)
+    advisor: Advisor = field(default_factory=Advisor)
+    reason: str = ""  # why the latest stretch taught nothing of the soil
+    told: list[str] = field(default_factory=list)  # events to be published
+    steered: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
+
+
+KERNELS: Final = (tracked, innovations)  # that `take` calls
+
+
+def initial(machine: Machine) -> TrackerState:
+    """At the machine file's priors."""
+    mean, sd = unknowns.prior(machine)
+    covariance = np.diag(sd**2)
+    covariance[NOISE, NOISE] = 0.0
+    return TrackerState(mean.copy(), covariance, mean, sd)
+
+
+def prepare(machine: Machine) -> None:
+    """Compile what `take` needs: a stretch of straight driving, and advice upon it."""
+    ticks = np.tile([0.0, 4.0, *[0.0] * 6], (10, 1))
+    rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(10)], dtype=np.float64)
+    state = initial(machine)
+    _learn(state, machine, Record(0, ticks, rows), None)
+    advice.renew(state.advisor, machine, state.mean, state.covariance, 4.0, 0)
+
+
+def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
+    """Take one stretch; an estimate each PUBLISH_NS."""
+    state.seen_ns = pose.t_ns
+    if stretch is not None:
+        take_stretch(state, machine, stretch)
+    if pose.t_ns - state.published_ns < PUBLISH_NS:
+        return None
+    state.published_ns = pose.t_ns
+    speed = abs(pose.tractor.forward_velocity or 0.0)
+    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns)
+    return estimate(state, machine, pose.t_ns)
+
+
+def take_stretch(state: TrackerState, machine: Machine, stretch: Stretch) -> None:
+    """One stretch into the filter, as soon as the one after it is there."""
+    state.reason = ""
+    if state.waiting is not None:
+        _learn(state, machine, state.waiting, stretch.record.ticks if stretch.follows else None)
+        state.before = np.concatenate([state.before, state.waiting.ticks])[-2 * len(state.waiting.ticks) :]
+        state.waiting = None
+    if not stretch.follows:
+        state.running = False
+        state.before = np.zeros((0, 8))
+    if stretch.reason:
+        _refuse(state, stretch.reason)
+    else:
+        state.waiting = stretch.record
+
+
+def _refuse(state: TrackerState, reason: str) -> None:
+    state.refused[reason] = state.refused.get(reason, 0) + 1
+    state.reason = reason
+
+
+def _learn(state: TrackerState, machine: Machine, record: Record, after: Array | None) -> None:
+    """One stretch through the filter. after: the ticks that follow it, shape (n, 8)."""
+    if not np.isfinite(record.ticks).all():
+        _refuse(state, "inputs are no numbers")
+        state.running = False
+        return
+    told = likelihood.rigging(machine)
+    slow = likelihood.SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver]))
+    if not state.running:
+        _restart(state, record, told, slow)
+    teaches = _teaches(state, record)
+    _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
+    first, count = len(state.before), len(record.ticks)
+    ticks = np.concatenate([state.before, record.ticks, record.ticks[:0] if after is None else after])
+    active = np.flatnonzero(np.diag(state.covariance) > 0.0)
+    keep = np.concatenate(
+        [np.zeros(N_X), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
+    )
+    counts, sums = np.zeros(3), np.zeros((6, 2))
+    kept = (state.mean.copy(), state.covariance.copy())
+    tracked(
+        ticks, first, count, np.ascontiguousarray(record.rows), keep, state.mean, state.covariance, state.x,
+        state.own, state.between, active, told.geometry, told.rig, told.levers, told.middles, told.sds,
+        np.array([*np.sqrt(state.push), PUSH_MEMORY_S, slow]), counts, sums,
+    )  # fmt: skip
+    state.counts += counts
+    if not _sound(state):
+        state.mean, state.covariance = kept
+        state.running = False
+        _refuse(state, "filter left its bounds")
+        return
+    _follow(state, sums)
+    if counts[GATED] + counts[BAD] > counts[USED]:
+        state.running = False
+        _refuse(state, "most samples are beyond belief")
+    if teaches:
+        _watch(state)
+        state.informed_ns = record.end_ns
+        state.window_s += count * DT
+
+
+def _restart(state: TrackerState, record: Record, told: likelihood.Rigging, slow: float) -> None:
+    """x from the ticks, with what is not known of it, and not correlated with anything."""
+    state.x = np.zeros(N_X)
+    state.x[:N_STATES] = likelihood.first_state(record, told)
+    pairs = np.maximum(np.square(told.sds[1:]), 1e-12)
+    state.own = np.diag([*np.square(START), *state.push, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
+    state.between = np.zeros((N_X, len(NAMES)))
+    state.running, state.since, state.steering = True, 0, 0.0
+    state.restarts += 1
+
+
+def _teaches(state: TrackerState, record: Record) -> bool:
+    """Whether soil and tyres may be learned of a stretch; why not is counted."""
+    wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
+    state.steering += (float(np.mean(wheel**2)) - state.steering) / STEERING_MEMORY
+    state.since += 1
+    if state.since <= SETTLES:
+        _refuse(state, "filter settling")
+    elif state.steering < STEERING**2:
+        _refuse(state, "too little steering")
+    return not state.reason
+
+
+def _sound(state: TrackerState) -> bool:
+    values = (state.mean, state.covariance, state.x, state.own, state.between)
+    if not all(bool(np.isfinite(value).all()) for value in values):
+        return False
+    near = np.abs(state.mean - state.prior_mean)[SIX] < WORST * state.prior_sd[SIX]
+    return bool(
+        np.all(near) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.own) > 0.0)
+    )
+
+
+def _drift(state: TrackerState, metres: float) -> None:
+    """The six forget over distance: the law of the drift has the prior's covariance as its own."""
+    state.distance += metres
+    keep = forgotten(metres)
+    more = (1.0 - keep**2) * np.diag(state.prior_sd[SIX] ** 2)
+    state.covariance[SIX, :] *= keep
+    state.covariance[:, SIX] *= keep
+    state.covariance[SIX, SIX] += more
+    state.between[:, SIX] *= keep
+    for mark in state.marks:
+        mark.covariance = keep**2 * mark.covariance + more
+
+
+def _follow(state: TrackerState, sums: Array) -> None:
+    """Noise of the sensors by what is left after correction, of the ground by how far it is seen to push."""
+    heard = sums[:3, 1] > 0.0
+    state.left[heard] += (sums[:3][heard, 0] / sums[:3][heard, 1] - state.left[heard]) / FOLLOWED
+    stated = np.clip(state.left, LOW_NOISE**2, HIGH_NOISE**2)
+    state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
+    seen = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
+    # Of a push that is hard to see, what is seen goes with the square of its variance: hence the half.
+    logs = np.log(state.push) + 0.5 * (seen - 1.0) / PUSH_FOLLOWED
+    state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_BELIEVED)
+
+
+def _watch(state: TrackerState) -> None:
+    """Has the soil changed since one of the marks? Then what was known of it is given up."""
+    change = soil_change.likeliest(state.marks, state.mean[SIX], state.covariance[SIX, SIX])
+    if change is not None and change.ratio > soil_change.CHANGED:
+        _give_up(state, change.logs)
+        return
+    state.marks_after += 1
+    if state.marks_after >= soil_change.EVERY:
+        state.marks_after = 0
+        state.marks.append(Mark(state.mean[SIX].copy(), state.covariance[SIX, SIX].copy()))
+        del state.marks[: -soil_change.MARKS]
+
+
+def _give_up(state: TrackerState, logs: Array) -> None:
+    """The six from the prior's covariance on, about where the change seems to have led; nuisances stay."""
+    names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
+    factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -FARTHEST, FARTHEST))
+    state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
+    state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
+    state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
+    state.between[:, SIX] = 0.0
+    state.marks.clear()
+    state.changes += 1
+    state.changed_ns = state.seen_ns
+    state.window_s = 0.0
+    how = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
+    state.told.append(f"{how}; what was learned of it before is given up")
+
+
+def events(state: TrackerState) -> list[tuple[str, str]]:
+    """(kind, text) of what happened since the last call."""
+    told, state.told = state.told, []
+    return [("soil_change", text) for text in told]
+
+
+def clock_stepped(state: TrackerState, by_ns: int) -> None:
+    """Time ran back: forget where the rig was, keep what was learned and how old it is."""
+    state.waiting, state.running = None, False
+    state.before = np.zeros((0, 8))
+    state.seen_ns = state.published_ns = 0
+    state.informed_ns += by_ns if state.informed_ns else 0
+    state.changed_ns += by_ns if state.changed_ns else 0
+
+
+def published(state: TrackerState) -> Array:
+    """Covariance of the six logarithms as it is said, (6, 6): what data told counts for less."""
+    prior_sd = state.prior_sd[SIX]
+    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / WIDER**2
+    covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
+    return (covariance + covariance.T) / 2.0
+
+
+def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
+    """What can be said now."""
+    return of_six(
+        state, machine, t_ns, METHOD, published(state), "nothing has been learned", _excitation(state, t_ns),
+        state.advisor.text,
+    )  # fmt: skip
+
+
+def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
+    push_t, push_i, push_yaw = np.sqrt(state.push).tolist()
+    told = {
+        "distance_m": state.distance,
+        "soil_changes": float(state.changes),
+        "restarts": float(state.restarts),
+        "rows": float(state.counts[USED]),
+        "beyond_belief": float(state.counts[GATED]),
+        "no_numbers": float(state.counts[BAD]),
+        "steering_deg": math.degrees(math.sqrt(state.steering)),
+        "push_t": push_t,
+        "push_i": push_i,
+        "push_yaw": push_yaw,
+    }
+    if state.changed_ns:
+        told[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
+    return told
+
+
+assert NAMES[:6] == PARAMETERS

@@ -1,0 +1,200 @@
+"""What a manoeuvre and a set of sensors can tell about the parameters: rank, condition and Cramér-Rao bound.
+
+The information of a record is that of its innovations: sensitivities of the outputs, whitened by the Kalman
+filter of the disturbances. It counts what the *known steering* tells, not what the disturbances' own colour
+tells on top. Parameters are logarithms, so that a bound is a share of the value.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.family import Model
+from tilth.estimator.models.linear_analysis import discretise, outputs_of, simulate, system
+from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.steady_turn import steady_turn
+from tilth.schemas.flow import PARAMETERS
+
+Array = NDArray[np.float64]
+
+STEP = 1e-4  # of the central differences: of a logarithm, rad or s
+NULL_SHARE = 1e-6  # sensitivities below this share of the largest are rounding
+NUISANCES = ("wheel_zero", "wheel_gain", "latency", "speed")
+"""rad, added to the wheel angle; logarithm of its scale; s, by which all outputs are late; logarithm of the
+scale of speed."""
+
+
+class Sensor(NamedTuple):
+    """One measured output, a name that linear_analysis.output_row knows, with white noise."""
+
+    output: str
+    sd: float  # SI
+    every: int = 1  # it speaks at every so many samples
+
+
+class Bound(NamedTuple):
+    """What can be known of `names`. No unbiased estimator has a smaller covariance."""
+
+    names: tuple[str, ...]
+    sd: Array  # (q,) of logarithms (or rad, s); infinite where the data leave a parameter open
+    information: Array  # (q, q)
+    rank: int
+    condition: float  # best over worst known direction; infinite below full rank
+
+
+def _deg(degrees: float) -> float:
+    return float(np.radians(degrees))
+
+
+SENSOR_SETS: Mapping[str, tuple[Sensor, ...]] = {
+    "gyros": (Sensor("r_t", _deg(0.2)), Sensor("r_i", _deg(0.2))),
+    "gyros_headings": (
+        Sensor("r_t", _deg(0.2)), Sensor("r_i", _deg(0.2)),
+        Sensor("psi_t", _deg(0.3)), Sensor("psi_i", _deg(0.3)),
+    ),
+    # Two RTK receivers 2.7 m apart on each body, 2.5 cm each: their middle and their direction.
+    "positions_5hz": (
+        Sensor("y_t", 0.018, 10), Sensor("psi_t", 0.0131, 10),
+        Sensor("y_i", 0.018, 10), Sensor("psi_i", 0.0136, 10),
+    ),
+}  # fmt: skip
+"""At 50 samples a second."""
+
+DISTURBANCES: Mapping[str, float] = {"v": 0.25, "r_t": 0.1, "r_i": 0.1}
+"""Sd of white accelerations from uneven ground, held for one sample of 20 ms: m/s^2, rad/s^2."""
+
+
+def sensitivities(
+    model: Model,
+    rig: Rig,
+    speed: float,
+    wheel_angle: Array,
+    dt: float,
+    outputs: Sequence[str],
+    names: Sequence[str] = PARAMETERS,
+) -> Array:
+    """Slope of each output over each parameter, shape (n, p, q), from straight running.
+
+    wheel_angle: (n,) rad, linear between samples. names: fields of Rig, as logarithms, or NUISANCES.
+    """
+
+    def respond(name: str, nudge: float) -> Array:
+        changed, pace, angle, late = rig, speed, wheel_angle, 0.0
+        if name == "wheel_zero":
+            angle = wheel_angle + nudge
+        elif name == "wheel_gain":
+            angle = wheel_angle * np.exp(nudge)
+        elif name == "speed":
+            pace = speed * float(np.exp(nudge))
+        elif name == "latency":
+            late = nudge
+        else:
+            changed = rig._replace(**{name: getattr(rig, name) * float(np.exp(nudge))})
+        return _response(model, changed, pace, angle, dt, outputs, late)
+
+    slopes = [(respond(name, STEP) - respond(name, -STEP)) / (2 * STEP) for name in names]
+    return np.stack(slopes, axis=-1)
+
+
+def _response(
+    model: Model, rig: Rig, speed: float, wheel_angle: Array, dt: float, outputs: Sequence[str], late: float
+) -> Array:
+    """Outputs, shape (n, p), reported `late` seconds after the fact."""
+    sys = system(model, rig, speed, outputs=outputs)
+    inputs = np.zeros((len(wheel_angle), len(sys.inputs)))
+    inputs[:, 0] = wheel_angle
+    states = simulate(model, rig, speed, inputs, np.zeros(len(sys.states)), dt, linear=True)
+    values = outputs_of(sys, states, inputs)
+    return values - late * np.gradient(values, dt, axis=0) if late else values
+
+
+def cramer_rao(
+    model: Model,
+    rig: Rig,
+    speed: float,
+    wheel_angle: Array,
+    dt: float,
+    sensors: Sequence[Sensor],
+    *,
+    names: Sequence[str] = PARAMETERS,
+    disturbances: Mapping[str, float] | None = None,
+) -> Bound:
+    """The bound of a manoeuvre that starts from known straight running.
+
+    disturbances: state -> sd of the white disturbance of its rate, held for dt; none: only sensors are noisy.
+    """
+    slopes = sensitivities(model, rig, speed, wheel_angle, dt, [s.output for s in sensors], names)
+    white = whitened(model, rig, speed, dt, sensors, slopes, disturbances or {})
+    return bound(white, names)
+
+
+def whitened(
+    model: Model,
+    rig: Rig,
+    speed: float,
+    dt: float,
+    sensors: Sequence[Sensor],
+    slopes: Array,
+    disturbances: Mapping[str, float],
+) -> Array:
+    """Sensitivities of the innovations over their sd, shape (rows, q). slopes: as `sensitivities`."""
+    sys = system(model, rig, speed, outputs=[s.output for s in sensors])
+    f, _, _ = discretise(sys.a, sys.b, dt)
+    q = np.diag([(disturbances.get(name, 0.0) * dt) ** 2 for name in sys.states])
+    variance, every = np.array([s.sd**2 for s in sensors]), np.array([s.every for s in sensors])
+    n = len(sys.states)
+    p, x = np.zeros((n, n)), np.zeros((n, slopes.shape[2]))
+    rows = []
+    for k in range(len(slopes)):
+        heard = np.flatnonzero(k % every == 0)
+        if len(heard):
+            c = sys.c[heard]
+            spread = c @ p @ c.T + np.diag(variance[heard])
+            surprise = slopes[k, heard] - c @ x
+            rows.append(np.linalg.solve(np.linalg.cholesky(spread), surprise))
+            gain = np.linalg.solve(spread, c @ p).T
+            x, p = x + gain @ surprise, p - gain @ c @ p
+        x, p = f @ x, f @ p @ f.T + q
+    return np.concatenate(rows)
+
+
+def bound(white: Array, names: Sequence[str]) -> Bound:
+    """From whitened sensitivities, shape (rows, q)."""
+    whole = np.vstack(
+        [white, np.zeros((len(names), len(names)))]
+    )  # directions that no row speaks of count too
+    _, sizes, directions = np.linalg.svd(whole, full_matrices=False)
+    known = sizes > NULL_SHARE * sizes[0]
+    open_ = np.sum(directions[~known] ** 2, axis=0) > NULL_SHARE
+    variance = np.sum((directions[known] / sizes[known, None]) ** 2, axis=0)
+    rank = int(known.sum())
+    condition = float(sizes[0] / sizes[-1]) if rank == len(names) else float("inf")
+    return Bound(tuple(names), np.where(open_, np.inf, np.sqrt(variance)), white.T @ white, rank, condition)
+
+
+def steady_sensitivities(rig: Rig, speed: float) -> Array:
+    """d log(gain) / d log(C) of steady turning, shape (3, 3).
+
+    Rows: yaw rate, articulation, lateral velocity per wheel angle. Columns: C_af, C_ar, C_ai.
+    """
+
+    def logs(log_c: Array) -> Array:
+        row = np.array([[*np.exp(log_c), rig.m_t, rig.m_i, speed, 1.0, 0.0, 0.0]])
+        v, r, lam = steady_turn(row, *rig.geometry[:5].tolist())[0]
+        return np.log(np.abs([r, lam, v]))
+
+    at = np.log(rig.theta[:3])
+    nudges = np.eye(3) * STEP
+    return np.column_stack([(logs(at + n) - logs(at - n)) / (2 * STEP) for n in nudges])
+
+
+def steady_bound(rig: Rig, speeds: Sequence[float], outputs: Sequence[int] = (0, 1, 2)) -> Bound:
+    """Rank and condition of the three stiffnesses from steady turns at several speeds.
+
+    outputs: rows of `steady_sensitivities`, each known to the same share. With (0, 1), yaw rate and
+    articulation, the rank is 2 at any set of speeds.
+    """
+    rows = np.concatenate([steady_sensitivities(rig, speed)[list(outputs)] for speed in speeds])
+    return bound(rows, PARAMETERS[:3])

@@ -1,0 +1,402 @@
+"""Poses: four receivers brought to one instant by motion, and both bodies solved there.
+
+What is missing is named in the pose's flags. With fewer receivers it gives what can still be given:
+
+- both receivers of a body: everything of that body;
+- one of a body's: its heading from where the hitch is, if the other body is whole; else from a heading the
+  receiver reports; else carried on by the yaw rate for a few seconds;
+- none of a body's: nothing of that body.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tilth.estimator.pose import plausibility
+from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
+from tilth.estimator.pose.body import Antenna, Baseline, baseline, centre, centre_velocity
+from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
+from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
+from tilth.schemas.flow import BodyPose, FixType, Mount, Pose
+from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
+
+MOVING = 0.3  # m/s
+FIX_NS = 5_000_000_000  # a fix told longer ago is not known any more
+STRAIGHT = 0.05  # rad/s: below, a body that goes at CRUISE or more goes where it points
+CRUISE = 1.5  # m/s
+CREEP = 0.7  # m/s: below, no latency moves a point by more than the survey's error
+SHARP = 0.1  # m: sd of a position that tells of the survey
+LATENCY_SDS = 2.5  # of the machine file: a latency further off is none, or the receiver was moved along
+LATENCY_SLACK_S = 0.02
+WHEEL_HOLD_NS = 250_000_000
+UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that nobody measures
+GYRO_CARRY_NS = 5_000_000_000  # a heading is carried on by the yaw rate at most this long
+GYRO_WALK = math.radians(0.3)  # rad per sqrt(s), its growing sd
+BODIES = ((0, 1), (2, 3))  # indices into MOUNTS: tractor, implement
+NAMES = ("tractor", "implement")
+
+
+def poses(state: Aligner, now_ns: int) -> list[Pose]:
+    """Every pose that is due at now_ns (Frame.rx_ns of the latest frame), in order."""
+    out: list[Pose] = []
+    while (instant := due(state, now_ns)) is not None:
+        out.append(_pose_at(state, instant))
+    return out
+
+
+@dataclass(slots=True)
+class _Body:
+    """One body while its pose is being made."""
+
+    index: int  # 0 tractor, 1 implement
+    roll: tuple[float, float] | None
+    yaw_rate: tuple[float, float] | None
+    antennas: dict[int, Antenna]
+    heading: float | None = None
+    sd_heading: float = 0.0
+    cg: Vector | None = None
+    sd_cg: float = 0.0
+    velocity: tuple[float, float, float] | None = None
+    pair: Baseline | None = None
+    going: tuple[float, float, float] | None = None  # velocity by the pair's own heading
+
+
+def _pose_at(state: Aligner, t_ns: int) -> Pose:
+    flags = _receiver_flags(state, t_ns)
+    bodies = [_gather(state, index, t_ns, flags) for index in range(2)]
+    for body in bodies:
+        _solve_pair(state, body)
+    flags += _withhold_doubtful(state, bodies)
+    for body, other in zip(bodies, reversed(bodies), strict=True):
+        if body.heading is None and body.antennas:
+            _solve_single(state, body, other, t_ns, flags)
+    _learn_latency(state, bodies, t_ns)
+    for body in bodies:
+        _finish(state, body, t_ns, flags)
+    state.posed_ns = t_ns
+    return _assemble(state, bodies, t_ns, flags)
+
+
+def _receiver_flags(state: Aligner, t_ns: int) -> list[str]:
+    flags: list[str] = []
+    for mount, track in state.tracks.items():
+        index = MOUNTS.index(Mount(mount))
+        excess_s = abs(state.latency.excess_ns(index)) * 1e-9
+        if excess_s > LATENCY_SDS * _receiver(state.machine, MOUNTS[index]).latency.sd + LATENCY_SLACK_S:
+            flags.append(f"latency:{mount}")
+        if not track.usable():
+            flags.append(f"no_fix:{mount}")
+        elif not track.positions:
+            flags.append(f"waiting:{mount}")
+        if track.fix is not None and t_ns - track.fix_ns > FIX_NS:
+            flags.append(f"fix_unknown:{mount}")
+        elif track.fix is FixType.RTK_FLOAT:
+            flags.append(f"floating:{mount}")
+        elif track.fix in (FixType.GNSS, FixType.DGNSS, FixType.PRECISE):
+            flags.append(f"no_rtk:{mount}")
+    return flags
+
+
+def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
+    """What the receivers of one body say at t."""
+    present = [
+        (i, track, t_ns + state.latency.excess_ns(i))
+        for i in BODIES[index]
+        if (track := state.tracks.get(MOUNTS[i].value)) is not None
+    ]
+    roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
+    pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])
+    yaw_rate = _mean([s for _, tr, at in present if (s := tr.yaw_rate_at(at))])
+    body = _Body(index, roll, yaw_rate, {})
+    section = _section(state.machine, index)
+    tilt = (roll[0] if roll else 0.0, pitch[0] if pitch else 0.0)
+    for i, track, at in present:
+        found = track.position_at(at) if track.usable() else None
+        if found is None:
+            if track.usable() and track.positions:
+                repeating = track.repeated_ns > max(track.placed_ns, t_ns - LOST_NS)
+                flags.append(f"{'repeating' if repeating else 'lost'}:{MOUNTS[i].value}")
+            continue
+        point, sd, extrapolated = found
+        if extrapolated:
+            flags.append(f"late:{MOUNTS[i].value}")
+        receiver = _receiver(state.machine, MOUNTS[i])
+        arm = lever(receiver.position, section.cg_height.value, receiver.roll_corrected, *tilt)
+        moving = track.velocity_at(at)
+        speed = math.hypot(*moving[0]) if moving else 0.0
+        partner = BODIES[index][0] + BODIES[index][1] - i
+        sd_time = state.latency.sd_difference(i, partner, speed) / math.sqrt(2)
+        velocity, sd_velocity = moving if moving else (None, 0.0)
+        body.antennas[i] = Antenna(point, sd, arm, velocity, sd_velocity, sd_time)
+    return body
+
+
+def _section(machine: Machine, index: int) -> Tractor | Implement:
+    return machine.tractor if index == 0 else machine.implement
+
+
+def _receiver(machine: Machine, mount: Mount) -> Receiver:
+    return next(r for r in machine.receiver if r.mount is mount)
+
+
+def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
+    """Mean of (value, sd), weighted by variance."""
+    if not values:
+        return None
+    weights = [1 / sd**2 for _, sd in values]
+    total = sum(weights)
+    return sum(w * v for w, (v, _) in zip(weights, values, strict=True)) / total, math.sqrt(1 / total)
+
+
+def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[str]:
+    """Take out the receivers that do not fit the surveyed rig; say so."""
+    antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
+    speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
+    smear = max((speed * a.sd_time + a.sd for a in antennas.values()), default=0.0)
+    c, d = state.machine.tractor.c.value, state.machine.implement.d.value
+    levers = {mount: antenna.lever for mount, antenna in antennas.items()}
+    found = plausibility.examine({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
+    _look_long(state, bodies)
+    if not found:
+        timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
+        wrong = [*state.lasting.bodies(timing), *_backwards(state, bodies)]
+        found = tuple(f"moved:{MOUNTS[i].value}" for body in wrong for i in bodies[body].antennas)
+    persistent = state.suspicion.judge(found)
+    for flag in found:
+        index = MOUNTS.index(Mount(flag.partition(":")[2]))
+        body = bodies[index // 2]
+        body.antennas.pop(index, None)
+        body.pair = body.going = body.heading = None
+    return list(persistent) or [f"doubtful:{flag.partition(':')[2]}" for flag in found]
+
+
+def _look_long(state: Aligner, bodies: list[_Body]) -> None:
+    """Add this instant to the means of what should be nothing."""
+    for body in bodies:
+        if body.pair is None:
+            continue
+        state.lasting.excess[body.index].add(body.pair.excess)
+        straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
+        if body.going is not None and straight and math.hypot(*body.going[:2]) > CRUISE:
+            # Of a course and its opposite the nearer: reversing is no fault.
+            state.lasting.sideways[body.index].add(math.atan2(body.going[1], abs(body.going[0])))
+
+
+def _look_parked(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
+    """Add this instant, at which latency plays no part, to what distances alone say of the survey."""
+    antennas = [antenna for body in bodies for antenna in body.antennas.values()]
+    speeds = [math.hypot(*antenna.velocity) if antenna.velocity else math.inf for antenna in antennas]
+    if max(speeds) > CREEP or max(antenna.sd for antenna in antennas) > SHARP:
+        return
+    excesses = [body.pair.excess for body in bodies if body.pair is not None]
+    for mean, value in zip(state.lasting.parked, (*excesses, ahead, across), strict=True):
+        mean.add(value)
+
+
+def _backwards(state: Aligner, bodies: list[_Body]) -> list[int]:
+    """The tractor, where its receivers have it go back while the vehicle says forward, or the other way."""
+    going = bodies[0].going
+    if going is None or state.direction == 0 or state.posed_ns - state.direction_ns > LOST_NS:
+        return []
+    backwards = abs(going[0]) >= CRUISE and going[0] * state.direction < 0
+    return [0] if backwards else []
+
+
+def _solve_pair(state: Aligner, body: _Body) -> None:
+    front, rear = (body.antennas.get(i) for i in BODIES[body.index])
+    if front is None or rear is None:
+        return
+    body.pair = baseline(front, rear, _sd_tilt(state, body))
+    body.heading, body.sd_heading = body.pair.heading, body.pair.sd_heading
+    rate = body.yaw_rate[0] if body.yaw_rate else 0.0
+    body.going = centre_velocity([front, rear], body.pair.heading, rate, 0.0)
+
+
+def _sd_tilt(state: Aligner, body: _Body) -> float:
+    """Shift of one antenna against the other from the roll's error, m."""
+    heights = []
+    for i in BODIES[body.index]:
+        receiver = _receiver(state.machine, MOUNTS[i])
+        heights.append(0.0 if receiver.roll_corrected else receiver.position[2])
+    return abs(heights[0] - heights[1]) * (body.roll[1] if body.roll else UNKNOWN_TILT)
+
+
+def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[str]) -> None:
+    """Heading of a body with one receiver: by the hitch, by its own word, or carried on by the yaw rate."""
+    ((index, antenna),) = body.antennas.items()
+    track = state.tracks[MOUNTS[index].value]
+    whole = other.heading is not None and len(other.antennas) == 2
+    ways = {
+        "hitch": _by_hitch(state, body, other, antenna) if whole else None,
+        "reported": angle_at(track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS),
+        "yaw_rate": _carried_on(state, body, t_ns),
+    }
+    for way, found in ways.items():
+        if found is not None:
+            flags.append(f"heading_by_{way}:{NAMES[body.index]}")
+            body.heading, body.sd_heading = wrap(found[0]), found[1]
+            return
+    flags.append(f"no_heading:{NAMES[body.index]}")
+
+
+def _carried_on(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
+    """(heading, sd) of the last whole pose turned on by the yaw rate since."""
+    previous = state.last_heading[body.index]
+    if previous is None or body.yaw_rate is None or t_ns - previous[0] > GYRO_CARRY_NS:
+        return None
+    carried = previous[1] + body.yaw_rate[0] * (t_ns - state.posed_ns) * 1e-9
+    state.last_heading[body.index] = (previous[0], carried, previous[2])
+    return carried, previous[2] + GYRO_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
+
+
+def _by_hitch(state: Aligner, body: _Body, other: _Body, antenna: Antenna) -> tuple[float, float] | None:
+    """(heading, sd) from the direction in which this antenna sees the hitch."""
+    c, d = state.machine.tractor.c.value, state.machine.implement.d.value
+    own, others = (-c, d) if body.index == 0 else (d, -c)
+    if other.heading is None:
+        return None
+    cg, sd_cg = centre(list(other.antennas.values()), other.heading, other.sd_heading)
+    arm = rotate((others, 0.0), other.heading)
+    north, east = cg[0] + arm[0] - antenna.at[0], cg[1] + arm[1] - antenna.at[1]
+    forward, right = own - antenna.lever[0], -antenna.lever[1]
+    length = math.hypot(forward, right)
+    if length < 0.5:
+        return None  # the antenna stands on the hitch: it sees no direction
+    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(others) * other.sd_heading) ** 2) / length
+    return wrap(math.atan2(east, north) - math.atan2(right, forward)), sd
+
+
+def _learn_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
+    """Let the two baselines and the hitch tell the receivers' relative latencies."""
+    if state.posed_ns:
+        state.latency.drift(max(0, t_ns - state.posed_ns) * 1e-9)
+    if any(body.pair is None for body in bodies) or state.suspicion.verdict:
+        return
+    speeds: list[float] = []
+    hitches: list[Vector] = []
+    for body, to_hitch in zip(
+        bodies, (-state.machine.tractor.c.value, state.machine.implement.d.value), strict=True
+    ):
+        if body.pair is None or body.heading is None:
+            return
+        front, rear = (body.antennas[i] for i in BODIES[body.index])
+        row = np.zeros(4)
+        row[list(BODIES[body.index])] = 1.0, -1.0
+        sd = math.hypot(front.sd, rear.sd)
+        state.latency.observe(row, body.pair.excess, sd, body.pair.speed_along)
+        cg, _ = centre([front, rear], body.heading, body.sd_heading)
+        arm = rotate((to_hitch, 0.0), body.heading)
+        hitches.append((cg[0] + arm[0], cg[1] + arm[1]))
+        speeds.append(body.pair.speed_along)
+    heading = bodies[1].heading or 0.0
+    gap = (hitches[0][0] - hitches[1][0], hitches[0][1] - hitches[1][1])
+    ahead = gap[0] * math.cos(heading) + gap[1] * math.sin(heading)
+    _look_parked(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
+    sd = max(a.sd for body in bodies for a in body.antennas.values())
+    state.latency.observe(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
+
+
+def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[str]) -> None:
+    name = NAMES[body.index]
+    if body.roll is None:
+        flags.append(f"no_roll:{name}")
+    if body.yaw_rate is None:
+        body.yaw_rate = _rate_of_heading(state, body, t_ns)
+        flags.append(f"yaw_rate_of_heading:{name}" if body.yaw_rate else f"no_yaw_rate:{name}")
+    if body.heading is None:
+        flags.append(f"missing:{name}")
+        return
+    antennas = list(body.antennas.values())
+    rate, sd_rate = body.yaw_rate or (0.0, 0.0)
+    body.velocity = centre_velocity(antennas, body.heading, rate, sd_rate)
+    cg, sd = centre(antennas, body.heading, body.sd_heading)
+    speed = math.hypot(*body.velocity[:2]) if body.velocity else 0.0
+    common = state.latency.sd_mean(list(body.antennas)) * speed
+    tilt = _reach(state, body) * (body.roll[1] if body.roll else UNKNOWN_TILT)
+    body.cg, body.sd_cg = cg, math.sqrt(sd**2 + common**2 + tilt**2)
+    if len(antennas) == 2:
+        state.last_heading[body.index] = (t_ns, body.heading, body.sd_heading)
+
+
+def _reach(state: Aligner, body: _Body) -> float:
+    """Height between what the receivers report and the CG, m: the arm through which a roll error moves it."""
+    cg_height = _section(state.machine, body.index).cg_height.value
+    reaches = []
+    for i in body.antennas:
+        receiver = _receiver(state.machine, MOUNTS[i])
+        reaches.append(cg_height - (0.0 if receiver.roll_corrected else receiver.position[2]))
+    return abs(sum(reaches)) / len(reaches)
+
+
+def _rate_of_heading(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
+    """(yaw rate, sd) from this heading and the one before, where nobody measures it."""
+    previous = state.last_heading[body.index]
+    if body.heading is None or previous is None or not 0 < t_ns - previous[0] <= 2 * POSE_NS:
+        return None
+    seconds = (t_ns - previous[0]) * 1e-9
+    return wrap(body.heading - previous[1]) / seconds, math.hypot(body.sd_heading, previous[2]) / seconds
+
+
+def _direction(state: Aligner, tractor: _Body, t_ns: int) -> int:
+    """+1, −1, or 0: from velocity against heading; the vehicle's own word only where that is silent."""
+    if tractor.velocity is not None:
+        u = tractor.velocity[0]
+        return 0 if abs(u) < MOVING else (1 if u > 0 else -1)
+    return state.direction if abs(t_ns - state.direction_ns) < LOST_NS else 0
+
+
+def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) -> Pose:
+    tractor, implement = bodies
+    articulation, sd_articulation = None, None
+    if tractor.heading is not None and implement.heading is not None:
+        articulation = wrap(tractor.heading - implement.heading)
+        sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
+    wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
+    if wheel is None:
+        flags.append("lost:wheel_angle" if state.wheel_ns else "waiting:wheel_angle")
+    finest = min(
+        (track.utc for track in state.tracks.values() if track.utc.offset_ns is not None),
+        key=lambda utc: utc.resolution_s,
+        default=None,
+    )
+    used = [index for body in bodies for index in body.antennas]
+    assert state.origin_deg is not None
+    return Pose(
+        t_ns=t_ns,
+        origin_latitude_deg=state.origin_deg[0],
+        origin_longitude_deg=state.origin_deg[1],
+        tractor=_body_pose(tractor),
+        implement=_body_pose(implement),
+        articulation=articulation,
+        sd_articulation=sd_articulation,
+        wheel_angle=wheel[0] if wheel else None,
+        sd_wheel_angle=wheel[1] if wheel else None,
+        direction=_direction(state, tractor, t_ns),
+        utc_ns=finest.utc_ns(t_ns) if finest else None,
+        sd_time=state.latency.sd_mean(used) if used else 0.0,
+        receivers=len(used),
+        flags=tuple(sorted(set(flags))),
+    )
+
+
+def _body_pose(body: _Body) -> BodyPose:
+    u, v, sd_velocity = body.velocity or (None, None, None)
+    sd_lateral = None
+    if u is not None and sd_velocity is not None:
+        sd_lateral = math.hypot(sd_velocity, u * body.sd_heading)
+    return BodyPose(
+        x=body.cg[0] if body.cg else None,
+        y=body.cg[1] if body.cg else None,
+        sd_position=body.sd_cg if body.cg else None,
+        heading=body.heading,
+        sd_heading=body.sd_heading if body.heading is not None else None,
+        forward_velocity=u,
+        lateral_velocity=v,
+        sd_velocity=sd_velocity,
+        sd_lateral_velocity=sd_lateral,
+        yaw_rate=body.yaw_rate[0] if body.yaw_rate else None,
+        sd_yaw_rate=body.yaw_rate[1] if body.yaw_rate else None,
+        roll=body.roll[0] if body.roll else None,
+        sd_roll=body.roll[1] if body.roll else None,
+    )

@@ -1,0 +1,200 @@
+"""What one receiver has said lately, and what it would say at another instant.
+
+Samples are kept at their instants of measurement (epoch clock less latency). Between two positions the path
+is a cubic through positions and velocities; past the last it is carried on by velocity and yaw rate, with a
+standard deviation that grows.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
+from tilth.estimator.pose.geometry import Vector, wrap
+from tilth.schemas.flow import (
+    Attitude,
+    Fix,
+    FixType,
+    Heading,
+    Measurement,
+    UtcTime,
+    Velocity,
+    YawRate,
+)
+
+BRIDGE_NS = 1_100_000_000  # longest gap that is interpolated: a receiver at 1 Hz
+HOLD_NS = 600_000_000  # longest extrapolation of a position
+NEAR_NS = 20_000_000  # an extrapolation this short costs less than a position's own noise
+SLOW_HOLD_NS = 1_500_000_000  # roll, pitch and headings change slowly enough to be held this long
+STANDSTILL = 0.15  # m/s: below, a repeated position is still the position
+SWERVE = 0.7  # m/s^2: acceleration that an extrapolation does not know
+
+POSITION_SD = {  # of a solution that is not RTK fixed: at least this, m
+    FixType.RTK_FLOAT: 0.4,
+    FixType.PRECISE: 0.1,
+    FixType.DGNSS: 0.5,
+    FixType.GNSS: 1.5,
+}
+NO_POSITION = (FixType.NONE, FixType.DEAD_RECKONING, FixType.MANUAL)
+
+Sample = tuple[int, float, float]  # t_ns, value, sd
+Planar = tuple[int, float, float, float]  # t_ns, north, east, sd per axis
+Stamped = TypeVar("Stamped", Sample, Planar)
+
+
+@dataclass(slots=True)
+class Track:
+    """One receiver's recent samples. Times in ns on the clock of Frame.rx_ns."""
+
+    latency_ns: int
+    clock: EpochClock = field(default_factory=EpochClock)
+    utc: UtcClock = field(default_factory=UtcClock)
+    positions: deque[Planar] = field(default_factory=lambda: deque(maxlen=32))
+    velocities: deque[Planar] = field(default_factory=lambda: deque(maxlen=48))
+    yaw_rates: deque[Sample] = field(default_factory=lambda: deque(maxlen=128))  # 1.2 s at 100 Hz
+    headings: deque[Sample] = field(default_factory=lambda: deque(maxlen=64))
+    rolls: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
+    pitches: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
+    fix: FixType | None = None
+    fix_ns: int = 0  # arrival of what told it
+    position_pgn: int = 0  # the message its positions come from: the most frequent one it sends
+    placed_ns: int = 0  # arrival of the last position that was new, or held at standstill
+    repeated_ns: int = 0  # arrival of the last position that was repeated while moving
+    smoothed: bool = False  # its turn rates lag by more than a latency (startup): kept, not used
+
+    def take(self, measurement: Measurement) -> None:
+        """Keep a measurement other than a position."""
+        epoch_ns = self.clock.other(measurement.rx_ns, measurement.pgn, measurement.sid)
+        t_ns = epoch_ns - self.latency_ns
+        match measurement:
+            case Velocity(course=course, speed=speed, sd=sd):
+                self.velocities.append((t_ns, speed * math.cos(course), speed * math.sin(course), sd))
+            case YawRate(yaw_rate=rate, sd=sd):
+                self.yaw_rates.append((t_ns, rate, sd))
+            case Attitude(roll=roll, pitch=pitch, sd=sd):
+                if roll is not None:
+                    self.rolls.append((t_ns, roll, sd))
+                if pitch is not None:
+                    self.pitches.append((t_ns, pitch, sd))
+            case Heading(heading=heading, sd=sd):
+                self.headings.append((t_ns, heading, sd))
+            case Fix(fix=fix):
+                self.fix, self.fix_ns = fix, measurement.rx_ns
+            case UtcTime(utc_ns=utc_ns, sd=sd):
+                self.utc.measured(t_ns, utc_ns, sd)
+            case _:
+                pass
+
+    def place(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
+        """Keep a position on the plane. A repeated one is news only at standstill."""
+        t_ns = self.clock.position(rx_ns) - self.latency_ns
+        if repeat:
+            moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
+            if moving:
+                self.repeated_ns = rx_ns
+                return
+        if self.positions and t_ns <= self.positions[-1][0]:
+            return
+        self.placed_ns = rx_ns
+        worse = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
+        self.positions.append((t_ns, at[0], at[1], max(sd, worse)))
+
+    def usable(self) -> bool:
+        """Whether the fix allows a position at all. A receiver that never tells its fix is believed."""
+        return self.fix not in NO_POSITION
+
+    def velocity_at(self, t_ns: int) -> tuple[Vector, float] | None:
+        """((north, east) m/s, sd per axis) at t, or None."""
+        before, after = _around(self.velocities, t_ns)
+        if before is None or t_ns - before[0] > HOLD_NS:
+            return None
+        if after is None or after[0] - before[0] > BRIDGE_NS:
+            age = (t_ns - before[0]) * 1e-9
+            turned = _turn((before[1], before[2]), self._rate_near(t_ns) * age)
+            return turned, math.hypot(before[3], SWERVE * age)
+        share = (t_ns - before[0]) / (after[0] - before[0])
+        return (
+            (before[1] + share * (after[1] - before[1]), before[2] + share * (after[2] - before[2])),
+            max(before[3], after[3]),
+        )
+
+    def position_at(self, t_ns: int) -> tuple[Vector, float, bool] | None:
+        """((north, east) m, sd per axis m, whether it had to be extrapolated) at t, or None."""
+        before, after = _around(self.positions, t_ns)
+        if before is None:
+            return None
+        if after is not None and after[0] - before[0] <= BRIDGE_NS:
+            return self._between(before, after, t_ns), max(before[3], after[3]), False
+        age_ns = t_ns - before[0]
+        if age_ns > HOLD_NS:
+            return None
+        age = age_ns * 1e-9
+        moved = self.velocity_at(before[0])
+        if moved is None:
+            return None
+        (north, east), sd_velocity = moved
+        north, east = _turn((north, east), self._rate_near(t_ns) * age / 2)
+        sd = math.sqrt(before[3] ** 2 + (sd_velocity * age) ** 2 + (SWERVE * age**2 / 2) ** 2)
+        return (before[1] + north * age, before[2] + east * age), sd, age_ns > NEAR_NS
+
+    def _between(self, before: Planar, after: Planar, t_ns: int) -> Vector:
+        """Cubic Hermite path; a straight line where velocities are missing."""
+        span = (after[0] - before[0]) * 1e-9
+        s = (t_ns - before[0]) / (after[0] - before[0])
+        start, end = self.velocity_at(before[0]), self.velocity_at(after[0])
+        line = (before[1] + s * (after[1] - before[1]), before[2] + s * (after[2] - before[2]))
+        if start is None or end is None:
+            return line
+        into, outof = s * (1 - s) ** 2, -(s**2) * (1 - s)
+        blend = s * (1 - s) * (1 - 2 * s)  # of the chord, in the cubic's departure from the line
+        return (
+            line[0] - blend * (after[1] - before[1]) + span * (into * start[0][0] + outof * end[0][0]),
+            line[1] - blend * (after[2] - before[2]) + span * (into * start[0][1] + outof * end[0][1]),
+        )
+
+    def yaw_rate_at(self, t_ns: int) -> tuple[float, float] | None:
+        """(yaw rate, sd) at t; None where it is not known, or smoothed."""
+        return None if self.smoothed else sample_at(self.yaw_rates, t_ns, HOLD_NS)
+
+    def _rate_near(self, t_ns: int) -> float:
+        found = self.yaw_rate_at(t_ns)
+        return found[0] if found else 0.0
+
+
+def _around(samples: deque[Stamped], t_ns: int) -> tuple[Stamped | None, Stamped | None]:
+    """The last sample at or before t, and the first one after it."""
+    after: Stamped | None = None
+    for sample in reversed(samples):
+        if sample[0] <= t_ns:
+            return sample, after
+        after = sample
+    return None, after
+
+
+def _turn(vector: Vector, angle: float) -> Vector:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return vector[0] * cosine - vector[1] * sine, vector[0] * sine + vector[1] * cosine
+
+
+def sample_at(samples: deque[Sample], t_ns: int, hold_ns: int) -> tuple[float, float] | None:
+    """(value, sd) at t: linear between samples, held at most hold_ns past the last; None otherwise."""
+    return _value_at(samples, t_ns, hold_ns, lambda difference: difference)
+
+
+def angle_at(samples: deque[Sample], t_ns: int, hold_ns: int) -> tuple[float, float] | None:
+    """As `sample_at`, for angles that wrap."""
+    return _value_at(samples, t_ns, hold_ns, wrap)
+
+
+def _value_at(
+    samples: deque[Sample], t_ns: int, hold_ns: int, shortest: Callable[[float], float]
+) -> tuple[float, float] | None:
+    before, after = _around(samples, t_ns)
+    if before is None or t_ns - before[0] > hold_ns:
+        return None
+    if after is None or after[0] - before[0] > BRIDGE_NS:
+        return before[1], before[2]
+    share = (t_ns - before[0]) / (after[0] - before[0])
+    return before[1] + share * shortest(after[1] - before[1]), max(before[2], after[2])

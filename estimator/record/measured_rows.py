@@ -1,0 +1,184 @@
+"""What the receivers measured between two poses, each sample once, as rows of a record."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.pose.geometry import lever, rotate, wrap
+from tilth.estimator.pose.receiver_track import Stamped
+from tilth.estimator.pose.roll_pitch import HALF_NS, Lean, noise_of_rate, share_of_sway
+from tilth.estimator.record.record import EAST, HEADING, NORTH, VELOCITY, YAW_RATE
+from tilth.schemas.flow import Mount
+from tilth.schemas.machine import Receiver
+
+SLACK_NS = 2_000_000  # a sample this much before its stretch has come there by a better latency: not late
+_POSITION, _VELOCITY, _YAW_RATE, _HEADING = range(4)  # what is counted per receiver
+
+COLOURED = 4.0  # what is left of a roll rate lasts for many samples: it counts as one error, not as many
+Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
+Line = tuple[float, float]  # value at the start and at the end of a stretch
+Bend = tuple[float, float, float]  # and in its middle
+
+
+@dataclass(frozen=True, slots=True)
+class Knot:
+    """One pose, as far as records need it."""
+
+    t_ns: int
+    origin_deg: tuple[float, float]
+    reason: str  # why nothing may be learned from what is next to it, or ""
+    silent: tuple[int, ...]  # receivers that repeat old positions, as in flow.Mount
+    values: tuple[float, ...]  # u, psi_t, psi_i, r_t, r_i; () if incomplete
+    leans: tuple[Lean, Lean]  # of tractor and implement
+
+
+@dataclass(slots=True)
+class Used:
+    """Which samples have been used. Plain data."""
+
+    newest_ns: list[list[int]] = field(default_factory=lambda: [[0] * 4 for _ in MOUNTS])
+    """Stamp of the newest one, of each receiver and of position, velocity, yaw rate, heading."""
+    cut_ns: int = 0  # end of the last stretch
+    late: int = 0  # samples that came when their stretch had been cut, and were dropped
+    swaying: list[list[float]] = field(default_factory=lambda: [[0.0, 0.0], [0.0, 0.0]])
+    """Of each body the mean squares of its roll rate and of that one's noise, rad^2/s^2, lately."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """One body between two poses."""
+
+    start_ns: int
+    end_ns: int
+    psi: Line
+    yaw_rate: Line
+    pitch: Line
+    roll: Bend
+    roll_rate: Bend  # no more of it than is not noise
+    sd_roll_rate: float  # of what is left
+
+
+def rows_between(used: Used, aligner: Aligner, start: Knot, end: Knot, after: Knot) -> list[Row]:
+    """All samples of the stretch, not sorted. They count as used even where nothing can be made of them."""
+    out: list[Row] = []
+    spans = [_span(used.swaying[body], body, start, end, after) for body in (0, 1)]
+    receivers = aligner.machine.receiver
+    bodies = [_body(receiver) for receiver in receivers]
+    for receiver, body in zip(receivers, bodies, strict=True):
+        index = MOUNTS.index(receiver.mount)
+        rows = _of_receiver(used, aligner, receiver, spans[body], bodies.count(body) == 1)
+        if index not in start.silent and index not in end.silent:
+            out += rows
+    used.cut_ns = end.t_ns
+    return out
+
+
+def _body(receiver: Receiver) -> int:
+    return int(receiver.mount in (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR))
+
+
+def _span(swaying: list[float], body: int, start: Knot, end: Knot, after: Knot) -> _Span:
+    first, last, then = start.leans[body], end.leans[body], after.leans[body]
+    psi = yaw_rate = (0.0, 0.0)
+    if start.values and end.values:
+        psi = (start.values[1 + body], end.values[1 + body])
+        yaw_rate = (start.values[3 + body], end.values[3 + body])
+    seconds = POSE_NS * 1e-9
+    low, high = (last.roll - first.roll) / seconds, (then.roll_before - last.roll_before) / seconds
+    share = share_of_sway(swaying, high, noise_of_rate(last, then))
+    left = math.sqrt(share * swaying[1])
+    early = share * (last.roll_before - first.roll_before) / seconds
+    return _Span(
+        start.t_ns, end.t_ns, psi, yaw_rate, (first.pitch, last.pitch),
+        (first.roll, last.roll_before, last.roll), (early, share * low, share * high), left,
+    )  # fmt: skip
+
+
+def _of_receiver(used: Used, aligner: Aligner, receiver: Receiver, span: _Span, alone: bool) -> list[Row]:
+    """Its samples of the span. alone: no other receiver tells its body's heading."""
+    track, index, body = aligner.tracks[receiver.mount.value], MOUNTS.index(receiver.mount), _body(receiver)
+    newest, excess_ns = used.newest_ns[index], aligner.latency.excess_ns(index)
+    start_ns, end_ns = span.start_ns + excess_ns, span.end_ns + excess_ns
+    counted = used.cut_ns == span.start_ns  # else what is older was never to be used
+    out: list[Row] = []
+
+    def fresh(samples: deque[Stamped], kind: int) -> list[Stamped]:
+        found = _fresh(samples, newest[kind], end_ns)
+        if found:
+            newest[kind] = found[0][0]
+        while found and found[-1][0] < start_ns - SLACK_NS:
+            found.pop()
+            used.late += counted
+        return found
+
+    for t_ns, rate, sd in fresh(track.yaw_rates, _YAW_RATE):
+        if not track.smoothed:
+            out.append((max(0, t_ns - start_ns), YAW_RATE, body, rate, sd))
+    for t_ns, north, east, sd in fresh(track.velocities, _VELOCITY):
+        since = max(0, t_ns - start_ns)
+        across, sd_lean = _across(span, receiver, since, north, east)
+        out.append((since, VELOCITY, index, across, math.hypot(sd, sd_lean)))
+    for t_ns, north, east, sd in fresh(track.positions, _POSITION):
+        since = max(0, t_ns - start_ns)
+        north, east = _upright(span, receiver, since, north, east)
+        out.append((since, NORTH, index, north, sd))
+        out.append((since, EAST, index, east, sd))
+    for t_ns, heading, sd in fresh(track.headings, _HEADING):
+        if alone:
+            since = max(0, t_ns - start_ns)
+            psi = _at(span.psi, since)
+            out.append((since, HEADING, body, psi + wrap(heading - psi), sd))
+    return out if track.usable() else []
+
+
+def _fresh(samples: deque[Stamped], newest_ns: int, end_ns: int) -> list[Stamped]:
+    """The samples before end that came after the one stamped newest_ns, the newest first.
+
+    Times are the track's, with what has been learned of its latency still in them.
+    """
+    out: list[Stamped] = []
+    for sample in reversed(samples):
+        if sample[0] <= newest_ns:
+            break
+        if sample[0] < end_ns:
+            out.append(sample)
+    return out
+
+
+def _at(line: Line, since_ns: int) -> float:
+    return line[0] + (line[1] - line[0]) * (since_ns / POSE_NS)
+
+
+def _bent(bend: Bend, since_ns: int) -> float:
+    if since_ns < HALF_NS:
+        return bend[0] + (bend[1] - bend[0]) * (since_ns / HALF_NS)
+    return bend[1] + (bend[2] - bend[1]) * (since_ns / HALF_NS - 1.0)
+
+
+def _leaning(span: _Span, receiver: Receiver, since_ns: int) -> tuple[float, float, float]:
+    """(forward, right: how far lean moves what a receiver reports, m; the latter per rad of roll)."""
+    roll = _bent(span.roll, since_ns)
+    forward, right = lever(receiver.position, 0.0, receiver.roll_corrected, roll, _at(span.pitch, since_ns))
+    height = 0.0 if receiver.roll_corrected else receiver.position[2]
+    per_roll = height * math.cos(roll) - receiver.position[1] * math.sin(roll)
+    return forward - receiver.position[0], right - receiver.position[1], per_roll
+
+
+def _across(span: _Span, receiver: Receiver, since_ns: int, north: float, east: float) -> tuple[float, float]:
+    """(velocity to the right of psi of an antenna that does not lean, what its lean adds to the sd), m/s."""
+    psi = _at(span.psi, since_ns)
+    forward, _, per_roll = _leaning(span, receiver, since_ns)
+    swaying = per_roll * _bent(span.roll_rate, since_ns) + forward * _at(span.yaw_rate, since_ns)
+    across = east * math.cos(psi) - north * math.sin(psi) - swaying
+    return across, COLOURED * per_roll * span.sd_roll_rate
+
+
+def _upright(
+    span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
+) -> tuple[float, float]:
+    """Position of an antenna that does not lean, m."""
+    psi = _at(span.psi, since_ns)
+    forward, right, _ = _leaning(span, receiver, since_ns)
+    ahead, aside = rotate((forward, right), psi)
+    return north - ahead, east - aside

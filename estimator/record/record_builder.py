@@ -1,0 +1,227 @@
+"""Poses and raw samples in, stretches of the record out: what may teach the dynamic estimators, and why not.
+
+A stretch is what lies between two poses. It is cut when the pose after them is there: roll rates are central
+differences then, and what was late by less than the aligner's deadline has come.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.pose.geometry import wrap
+from tilth.estimator.pose.receiver_track import Sample
+from tilth.estimator.pose.roll_pitch import lean_at
+from tilth.estimator.record.measured_rows import Knot, Row, Used, rows_between
+from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch
+from tilth.schemas.flow import Pose
+from tilth.schemas.machine import Machine
+
+TICKS = POSE_NS // TICK_NS  # of a stretch
+SLOWEST = 1.0  # m/s
+LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
+ROUGHEST_HEADING = math.radians(2.0)  # sd: nothing is made linear about worse
+WHEEL_GAP_NS = 150_000_000  # longest that is interpolated: one sample of a sensor at 10 Hz, with its jitter
+SETTLING = 10  # stretches (2 s) that are driven after a refusal before anything is learned again
+
+_SHUT = (
+    ({"swapped", "moved", "doubtful", "latency"}, "receivers do not fit the rig"),
+    ({"floating", "no_rtk", "no_fix", "fix_unknown"}, "no RTK fix"),
+    ({"no_roll"}, "roll not measured"),
+)
+_HALVES = (0.0, 0.5, 1.0)
+
+
+@dataclass(slots=True)
+class RecordState:
+    """What is remembered from pose to pose. Plain data."""
+
+    knots: list[Knot] = field(default_factory=list)  # the last three poses
+    psi: list[float] = field(default_factory=lambda: [0.0, 0.0])  # last headings, not wrapped
+    used: Used = field(default_factory=Used)
+    settled: int = 0  # stretches since the last one that was refused
+    taught: bool = False  # whether the last stretch may teach
+    stretches: int = 0  # that may teach
+    samples: int = 0  # rows in them
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
+
+
+def initial(machine: Machine) -> RecordState:
+    """Before the first pose."""
+    return RecordState()
+
+
+def clock_stepped(state: RecordState) -> None:
+    """The log's clock ran back: instants of before mean nothing any more. Counts stay."""
+    state.knots.clear()
+    state.used = Used(swaying=state.used.swaying, late=state.used.late)
+    state.settled, state.taught = 0, False
+
+
+def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
+    """The stretch that ends where the pose before this one stands; None before the third pose."""
+    knots = state.knots
+    if knots and pose.t_ns <= knots[-1].t_ns:
+        clock_stepped(state)
+    knots.append(_knot(state, aligner, pose))
+    if len(knots) < 3:
+        return None
+    del knots[:-3]
+    start, end, after = knots
+    record, reason = Record(start.t_ns), _unbroken(start, end, after)
+    rows = rows_between(state.used, aligner, start, end, after)
+    if not reason:
+        wheel = wheel_angles(aligner.wheel, start.t_ns)
+        if wheel is None:
+            reason = "no wheel angle"
+        elif start.values and end.values:
+            record = _assemble(start, end, wheel, rows)
+    reason = _judge(state, reason or _shut(start, end, after, record))
+    follows = state.taught and not reason
+    state.taught = not reason
+    if not reason:
+        state.stretches += 1
+        state.samples += len(record.rows)
+    return Stretch(record, follows, reason)
+
+
+def _judge(state: RecordState, reason: str) -> str:
+    """The reason with which a stretch is refused, counted; "" where it may teach."""
+    if reason:
+        state.settled = 0
+    elif state.settled < SETTLING:
+        state.settled += 1
+        reason = "settling"
+    if reason:
+        state.refused[reason] = state.refused.get(reason, 0) + 1
+    return reason
+
+
+def _unbroken(start: Knot, end: Knot, after: Knot) -> str:
+    """Why these poses do not stand side by side in one plane, or ""."""
+    if end.t_ns - start.t_ns != POSE_NS or after.t_ns - end.t_ns != POSE_NS:
+        return "gap in the poses"
+    if not start.origin_deg == end.origin_deg == after.origin_deg:
+        return "new origin of the plane"
+    return ""
+
+
+def _shut(start: Knot, end: Knot, after: Knot, record: Record) -> str:
+    """Why what was measured here may not teach, or ""."""
+    # The pose after tells of a fix that was lost in between and of positions that it finds doubtful.
+    reason = start.reason or end.reason or after.reason
+    if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_ANGLE:
+        return "outside the small-angle model"
+    return reason
+
+
+# The inputs.
+
+
+def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
+    tractor, implement = pose.tractor, pose.implement
+    values: tuple[float, ...] = ()
+    u, r_t = tractor.forward_velocity, tractor.yaw_rate
+    heading_t, heading_i = tractor.heading, implement.heading
+    if u is not None and heading_t is not None and heading_i is not None and r_t is not None:
+        psi_t = state.psi[0] + wrap(heading_t - state.psi[0])
+        psi_i = psi_t + wrap(heading_i - heading_t)
+        state.psi[:] = psi_t, psi_i
+        r_i = r_t if implement.yaw_rate is None else implement.yaw_rate
+        values = (u, psi_t, psi_i, r_t, r_i)
+    return Knot(
+        pose.t_ns,
+        (pose.origin_latitude_deg, pose.origin_longitude_deg),
+        _reason(pose),
+        tuple(i for i, mount in enumerate(MOUNTS) if f"repeating:{mount.value}" in pose.flags),
+        values,
+        (lean_at(aligner, 0, pose.t_ns), lean_at(aligner, 1, pose.t_ns)),
+    )
+
+
+def _reason(pose: Pose) -> str:
+    """Why nothing may be learned about this pose, or ""."""
+    # A receiver that is lost gives no rows, so that its fix need not be known.
+    lost = {flag.replace("lost:", "fix_unknown:") for flag in pose.flags if flag.startswith("lost:")}
+    kinds = {flag.partition(":")[0] for flag in pose.flags if flag not in lost}
+    for shutting, reason in _SHUT:
+        if kinds & shutting:
+            return reason
+    if pose.direction < 0:
+        return "reverse"
+    bodies, u = (pose.tractor, pose.implement), pose.tractor.forward_velocity
+    if any(body.sd_heading is None or body.sd_heading > ROUGHEST_HEADING for body in bodies):
+        return "no heading"
+    if u is None or pose.tractor.yaw_rate is None or pose.articulation is None:
+        return "pose incomplete"
+    if u < SLOWEST:
+        return "too slow"
+    if abs(pose.articulation) > LARGEST_ANGLE:
+        return "outside the small-angle model"
+    return ""
+
+
+def wheel_angles(samples: deque[Sample], t_ns: int) -> list[float] | None:
+    """The wheel angle at each tick, rad, or None where the sensor was silent for too long.
+
+    Samples within half a tick are averaged, each in one mean; the ticks lie on the lines from mean to mean,
+    so that a sensor's phase against the ticks is no delay.
+    """
+    # Where every tick has samples, the ticks next to them are enough to look at.
+    return _on_lines(_means(samples, t_ns, 1)) or _on_lines(
+        _means(samples, t_ns, WHEEL_GAP_NS // TICK_NS + 1)
+    )
+
+
+def _means(samples: deque[Sample], t_ns: int, beyond: int) -> list[tuple[float, float]]:
+    """(ns after t, angle): means about the ticks of a stretch and `beyond` more on either side, in order."""
+    half = TICK_NS // 2
+    origin_ns = t_ns - half
+    count, total_ns, total = ([0.0] * (TICKS + 2 * beyond) for _ in range(3))
+    for at_ns, angle, _ in reversed(samples):
+        k = (at_ns - origin_ns) // TICK_NS + beyond
+        if k < 0:
+            break
+        if k < len(count):
+            count[k] += 1.0
+            total_ns[k] += at_ns - t_ns
+            total[k] += angle
+    return [(at / n, angle / n) for n, at, angle in zip(count, total_ns, total, strict=True) if n]
+
+
+def _on_lines(means: list[tuple[float, float]]) -> list[float] | None:
+    """The value at each tick on the lines from mean to mean; None where one is too long or missing."""
+    out: list[float] = []
+    k = 1
+    for tick in range(0, POSE_NS, TICK_NS):
+        while k < len(means) and means[k][0] < tick:
+            k += 1
+        if k >= len(means) or means[k - 1][0] > tick:
+            return None
+        (before, low), (after, high) = means[k - 1], means[k]
+        if after - before > WHEEL_GAP_NS:
+            return None
+        out.append(low + (high - low) * (tick - before) / (after - before))
+    return out
+
+
+def _assemble(start: Knot, end: Knot, wheel: list[float], rows: list[Row]) -> Record:
+    shares = np.arange(TICKS) / TICKS
+    low, high = np.array(start.values), np.array(end.values)
+    ticks = np.empty((TICKS, len(INPUTS)))
+    ticks[:, 0] = wheel
+    ticks[:, 1:6] = low + np.outer(shares, high - low)
+    for body, (first, last) in enumerate(zip(start.leans, end.leans, strict=True)):
+        ticks[:, 6 + body] = np.interp(shares, _HALVES, (first.roll, last.roll_before, last.roll))
+    rows.sort(key=_instant)
+    table = [
+        (since // TICK_NS, (since % TICK_NS) * 1e-9, kind, place, value, sd)
+        for since, kind, place, value, sd in rows
+    ]
+    return Record(start.t_ns, ticks, np.array(table, dtype=np.float64).reshape(-1, len(ROWS)))
+
+
+def _instant(row: Row) -> int:
+    return row[0]

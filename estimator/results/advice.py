@@ -1,0 +1,366 @@
+"""What the data determine of the six parameters, what they leave open, and which manoeuvre would help.
+
+A manoeuvre is judged before it is driven: the predictor runs over the drive that it would give, and the
+slopes of its prediction errors over every unknown, whitened, are the information that it would bring (as
+identifiability.cramer_rao, with an unknown first state and all nuisances). It counts what the known steering
+tells, not what the disturbances' own colour tells on top: a drive brings a little more than was predicted.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, cast
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import predictor, unknowns
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.models import identifiability
+from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
+from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.record.record import EAST, HEADING, INPUTS, NORTH, ROWS, VELOCITY, YAW_RATE
+from tilth.schemas.flow import PARAMETERS, Mount
+from tilth.schemas.machine import Machine
+from tilth.schemas.spread import share
+
+Array = NDArray[np.float64]
+
+SUPPORTED: Final = 0.5  # posterior over prior sd: above, a parameter or a combination is not determined
+PLAIN: Final = 2.0  # a ratio or product of two is named rather than a direction known so much better
+OPEN: Final = 1e-3  # information over prior information: below, a direction is left open
+SECONDS: Final = 10.0  # of a manoeuvre
+TARGET: Final = 0.10  # sd of a logarithm that is good enough: no wilder manoeuvre for less
+WORTH: Final = 0.85  # of the present sd: a manoeuvre that does not get below is not worth it
+SLOWEST: Final = 1.5  # m/s: below, slip is too small to learn from
+LARGEST_ACCELERATION: Final = 2.0  # m/s^2, across, of what is advised
+HERTZ: Final = 5.0  # of a receiver nobody has timed
+EVERY_NS: Final = 10_000_000_000
+MOVED: Final = 0.15  # of a logarithm, or of the speed as a share: then the table is made anew
+UNHEARD: Final = 1e6  # sd of a measurement that corrects nothing: its error shows what is expected
+SLOW_SHARE: Final = 0.4  # share of a position's sd that stays for long and does not cancel in a pair
+
+
+class Candidate(NamedTuple):
+    manoeuvre: str  # a row of manoeuvres.MANOEUVRES
+    degrees: float  # of the wheels
+
+
+CANDIDATES: Final = tuple(
+    Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")
+)
+NO_DRAW: Final = cast(Generator, None)  # manoeuvres that draw are none that a driver could follow
+
+
+# What is determined.
+
+
+def information_of(covariance: Array, prior_sd: Array) -> Array:
+    """What the data added to the prior, shape (n, n) as both: never below zero in any direction."""
+    scale = np.outer(prior_sd, prior_sd)
+    scaled = np.linalg.inv(covariance / scale) - np.eye(len(prior_sd))
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T / scale)
+
+
+def eigenvalues(information: Array, prior_sd: Array) -> tuple[float, ...]:
+    """Information over prior information in its own directions, largest first."""
+    values = np.linalg.eigvalsh(information * np.outer(prior_sd, prior_sd))
+    return tuple(float(max(value, 0.0)) for value in values[::-1])
+
+
+def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
+    """Smallest sd that the data alone allow each parameter; None where they leave it open."""
+    values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
+    rows = np.sqrt(np.where(values > OPEN, values, 0.0))[:, None] * vectors.T
+    if not rows.any():
+        return (None,) * len(prior_sd)
+    found = identifiability.bound(rows, [str(k) for k in range(len(prior_sd))]).sd * prior_sd
+    return tuple(float(sd) if math.isfinite(sd) else None for sd in found)
+
+
+def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAMETERS) -> tuple[str, ...]:
+    """In words with their 95 % range: each parameter that the data and the prior determine; of the others,
+    ratios, products or further combinations that are. Shapes (n, n), (n,), (n)."""
+    prior: Array = np.diag(prior_sd**2)
+    posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
+    sd = np.sqrt(np.diag(posterior))
+    single = [k for k in range(len(names)) if sd[k] <= SUPPORTED * prior_sd[k]]
+    words = [f"{names[k]} {share(sd[k])}" for k in single]
+    rest = [k for k in range(len(names)) if k not in single]
+    if len(rest) < 2:
+        return tuple(words)
+    here: Array = posterior[np.ix_(rest, rest)]
+    before: Array = prior[np.ix_(rest, rest)]
+    for _ in range(len(rest) - 1):
+        weights = _best(here, before)
+        if weights is None:
+            break
+        spread = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
+        words.append(f"{_combination(weights, [names[k] for k in rest])} {share(spread)}")
+        # As if it were known: what comes next must be something else.
+        here, before = _given(here, weights), _given(before, weights)
+    return tuple(words)
+
+
+def _best(posterior: Array, prior: Array) -> Array | None:
+    """Weights of the combination that is known best against the prior: a plain ratio or product of two, or,
+    where none will do, the best of all directions with weights to one decimal. None: nothing is."""
+    n = len(posterior)
+    pairs = []
+    for i, j in itertools.combinations(range(n), 2):
+        for sign in (-1.0, 1.0):
+            weights = np.zeros(n)
+            weights[i], weights[j] = 1.0, sign
+            pairs.append(weights)
+    values, vectors = np.linalg.eigh(prior)
+    kept = values > 1e-9 * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept])
+    _, own = np.linalg.eigh(root.T @ posterior @ root)
+    general = root @ own[:, 0]
+    general = np.round(general / np.abs(general).max(), 1)
+    general *= np.sign(general[np.argmax(np.abs(general))])
+    score, k = min((_known(w, posterior, prior), k) for k, w in enumerate(pairs))
+    best = _known(general, posterior, prior)
+    if score <= min(SUPPORTED, PLAIN * best):
+        return pairs[k]
+    return np.asarray(general) if best <= SUPPORTED else None
+
+
+def _known(weights: Array, posterior: Array, prior: Array) -> float:
+    """Posterior over prior sd of a combination; 1 where the prior leaves nothing to learn."""
+    before = float(weights @ prior @ weights)
+    if before < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
+        return 1.0
+    return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / before)
+
+
+def _given(covariance: Array, weights: Array) -> Array:
+    """The covariance once that combination were known exactly."""
+    cross = covariance @ weights
+    return np.asarray(covariance - np.outer(cross, cross) / max(float(weights @ cross), 1e-12))
+
+
+def _combination(weights: Array, names: Sequence[str]) -> str:
+    over = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
+    under = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
+    if not over:
+        over, under = under, over
+    text = "·".join(over)
+    if not under:
+        return text
+    return f"{text}/{under[0]}" if len(under) == 1 else f"{text}/({'·'.join(under)})"
+
+
+def _power(name: str, exponent: float) -> str:
+    return name if exponent == 1.0 else f"{name}^{exponent:.1f}"
+
+
+# What would help.
+
+
+def embedded(
+    machine: Machine,
+    mean: Array,
+    covariance: Array,
+    nuisances: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[Array, Array]:
+    """(mean [n], covariance [n, n]) over unknowns.NAMES of an estimate that has only the six logarithms,
+    shapes (6,), (6, 6), and perhaps some nuisances by name, (value, sd); else the machine file's."""
+    whole, sd = unknowns.prior(machine)
+    for name, (value, known) in (nuisances or {}).items():
+        if name in AT and sd[AT[name]] > 0:
+            whole[AT[name]], sd[AT[name]] = value, min(known, sd[AT[name]])
+    spread: Array = np.diag(sd**2)
+    whole[SIX], spread[SIX, SIX] = mean, covariance
+    return whole, spread
+
+
+def information(
+    machine: Machine,
+    point: Array,
+    speed: float,
+    candidate: Candidate,
+    hertz: Sequence[float] = (HERTZ,) * 4,
+    planar: bool = True,
+) -> Array:
+    """What SECONDS of a manoeuvre would tell of unknowns.NAMES at a point of them, shape (n, n).
+
+    speed: m/s. hertz: of each receiver, in the order of flow.Mount. planar: as predictor.
+    """
+    count = round((SECONDS + START_S) / predictor.DT) + 1
+    time: Array = np.arange(count, dtype=np.float64) * predictor.DT
+    steering = manoeuvre_named(candidate.manoeuvre).wheel_angle
+    ticks = np.zeros((count, len(INPUTS)))
+    ticks[:, 0] = steering(time, math.radians(candidate.degrees), NO_DRAW)
+    ticks[:, 1] = speed
+    watch = np.array([(k, 0.0, HEADING, body, 0.0, UNHEARD) for k in range(count) for body in (0, 1)])
+    seen, _ = _errors(machine, ticks, watch, point[None], planar)
+    ticks[:, 2:4] = -seen[0].reshape(count, 2)
+    rows = _rows(machine, count, hertz)
+    silent = rows.copy()
+    silent[:, ROWS.index("sd")] = UNHEARD
+    seen, _ = _errors(machine, ticks, silent, point[None], planar)
+    rows[:, ROWS.index("value")] = -seen[0]
+    _, prior_sd = unknowns.prior(machine)
+    free = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
+    nudges = 1e-3 * prior_sd[free]
+    points = np.tile(point, (len(free) + 1, 1))
+    points[np.arange(1, len(free) + 1), free] += nudges
+    errors, variances = _errors(machine, ticks, rows, points, planar)
+    white = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(free, free)] = white.T @ white
+    return whole
+
+
+def _rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
+    """What the receivers would say, with the machine file's sds, no values yet, shape (m, 6)."""
+    by_mount = {receiver.mount: receiver for receiver in machine.receiver}
+    said = []
+    for place, mount in enumerate(Mount):
+        if mount not in by_mount:
+            continue
+        r, body = by_mount[mount], place // 2
+        for k in range(0, count - 1, max(round(1.0 / hertz[place] / predictor.DT), 1)):
+            said += [
+                (k, 0.0, NORTH, place, 0.0, r.position_sd),
+                (k, 0.0, EAST, place, 0.0, r.position_sd),
+                (k, 0.0, VELOCITY, place, 0.0, r.velocity_sd),
+                (k, 0.0, YAW_RATE, body, 0.0, math.radians(r.yaw_rate_sd)),
+            ]
+    return np.array(sorted(said, key=lambda row: row[0]), dtype=np.float64)
+
+
+def _errors(machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool) -> tuple[Array, Array]:
+    """Prediction errors and their variances at each point, shape (q, m); all with the gains of the first."""
+    e, s = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
+    base = unknowns.base_geometry(machine)
+    modes = np.array([predictor.KEEP] + [predictor.FOLLOW] * (len(points) - 1), dtype=np.float64)
+    readings = np.tile(rows[:, ROWS.index("value")], (len(points), 1))
+    predictor.innovations(
+        ticks, rows, readings, np.ones(len(rows)), np.zeros(predictor.N_STATES), points,
+        np.exp(points[:, SIX]), np.array([unknowns.geometry(base, point) for point in points]), modes,
+        rig_of(machine), unknowns.levers(machine), unknowns.pair_middles(machine), _sds(machine), planar,
+        e, s,
+    )  # fmt: skip
+    return e, s
+
+
+def _sds(machine: Machine) -> Array:
+    """Of the wheel angle and of both pairs' slow heading errors, rad, shape (3,)."""
+    slow = []
+    for body in ("tractor", "implement"):
+        pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
+        length = math.dist(pair[0].position[:2], pair[1].position[:2]) if len(pair) == 2 else math.inf
+        slow.append(SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length)
+    return np.array([math.radians(machine.wheel_angle.sd), *slow])
+
+
+def predicted(covariance: Array, information: Array) -> Array:
+    """Sds of the six logarithms once the information has come in, shape (6,). Both (n, n) over NAMES."""
+    known = np.flatnonzero((np.diag(covariance) > 0) & ~_is_noise())
+    held = covariance[np.ix_(known, known)]
+    scale = np.sqrt(np.diag(held))
+    told = information[np.ix_(known, known)] * np.outer(scale, scale)
+    total = np.linalg.inv(held / np.outer(scale, scale)) + told
+    sd = np.sqrt(np.diag(np.linalg.inv((total + total.T) / 2))) * scale
+    return np.asarray(sd[: len(PARAMETERS)])
+
+
+def _is_noise() -> NDArray[np.bool_]:
+    found = np.zeros(len(NAMES), dtype=bool)
+    found[NOISE] = True
+    return found
+
+
+def gentle(machine: Machine, speed: float) -> tuple[Candidate, ...]:
+    """The candidates that stay within LARGEST_ACCELERATION at a speed, mildest first."""
+    wheelbase = machine.tractor.a.value + machine.tractor.b.value
+    limit = math.degrees(LARGEST_ACCELERATION * wheelbase / max(speed, 0.1) ** 2)
+    return tuple(c for c in CANDIDATES if c.degrees <= limit)
+
+
+def advise(
+    machine: Machine,
+    mean: Array,
+    covariance: Array,
+    speed: float,
+    table: Mapping[Candidate, Array] | None = None,
+    hertz: Sequence[float] = (HERTZ,) * 4,
+) -> str:
+    """Which manoeuvre would help most and by how much, one sentence.
+
+    mean (n,), covariance (n, n): over unknowns.NAMES. table: informations that are known already; none: all
+    are made here, which takes some 0.2 s.
+    """
+    if speed < SLOWEST:
+        return f"nothing can be learned below {SLOWEST:g} m/s"
+    if table is None:
+        table = {c: information(machine, mean, speed, c, hertz) for c in gentle(machine, speed)}
+    now, prior_sd = np.sqrt(np.diag(covariance)[SIX]), unknowns.prior(machine)[1][SIX]
+    asked = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
+    known = not asked
+    if known:
+        asked = [int(np.argmax(now))]
+    names = _and([PARAMETERS[k] for k in asked])
+    if len(asked) == len(PARAMETERS):
+        start = f"none of {names} is determined"
+    else:
+        state = "is known least" if known else f"{'is' if len(asked) == 1 else 'are'} not determined"
+        start = f"{names} {state}: {share(*now[asked])}"
+    after = {c: predicted(covariance, told)[asked] for c, told in table.items()}
+    chosen = _choose(after, now[asked])
+    if chosen is None:
+        return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
+    words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
+    them = "it" if len(asked) == 1 else "them"
+    return f"{start}; {SECONDS:g} s of {words} would bring {them} to {share(*after[chosen])}"
+
+
+def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
+    """The mildest whose worst sd comes to TARGET or near the best of all; None where nothing is worth it.
+
+    after: sds of the parameters asked for, shape (k,), as `now`.
+    """
+    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTH * now)}
+    if not worth:
+        return None
+    enough = max(TARGET, 1.1 * min(worth.values()))
+    mildest = min(c.degrees for c, worst in worth.items() if worst <= enough)
+    return min((c for c in worth if c.degrees == mildest), key=lambda c: worth[c])
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+@dataclass(slots=True)
+class Advisor:
+    """Advice in a running estimator, plain data: one candidate is worked out at a time."""
+
+    text: str = ""
+    renewed_ns: int = 0
+    point: Array = field(default_factory=lambda: np.zeros(len(NAMES)))  # of the table
+    speed: float = 0.0  # m/s, of the table
+    table: list[Array] = field(default_factory=list)  # informations of `gentle`, as far as they are known
+
+
+def renew(state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int) -> str:
+    """The present advice; made anew each EVERY_NS with one more candidate known. Arguments as `advise`."""
+    if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + EVERY_NS:
+        return state.text
+    state.renewed_ns = t_ns
+    if speed < SLOWEST:
+        return state.text
+    far = np.abs(mean - state.point)[SIX].max() > MOVED or abs(speed - state.speed) > MOVED * speed
+    if not state.table or far:
+        state.point, state.speed, state.table = mean.copy(), speed, []
+    candidates = gentle(machine, state.speed)[::-1]  # the one that tells most first
+    if len(state.table) < len(candidates):
+        state.table.append(information(machine, state.point, state.speed, candidates[len(state.table)]))
+    table = dict(zip(candidates, state.table, strict=False))
+    state.text = advise(machine, mean, covariance, speed, table)
+    return state.text

@@ -1,0 +1,119 @@
+"""How what a method has learned is said: which parameters have a number, how old it is, what goes with it."""
+
+import math
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters.unknowns import NAMES, SIX
+from tilth.estimator.results import advice
+from tilth.estimator.results.advice import SUPPORTED
+from tilth.schemas.flow import Estimate, ParameterEstimate, Status
+from tilth.schemas.machine import Machine
+from tilth.schemas.spread import share
+
+Array = NDArray[np.float64]
+
+MODEL: Final = "relaxation"
+PUBLISH_NS: Final = 1_000_000_000
+DRIFT_M: Final = 50_000.0  # distance over which the soil forgets itself
+STALE_S: Final = 300.0
+LOST: Final = (
+    0.6  # posterior over prior sd of a logarithm, beyond which a number that was given is taken back
+)
+WORST: Final = 4.5  # prior sds: a parameter further off is none
+RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
+
+
+class Learning(Protocol):
+    """State of a method that learns unknowns.NAMES, arrays in their order. Times ns."""
+
+    mean: Array
+    covariance: Array
+    prior_sd: Array
+    given: list[bool]  # whether each of the six had a number
+    informed_ns: int  # when data last informed it, 0: never
+    window_s: float
+    reason: str  # why nothing is learned now, or ""
+
+
+def forgotten(metres: float) -> float:
+    """Share of what was known of the soil that is left after so many metres."""
+    return math.exp(-metres / DRIFT_M)
+
+
+def age_s(informed_ns: int, t_ns: int) -> float | None:
+    """Since data last informed it; None: they never did."""
+    return (t_ns - informed_ns) * 1e-9 if informed_ns else None
+
+
+def enough(given: bool, sd_log: float, prior_sd: float) -> bool:
+    """Whether a logarithm's sd supports a number: once given, it is taken back later than given."""
+    return sd_log <= (LOST if given else SUPPORTED) * prior_sd
+
+
+def parameter(
+    log: float, sd_log: float, given: bool, age: float | None, lacks: str, idle: str
+) -> ParameterEstimate:
+    """One parameter. lacks: why there is no number where there is none; idle: what was missing since."""
+    if age is None or not given:
+        return ParameterEstimate(None, None, Status.UNESTIMATED, lacks, age)
+    value = math.exp(log)
+    if age > STALE_S:
+        return ParameterEstimate(value, value * sd_log, Status.STALE, f"{idle} for {age:.0f} s", age)
+    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
+
+
+def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple[float | None, ...]:
+    """Cornering stiffnesses over the mass of the body that they hold, N/(rad kg)."""
+    masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
+    return tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True))
+
+
+def nothing_yet(what: str, reason: str) -> str:
+    """Why a method has not learned anything."""
+    return f"{what} yet (now: {reason})" if reason else f"{what} yet"
+
+
+def of_six(
+    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: str,
+    excitation: dict[str, float], advised: str,
+) -> Estimate:  # fmt: skip
+    """What a method that learns all six logarithms says at t_ns.
+
+    covariance: (6, 6), theirs as it is said. nothing: why there is no number while nothing was learned.
+    """
+    prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
+    information = advice.information_of(covariance, prior_sd)
+    sizes = np.array(advice.eigenvalues(information, prior_sd))
+    age = age_s(state.informed_ns, t_ns)
+    parameters = []
+    for k in range(6):
+        state.given[k] = age is not None and enough(state.given[k], sds[k], prior_sd[k])
+        wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
+        lacks = nothing_yet(nothing, state.reason) if age is None else wide
+        parameters.append(
+            parameter(state.mean[k], float(sds[k]), state.given[k], age, lacks, "nothing was learned")
+        )
+    active = np.flatnonzero(np.diag(state.covariance) > 0.0)
+    bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior_sd))
+    return Estimate(
+        t_ns=t_ns,
+        method=method,
+        model=MODEL,
+        parameters=tuple(parameters),
+        log_covariance=tuple(covariance.ravel().tolist()),
+        per_mass=per_mass(machine, parameters),
+        nuisances={
+            NAMES[k]: (float(state.mean[k]), math.sqrt(state.covariance[k, k])) for k in active if k > 5
+        },
+        rank=int(np.sum(sizes > RANK_GAIN)),
+        condition=float(sizes.max() / sizes.min()) if sizes.min() > 0.0 else None,
+        excitation=excitation,
+        window_s=state.window_s,
+        determined=advice.determined(information, prior_sd) if age is not None else (),
+        bound=bound if age is not None else (),
+        advice=advised,
+    )

@@ -1,0 +1,208 @@
+"""Whether those who speak on the buses are those of the machine file: receivers, the wheel-angle sensor."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
+from tilth.schemas.can_id import CanId, split
+from tilth.schemas.decode import Decoder
+from tilth.schemas.device_names import manufacturer_name
+from tilth.schemas.flow import Frame, Mount, Position, WheelAngle
+from tilth.schemas.identity import split_name
+from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.messages import PGNS
+from tilth.schemas.wheel_angle import RUDDER, compile_sensor
+
+SHOWN: Final = 3  # candidates
+_POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.words)
+_OWN_PGNS: Final = (
+    range(0xFF00, 0x10000),
+    range(0xEF00, 0xF000),
+)  # where manufacturers put what is their own
+_TELLING: Final = (range(126720, 126721), range(130816, 131072))  # NMEA 2000: their first bytes say whose
+_MARINE: Final = 0b10011  # of those bytes, above the manufacturer: reserved ones and the industry group
+_GROUP: Final = 60  # bit of a NAME
+
+
+@dataclass(slots=True)
+class _Sender:
+    """What came from one address of one bus."""
+
+    bus: str
+    source: int
+    frames: int = 0
+    name: int | None = None
+    maker: int | None = None  # manufacturer code
+    group: int | None = None  # industry group, which says whose codes these are
+    positions: int = 0
+    empty_positions: int = 0  # "not available"
+
+    def __str__(self) -> str:
+        who = f" ({_maker(self.maker, self.group)})" if self.maker is not None else ""
+        named = f", NAME {self.name:016X}" if self.name is not None else ""
+        return f"address {self.source} on {self.bus}{who}{named}"
+
+
+class Devices:
+    """`take` every frame in its order, then ask for `findings`."""
+
+    def __init__(self, machine: Machine) -> None:
+        """Raises MachineError where its DBC file does not give the wheel angle."""
+        self._machine = machine
+        self._sensor = compile_sensor(machine)
+        self._measured, self._told = Decoder(machine), Decoder()
+        self._senders: dict[tuple[str, int], _Sender] = {}
+        self._identifiers: Counter[tuple[str, int, bool]] = Counter()
+        self._used: Counter[Mount] = Counter()  # positions of the machine file's receivers
+        self._angles = 0
+        self._wheel_frames = 0
+
+    def take(self, frame: Frame) -> None:
+        if frame.error:
+            return
+        self._identifiers[frame.bus, frame.can_id, frame.extended] += 1
+        self._wheel_frames += self._sensor.hears(frame)
+        for measurement in self._measured.measurements(frame):
+            if isinstance(measurement, Position) and measurement.origin.mount is not None:
+                self._used[measurement.origin.mount] += 1
+            self._angles += isinstance(measurement, WheelAngle)
+        if frame.extended:
+            self._note(frame, split(frame.can_id))
+
+    def _note(self, frame: Frame, can_id: CanId) -> None:
+        sender = self._sender(frame.bus, can_id.source)
+        sender.frames += 1
+        if sender.maker is None and any(can_id.pgn in pgns for pgns in _TELLING):
+            first = int.from_bytes(frame.data[2:4], "little")  # after the counters of a fast packet
+            if len(frame.data) == 8 and frame.data[0] & 0x1F == 0 and first >> 11 == _MARINE:
+                sender.maker, sender.group = first & 0x7FF, _MARINE >> 2
+        for message in self._told.messages(frame):
+            sender = self._sender(message.origin.bus, message.origin.source)
+            if message.origin.name is not None:
+                sender.name = message.origin.name
+                sender.maker, sender.group = split_name(sender.name).manufacturer, sender.name >> _GROUP & 7
+            if message.pgn in _POSITIONS:
+                held = "latitude_deg" in message.values
+                sender.positions += held
+                sender.empty_positions += not held
+
+    def _sender(self, bus: str, source: int) -> _Sender:
+        return self._senders.setdefault((bus, source), _Sender(bus, source))
+
+    def findings(self) -> Iterator[Finding]:
+        for receiver in self._machine.receiver:
+            yield self._receiver(receiver)
+        yield self._wheel()
+        for sender in self._strangers():
+            if sender.positions:
+                text = f"{sender} sends positions and is none of the file's receivers"
+                yield Finding("other receiver", NOTE, text)
+
+    def _receiver(self, receiver: Receiver) -> Finding:
+        what, own = f"receiver {receiver.mount}", receiver.manufacturer
+        sender = self._of(receiver)
+        if sender is None:
+            return Finding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
+        if own is not None and receiver.name is None and sender.maker not in (None, own):
+            text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {own}"
+            return Finding(what, PROBLEM, f"{text}; correct its manufacturer or source")
+        if self._used[receiver.mount]:
+            return Finding(what, OK, f"{self._used[receiver.mount]} positions")
+        if sender.bus != receiver.bus:
+            text = f"{_wanted(receiver)} is heard on {sender.bus}"
+            return Finding(what, PROBLEM, f"{text}; correct its bus")
+        if sender.positions or sender.empty_positions:
+            why = "no fix yet, or its antenna is not connected"
+            return Finding(what, WARNING, f"{sender} sends positions without a value: {why}")
+        return Finding(what, WARNING, f"{sender} sends no positions{self._instead(receiver)}")
+
+    def _of(self, receiver: Receiver) -> _Sender | None:
+        """Who it is, on its own bus if it is there; None: it is not heard."""
+        found = [
+            sender
+            for sender in self._senders.values()
+            if sender.frames
+            and (
+                sender.name == receiver.name
+                if receiver.name is not None
+                else sender.source == receiver.source
+            )
+            and (receiver.name is not None or sender.bus == receiver.bus or sender in self._strangers())
+        ]
+        return min(found, key=lambda s: (s.bus != receiver.bus, not s.positions), default=None)
+
+    def _instead(self, receiver: Receiver) -> str:
+        """Who may be meant: those who send positions and are nobody else of the file."""
+        others = [s for s in self._strangers() if s.positions or s.empty_positions]
+        others.sort(key=lambda s: (s.bus != receiver.bus, not s.positions, _distance(receiver, s)))
+        if others:
+            shown = "; ".join(str(sender) for sender in others[:SHOWN])
+            hint = ""
+            if receiver.name is not None and any(sender.name is None for sender in others):
+                hint = " (devices claim their address when they are switched on: do so, or give source)"
+            return f"; positions come from {shown}{hint}"
+        return "; nobody else sends positions: is it switched on?"
+
+    def _strangers(self) -> list[_Sender]:
+        """Senders that are none of the file's receivers."""
+        known = {(r.bus, r.source) for r in self._machine.receiver if r.name is None}
+        names = {r.name for r in self._machine.receiver if r.name is not None}
+        return [
+            sender
+            for place, sender in sorted(self._senders.items())
+            if place not in known and (sender.name is None or sender.name not in names)
+        ]
+
+    def _wheel(self) -> Finding:
+        what, given = "wheel angle", self._machine.wheel_angle
+        if self._angles:
+            return Finding(what, OK, f"{self._angles} angles")
+        sensor = self._sensor
+        wanted = f"0x{sensor.can_id:X}" if given.pgn is None else f"PGN {RUDDER} from address {given.source}"
+        if self._wheel_frames:
+            text = f"{self._wheel_frames} frames of {wanted}, none with an angle"
+            text += "; check bits, scale, not_available"
+            return Finding(what, WARNING, text)
+        near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
+        alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
+        near = alike or near
+        shown = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:SHOWN])
+        hint = f"; the nearest that are heard: {shown}" if near else "; is the sensor switched on?"
+        return Finding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
+
+    def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
+        _, can_id, extended = key
+        if not extended or not self._sensor.extended:
+            return extended == self._sensor.extended
+        pgn = split(can_id).pgn
+        return pgn == split(self._sensor.can_id).pgn or any(pgn in pgns for pgns in _OWN_PGNS)
+
+    def _apart(self, key: tuple[str, int, bool]) -> tuple[bool, bool, bool, int]:
+        bus, can_id, extended = key
+        ours, theirs = split(self._sensor.can_id), split(can_id)
+        alike = extended and self._sensor.extended
+        return (
+            not (alike and theirs.pgn == ours.pgn),
+            not (alike and theirs.source == ours.source),
+            bus != self._sensor.bus,
+            abs(can_id - self._sensor.can_id),
+        )
+
+
+def _maker(code: int | None, group: int | None) -> str:
+    if code is None:
+        return "of an unknown manufacturer"
+    return f"{manufacturer_name(code, group) or 'manufacturer'} ({code})"
+
+
+def _wanted(receiver: Receiver) -> str:
+    return f"NAME {receiver.name:016X}" if receiver.name is not None else f"address {receiver.source}"
+
+
+def _distance(receiver: Receiver, sender: _Sender) -> int:
+    """How unlike a sender is: bits of the NAME that differ, or addresses between."""
+    if receiver.name is not None:
+        return (receiver.name ^ sender.name).bit_count() if sender.name is not None else 64
+    return abs((receiver.source or 0) - sender.source)

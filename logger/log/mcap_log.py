@@ -1,0 +1,189 @@
+"""One MCAP file: raw frames, what was computed from them, and all that is needed to understand it years on.
+
+Topics: /can/<bus> (tilth.CanFrame), the rows of schemas.channels.CHANNELS, /snapshot (tilth.Snapshot).
+log_time is the clock's t_ns; publish_time of a frame is its rx_ns. Metadata: machine, tilth, run, clock.
+File order is processing order. Used by the daemon (through run_log.py) and by `tilth replay --out`.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import IO, cast
+
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.message import Message as ProtoMessage
+from mcap.writer import CompressionType, Writer
+
+from tilth.logger.clock import Clock, boot_id, utc_text
+from tilth.schemas.channels import CHANNEL, file_descriptor_set
+from tilth.schemas.flow import Frame, Publication
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto import tilth_pb2 as pb
+
+CAN_TOPIC = "/can/"
+SNAPSHOT_TOPIC = "/snapshot"
+PACKAGES = (
+    "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
+    "scipy", "filterpy", "pyproj", "pydantic",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Which run a file belongs to and the place it has there."""
+
+    id: str
+    part: int  # from 1
+    started_ns: int  # t_ns of the run's start
+    note: str = ""  # what the operator says of it
+
+
+def machine_sha256(machine: Machine, machine_text: str) -> str:
+    """Of the machine file and the DBC text it names: tells whether a snapshot fits."""
+    return hashlib.sha256((machine_text + (machine.wheel_angle.dbc_text or "")).encode()).hexdigest()
+
+
+@cache  # a search of the disk, and each new file of a run asks
+def software() -> dict[str, str]:
+    """Versions of all that computes, for the metadata record "tilth"."""
+
+    def of(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return "not installed"
+
+    return {
+        "version": of("tilth"),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "processor": platform.machine(),
+        **{package: of(package) for package in PACKAGES},
+    }
+
+
+class LogWriter:
+    """Writes one file. Every method may raise OSError; a file that did so is spoilt beyond its last flush."""
+
+    def __init__(
+        self, path: Path, machine: Machine, machine_text: str, run: Run, stream: IO[bytes] | None = None
+    ) -> None:
+        """stream: takes the bytes instead of a file made here. Raises FileExistsError: a log is never
+        overwritten."""
+        self.path = path
+        self.frames = 0
+        self.flushed_bytes = 0
+        self._machine_sha256 = machine_sha256(machine, machine_text)
+        self._stream: IO[bytes] = _new_file(path) if stream is None else stream
+        self._writer = Writer(
+            self._stream,
+            chunk_size=machine.log.chunk_kilobytes * 1024,
+            compression=CompressionType.ZSTD,
+        )
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._raw = pb.CanFrame()
+        self._writer.start(profile="", library=f"tilth {software()['version']}")
+        self.metadata("machine", _machine_metadata(machine, machine_text))
+        self.metadata("tilth", software())
+        told = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
+        self.metadata("run", told | ({"note": run.note} if run.note else {}))
+
+    def frame(self, frame: Frame) -> None:
+        """Log a raw frame."""
+        raw = self._raw
+        raw.rx_ns = frame.rx_ns
+        raw.can_id = frame.can_id
+        raw.extended = frame.extended
+        raw.error = frame.error
+        raw.data = frame.data
+        channel = self._channels.get(frame.bus) or self._can_channel(frame.bus)
+        self._writer.add_message(channel, frame.t_ns, raw.SerializeToString(), frame.rx_ns)
+        self.frames += 1
+
+    def publications(self, publications: Iterable[Publication]) -> None:
+        """Encode and log; for who needs the bytes as well there is `message`."""
+        for publication in publications:
+            data = CHANNEL[publication.topic].encode(publication.value)
+            self.message(publication.topic, publication.t_ns, data)
+
+    def message(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Log the bytes of one publication; `topic` is a row of CHANNELS."""
+        channel = self._channels.get(topic) or self._register(topic, topic, CHANNEL[topic].message)
+        self._writer.add_message(channel, t_ns, data, t_ns)
+
+    def snapshot(self, t_ns: int, state_json: str) -> None:
+        """Log the fold's state as it is before the next frame."""
+        snapshot = pb.Snapshot(t_ns=t_ns, machine_sha256=self._machine_sha256, state_json=state_json)
+        channel = self._register(SNAPSHOT_TOPIC, SNAPSHOT_TOPIC, pb.Snapshot)
+        self._writer.add_message(channel, t_ns, snapshot.SerializeToString(), t_ns)
+
+    def clocks(self, clock: Clock, why: str) -> None:
+        """Log what the computer's clocks and the receivers say: at start, at a step of the wall clock, when
+        receivers tell that it is wrong, at the end. utc_minus_t_ns is the best that is known of UTC."""
+        numbers = {key: str(value) for key, value in asdict(clock.relation()).items()}
+        numbers["utc_minus_t_ns"] = str(clock.correction_ns)
+        if clock.gnss_ahead_ns is not None:
+            numbers["gnss_utc_minus_t_ns"] = str(clock.gnss_ahead_ns)
+        self.metadata("clock", {"why": why, "boot_id": boot_id(), **numbers})
+
+    def metadata(self, name: str, data: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(data))
+
+    def flush(self) -> None:
+        """Close the chunk and hand all bytes to the operating system; whoever wants them on disk syncs."""
+        self._writer.flush()
+        self.flushed_bytes = self._stream.tell()
+
+    def finish(self) -> None:
+        """Write the index; the file is whole then."""
+        self._writer.finish()
+        self._stream.flush()
+        self.flushed_bytes = self._stream.tell()
+
+    def close(self) -> None:
+        """Finish, sync and close."""
+        with self._stream as stream:
+            self.finish()
+            os.fsync(stream.fileno())
+
+    def abandon(self) -> None:
+        """Give up a file that can no longer be written: what is on disk stays, readable to its last chunk."""
+        # What the buffer still holds cannot be written either: that is why the file is abandoned.
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _can_channel(self, bus: str) -> int:
+        # Bus names cannot begin with "/", so that topics and bus names share one table.
+        return self._register(bus, CAN_TOPIC + bus, pb.CanFrame)
+
+    def _register(self, key: str, topic: str, message: type[ProtoMessage]) -> int:
+        name = message.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            data = file_descriptor_set(cast(Descriptor, message.DESCRIPTOR))
+            self._schemas[name] = self._writer.register_schema(name, "protobuf", data)
+        channel = self._writer.register_channel(topic, "protobuf", self._schemas[name])
+        self._channels[key] = channel
+        return channel
+
+
+def _new_file(path: Path) -> IO[bytes]:
+    stream = path.open("xb")
+    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody takes it for one that was left unfinished
+    return stream
+
+
+def _machine_metadata(machine: Machine, machine_text: str) -> dict[str, str]:
+    return {
+        "name": machine.name,
+        "toml": machine_text,
+        "dbc": machine.wheel_angle.dbc_text or "",
+        "sha256": machine_sha256(machine, machine_text),
+    }

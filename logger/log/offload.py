@@ -1,0 +1,140 @@
+"""Copies finished runs to another place, reads every copy back, and notes which files have one.
+
+A copy grows under <name>.partial and gets its name when it has been compared: what bears the name is whole.
+What an interrupted copy left behind is compared and gone on from.
+"""
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from tilth.logger.log import recovery
+from tilth.logger.log.disk import sync_folder
+from tilth.logger.log.mcap_file import is_finished
+from tilth.logger.log.runs import Copied, StoredRun
+
+_BLOCK = 1 << 20
+
+
+class CannotCopy(Exception):
+    """In words; the files that were copied before are noted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What became of a run."""
+
+    copied: int  # files
+    there: int  # that had been copied before
+    left: tuple[str, ...]  # why each other file was not
+
+
+def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda text: None) -> Done:
+    """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.beside`."""
+    copied = there = 0
+    left: list[str] = []
+    for path in run.files:
+        beside = run.beside()
+        known = beside.copied.get(path.name)
+        size = path.stat().st_size
+        if (
+            known is not None
+            and known.size == size
+            and known.to == str(to)
+            and _has_size(to / path.name, size)
+        ):
+            there += 1
+            continue
+        why_not = _unready(path)
+        if why_not:
+            left.append(why_not)
+            continue
+        progress(path.name)
+        beside.copied[path.name] = copy(path, to)
+        run.note(beside)
+        copied += 1
+    if copied:
+        with _in_words(to):
+            shutil.copyfile(run.beside_path, to / run.beside_path.name)
+    return Done(copied, there, tuple(left))
+
+
+def copy(path: Path, to: Path) -> Copied:
+    """One file, compared. Raises CannotCopy."""
+    target, partial = to / path.name, to / f"{path.name}.partial"
+    with _in_words(to), path.open("rb") as source:
+        size = os.fstat(source.fileno()).st_size
+        if not target.exists():
+            if shutil.disk_usage(to).free + _size(partial) < size + _BLOCK:
+                raise CannotCopy(f"{to}: no room for {path.name}, {size / 1e6:.0f} MB; make room, then go on")
+            with partial.open("ab") as file:
+                os.truncate(partial, _same(source, partial))
+                source.seek(_size(partial))
+                shutil.copyfileobj(source, file, _BLOCK)
+                file.flush()
+                os.fsync(file.fileno())
+        wanted = _sha256(path)
+        found = _sha256(target if target.exists() else partial)
+        if found != wanted:
+            if target.exists():
+                raise CannotCopy(f"{target}: another file of that name is there; give another folder")
+            partial.unlink()
+            raise CannotCopy(f"{target}: what was written is not what is read back; use another disk")
+        if not target.exists():
+            partial.rename(target)
+            sync_folder(to)
+    return Copied(size, wanted, str(to))
+
+
+def _unready(path: Path) -> str:
+    """Why a file cannot be copied yet; one that was left unfinished is finished first."""
+    with path.open("rb") as file:
+        if is_finished(file, path.stat().st_size):
+            return ""
+    try:
+        recovery.finish(path)
+    except recovery.NoLog as error:
+        return str(error)
+    return ""
+
+
+def _same(source: BinaryIO, partial: Path) -> int:
+    """How many bytes of what is there already are right, in whole blocks."""
+    right = 0
+    with partial.open("rb") as file:
+        while (block := file.read(_BLOCK)) and block == source.read(len(block)):
+            right += len(block)
+    return right
+
+
+def _sha256(path: Path) -> str:
+    """Of what is on the disk, not in memory."""
+    with path.open("rb") as file:
+        with contextlib.suppress(OSError):
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def _has_size(path: Path, size: int) -> bool:
+    try:
+        return path.stat().st_size == size
+    except OSError:
+        return False
+
+
+@contextlib.contextmanager
+def _in_words(to: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        place = error.filename or to
+        raise CannotCopy(f"{place}: {(error.strerror or str(error)).lower()}; then go on") from None

@@ -1,0 +1,107 @@
+"""`<log folder>/<machine>.warm.json`: what a run has learned, for the next one.
+
+It belongs to a machine as its file describes it: where a part of that has changed, what was learned before is
+of another rig. What a run takes from it stands as the first state in its log.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.warm_start import Kept
+from tilth.schemas.machine import Machine
+
+FORMAT: Final = 1
+SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
+CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
+
+Warm = Callable[[Mapping[str, Kept], float, int], dict[str, str]]  # GuardedFold.warm
+Report = Callable[[str, str], None]  # kind and text of an event
+
+
+class NotUsable(Exception):
+    """What is kept cannot be used; one sentence that says why."""
+
+
+def path_of(folder: Path, machine: Machine) -> Path:
+    return folder / f"{machine.name}.warm.json"
+
+
+def text_of(machine: Machine, kept: dict[str, Kept], utc_ns: int) -> str:
+    """What is to be written."""
+    plain = {
+        "format": FORMAT,
+        "machine": machine.name,
+        "utc_ns": utc_ns,
+        "sections": _digests(machine),
+        "methods": {method: to_plain(one) for method, one in kept.items()},
+    }
+    return json.dumps(plain, indent=1)
+
+
+def write(path: Path, text: str) -> None:
+    """All or nothing, whatever happens to the power."""
+    new = path.with_suffix(".new")
+    with new.open("w") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+    new.replace(path)
+
+
+def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], float] | None:
+    """(method -> what was kept, s since then); None where nothing was. Raises NotUsable."""
+    try:
+        plain = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise NotUsable(f"{path} cannot be read ({error})") from None
+    try:
+        if plain["format"] != FORMAT:
+            raise NotUsable(f"{path} is of another version of tilth")
+        now, then = _digests(machine), plain["sections"]
+        changed = [name for name in SECTIONS if now[name] != then.get(name)]
+        kept = {method: from_plain(Kept, one) for method, one in plain["methods"].items()}
+        elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise NotUsable(f"{path} is damaged ({error!r})") from None
+    if changed:
+        parts = " and ".join(f"[{name}]" for name in changed)
+        raise NotUsable(f"{parts} of the machine file changed since {path} was written")
+    return kept, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S
+
+
+def _digests(machine: Machine) -> dict[str, str]:
+    """Section -> digest of what it says, defaults included."""
+
+    def digest(section: Any) -> str:
+        plain = [one.model_dump(mode="json") for one in section]
+        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
+
+    sections = {name: getattr(machine, name) for name in SECTIONS}
+    return {name: digest(s if isinstance(s, (list, tuple)) else [s]) for name, s in sections.items()}
+
+
+def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report) -> bool:
+    """Go on from what earlier runs have learned and say what became of it. Whether anything was used."""
+    try:
+        found = read(path, machine, t_ns)
+    except NotUsable as why_not:
+        report("warm_start", f"what earlier runs learned is not used: {why_not}")
+        return False
+    if found is None:
+        return False
+    told = warm(*found, t_ns)
+    used = [method for method, refusal in told.items() if not refusal]
+    for method, refusal in told.items():
+        if refusal:
+            report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
+    if used:
+        names, hours = ", ".join(used), found[1] / 3600.0
+        report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
+    return bool(used)

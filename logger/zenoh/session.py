@@ -1,0 +1,130 @@
+"""The daemon's Zenoh session: on this computer only, or on a shared network with keys."""
+
+import json
+import socket
+from pathlib import Path
+
+import zenoh
+
+from tilth.logger.zenoh.open_network import endpoints, is_local, told, ways_in
+from tilth.schemas.invocation import command
+from tilth.schemas.machine import Machine, Zenoh
+
+
+def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
+    """The session, where it listens, and what is unusual about it, "" if nothing is.
+
+    Without zenoh.config and zenoh.open it speaks on loopback only. Raises zenoh.ZError, also
+    where `refusal` has something to say.
+    """
+    config, notes = _own(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
+    if refused := _refusal(machine, config):
+        raise zenoh.ZError(refused)
+    if opened := _opened(config):
+        notes.append(f"{opened}. All there may read, mark and speak in its name")
+    wanted = endpoints(config, "listen")
+    listen = [free_endpoint(endpoint) for endpoint in wanted]
+    config.insert_json5("listen/endpoints", json.dumps(listen))
+    taken = (
+        f"{', '.join(wanted)} is taken by another program; listening on {', '.join(listen)}; "
+        "if that is another run of this machine, end one: both publish the same keys"
+    )
+    return zenoh.open(config), listen, "; ".join([*notes, *[taken] * (listen != wanted)])
+
+
+def refusal(machine: Machine) -> str:
+    """Why there is to be no session although one could be had: everybody on the network would be let in, and
+    the machine file does not say that this is meant. "" where that is not so; nothing is opened."""
+    if machine.zenoh.config is None:
+        return ""
+    try:
+        return _refusal(machine, _shared(machine)[0])
+    except zenoh.ZError:
+        return ""  # said by whoever opens it
+
+
+def _refusal(machine: Machine, config: zenoh.Config) -> str:
+    opened = "" if machine.zenoh.open else _opened(config)
+    return opened and (
+        f"{machine.zenoh.config} makes it {opened}. Make keys with `{command('keys')}`; if all may read, "
+        "mark and speak in its name, say so in the machine file as well: [zenoh] open = true"
+    )
+
+
+def _opened(config: zenoh.Config) -> str:
+    ways = ways_in(config)
+    return f"open to everybody on this network: {'; '.join(ways)}" if ways else ""
+
+
+def try_session(machine: Machine) -> str:
+    """Open a session as a run would and close it; what is unusual about it, or "". Raises zenoh.ZError."""
+    session, _, note = open_session(machine)
+    session.close()
+    return note
+
+
+def why(error: zenoh.ZError) -> str:
+    """Zenoh's own words in one line, without the place in its source."""
+    return str(error).partition("\n")[0].partition(" at /")[0].rstrip(" .;")
+
+
+def free_endpoint(endpoint: str) -> str:
+    """The endpoint with a port that nobody uses now, where it is TCP or TLS and its own is taken."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol not in ("tcp", "tls") or not port.isdigit():
+        return endpoint
+    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
+    for wanted in (int(port), 0):
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host.strip("[]"), wanted))
+            except OSError:
+                continue
+            return f"{protocol}/{host}:{probe.getsockname()[1]}"
+    return endpoint
+
+
+def _own(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
+    """For this computer: what others could reach is left out unless it is said that it is meant."""
+    given = (*settings.listen, *settings.connect)
+    left_out = [one for one in given if not (settings.open or is_local(one)) and "/" in one]
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", "peer"),
+        ("scouting/multicast/enabled", False),
+        ("scouting/gossip/enabled", False),
+        ("listen/endpoints", [one for one in settings.listen if one not in left_out] or Zenoh().listen),
+        ("connect/endpoints", [one for one in settings.connect if one not in left_out]),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    if not left_out:
+        return config, []
+    return config, [
+        f"{', '.join(left_out)} is not used, anybody on that network could read and answer; make "
+        f"keys with `{command('keys')}` and name them as config in [zenoh], or say there open = true if "
+        "that is meant"
+    ]
+
+
+def _shared(machine: Machine) -> tuple[zenoh.Config, list[str]]:
+    """With the configuration that the machine file names."""
+    path = str(machine.zenoh.config)
+    try:
+        Path(path).open("rb").close()
+        config = zenoh.Config.from_file(path)
+    except (OSError, zenoh.ZError) as error:
+        reason = why(error) if isinstance(error, zenoh.ZError) else (error.strerror or str(error)).lower()
+        raise zenoh.ZError(
+            f"{path}: {reason}; give the daemon.json that `{command('keys')}` has made"
+        ) from None
+    made = (told(config, "metadata") or {}).get("tilth", {})
+    wanted = (machine.zenoh.prefix, machine.name)
+    made_for = (made.get("prefix"), made.get("machine"))
+    if made and made_for != wanted:
+        return config, [
+            f"{path} was made for {'/'.join(map(str, made_for))}, this is {'/'.join(wanted)}: nobody may "
+            "hear it; make keys for this machine"
+        ]
+    return config, []

@@ -1,0 +1,99 @@
+"""Publishes on Zenoh: <prefix>/<machine>/<key> for each row of CHANNELS that has a key.
+
+A plain get answers with the last value while it is fresh, and with its age in seconds as an attachment; a
+liveliness token says that this process lives; the rig itself is there from the start.
+Values are dropped rather than waited for: nothing here may cost a frame.
+"""
+
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from tilth.logger.zenoh.session import open_session
+from tilth.schemas.channels import CHANNEL, CHANNELS
+from tilth.schemas.machine import Machine
+
+STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
+# What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
+_COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
+
+
+class ZenohSink:
+    """One session. `note` says what is unusual about it, empty if nothing is."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        prefix_suffix: str = "",
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        mark: Callable[[zenoh.Query], None] | None = None,
+    ) -> None:
+        """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
+
+        now_ns: the clock that tells a value's age. mark: takes queries on the key `mark`. Raises
+        zenoh.ZError where no session can be had.
+        """
+        self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
+        self.failures = 0
+        self._session, self.endpoints, self.note = open_session(machine)
+        self._publishers = {
+            channel.topic: self._session.declare_publisher(
+                f"{self.base}/{channel.key}",
+                encoding=zenoh.Encoding(channel.encoding),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,  # do not wait for more to send together
+            )
+            for channel in CHANNELS
+            if channel.key is not None
+        }
+        self._now_ns = now_ns
+        self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
+        self.put("/rig", CHANNEL["/rig"].encode(machine))
+        self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
+        if mark is not None:
+            self._session.declare_queryable(f"{self.base}/mark", mark, complete=True)
+        self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
+
+    @property
+    def problem(self) -> str:
+        """What a person should do something about while this goes on, "" if nothing."""
+        if self.failures:
+            return f"{self.failures} values could not be published; restart it where they are missed"
+        return self.note
+
+    def put(self, topic: str, data: bytes) -> None:
+        """Publish; a topic that has no key is passed over. Never raises, never waits."""
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            return
+        try:
+            publisher.put(data)
+        except zenoh.ZError:
+            self.failures += 1
+        self._last[topic] = (self._now_ns(), data)
+
+    def close(self) -> None:
+        """Withdraw the token and end the session."""
+        try:
+            self._token.undeclare()
+            self._session.close()
+        except zenoh.ZError:
+            self.failures += 1
+
+    def _answer(self, query: zenoh.Query) -> None:
+        # Runs in a thread of Zenoh's: takes a copy, changes nothing.
+        now_ns = self._now_ns()
+        for topic, (put_ns, data) in list(self._last.items()):
+            publisher = self._publishers[topic]
+            if not query.key_expr.intersects(publisher.key_expr):
+                continue
+            age_ns = now_ns - put_ns
+            if topic in _COMPUTED and age_ns > STALE_NS:
+                query.reply_err(
+                    f"{publisher.key_expr}: no value for {age_ns * 1e-9:.0f} s: the buses are silent or "
+                    "the daemon cannot compute; see status"
+                )
+            else:
+                age = f"{age_ns * 1e-9:.3f}"
+                query.reply(publisher.key_expr, data, encoding=publisher.encoding, attachment=age)

@@ -1,0 +1,187 @@
+"""What is heard of one daemon: the last of each message, every event, who lives. Threads of Zenoh's fill it,
+the page's own loop empties it."""
+
+import threading
+import time
+from collections import Counter, deque
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import zenoh
+from google.protobuf.message import Message
+
+from tilth.client.link import Alive, alive_of, base_key, open_session, tokens
+from tilth.client.received import LARGEST, Refused, answered_age, estimate_of, parse, rig_of_message
+from tilth.monitor.json_safe import plain
+from tilth.schemas.proto import tilth_pb2 as pb
+
+MESSAGES: Final[dict[str, type[Message]]] = {
+    "rig": pb.Rig,
+    "status": pb.Status,
+    "pose": pb.Pose,
+    "soil_tire": pb.SoilTireEstimate,
+    "event": pb.Event,
+}
+EVENTS: Final = 200  # that may wait to be taken
+KINDS_OF_REFUSAL: Final = 20
+GONE_S: Final = 10.0  # then another daemon may be followed
+MARK_S: Final = 5.0  # longest wait until a mark is in the log
+
+
+class Mark(NamedTuple):
+    """What became of one: in the log, or why not."""
+
+    noted: bool
+    text: str
+
+
+class Heard:
+    """Follows one machine of those that live at an endpoint. `now_s` of time.monotonic throughout."""
+
+    def __init__(self, endpoint: str, config: Path | None, prefix: str, machine: str, replay: bool) -> None:
+        """machine: "" for whichever lives; one on a tractor before a simulation. Raises ValueError in a
+        person's words."""
+        base_key(machine or "any", prefix, replay)
+        self._prefix, self._wanted = prefix, (machine, replay)
+        self._lock = threading.Lock()
+        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was said
+        self._events: deque[tuple[bytes, str, float]] = deque(maxlen=EVENTS)
+        self._alive: set[Alive] = set()
+        self._refused: Counter[str] = Counter()
+        self._followed = Alive(replay, machine) if machine else None
+        self._subscriber: Any = None
+        self._lived_s = float("-inf")  # when the followed one was last known to live
+        self._session = open_session(endpoint, config)
+        if self._followed is not None:
+            self._follow(self._followed)
+        self._session.liveliness().declare_subscriber(tokens(prefix), self._take_token, history=True)
+
+    @property
+    def followed(self) -> Alive | None:
+        return self._followed
+
+    @property
+    def base(self) -> str:
+        return "" if self._followed is None else self._followed.base(self._prefix)
+
+    def alive(self) -> tuple[bool, list[str]]:
+        """Whether the followed one lives, and the names of all that do."""
+        with self._lock:
+            return self._followed in self._alive, [one.machine for one in sorted(self._alive)]
+
+    def refused(self) -> dict[str, int]:
+        with self._lock:
+            return dict(self._refused)
+
+    def choose(self, now_s: float) -> bool:
+        """Follow another one where that is better; True where it is another now."""
+        with self._lock:
+            alive = sorted(self._alive)
+        if self._followed in alive:
+            self._lived_s = now_s
+            return False
+        if self._wanted[0] or not alive or now_s - self._lived_s < GONE_S:
+            return False
+        self._follow(alive[0])
+        self._lived_s = now_s
+        return True
+
+    def take(self) -> tuple[dict[str, tuple[dict[str, Any], float]], list[dict[str, Any]]]:
+        """What came since the last call: kind -> message and when it was said; and the events."""
+        with self._lock:
+            new, self._new = self._new, {}
+            events = list(self._events)
+            self._events.clear()
+        messages = {}
+        for kind, (data, encoding, said_s) in new.items():
+            message = self._plain(kind, data, encoding)
+            if message is not None:
+                messages[kind] = (message, said_s)
+        told = [self._plain("event", data, encoding) for data, encoding, _ in events]
+        return messages, [event for event in told if event is not None]
+
+    def mark(self, text: str) -> Mark:
+        """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
+        if not self.base:
+            return Mark(False, "no daemon has been heard yet: the mark is not in the log")
+        for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
+            if reply.ok is not None:
+                return Mark(True, "in the log")
+            told = reply.err.payload.to_bytes() if reply.err is not None else b""
+            return Mark(False, told[:200].decode(errors="replace") or "the daemon refused it")
+        return Mark(False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records")
+
+    def close(self) -> None:
+        self._session.close()
+
+    def _follow(self, which: Alive) -> None:
+        if self._subscriber is not None:
+            self._subscriber.undeclare()
+        with self._lock:
+            self._new.clear()
+            self._events.clear()
+            self._followed = which
+        self._subscriber = self._session.declare_subscriber(f"{self.base}/*", self._take_sample)
+        self._ask()
+
+    def _ask(self) -> None:
+        self._session.get(f"{self.base}/*", self._take_reply, timeout=5.0)
+
+    def _plain(self, kind: str, data: bytes, encoding: str) -> dict[str, Any] | None:
+        try:
+            if kind == "soil_tire":
+                estimate_of(data, encoding)  # what is no estimate is refused as a controller would
+            elif kind == "rig":
+                rig_of_message(data, encoding)
+            return plain(parse(MESSAGES[kind], data, encoding))
+        except Refused as refusal:
+            with self._lock:
+                self._count(f"{kind}: {refusal}")
+            return None
+
+    def _count(self, refusal: str) -> None:
+        self._refused[refusal] += 1
+        if len(self._refused) > KINDS_OF_REFUSAL:
+            self._refused["others"] += self._refused.pop(next(iter(self._refused)))
+
+    # What follows runs in threads of Zenoh's.
+
+    def _take_sample(self, sample: zenoh.Sample) -> None:
+        self._keep(sample, time.monotonic())
+
+    def _take_reply(self, reply: zenoh.Reply) -> None:
+        if reply.ok is None:
+            return
+        age_s = answered_age(reply.ok.attachment)
+        kind = str(reply.ok.key_expr).removeprefix(f"{self.base}/")
+        with self._lock:
+            if kind in self._new:
+                return  # a newer one has come meanwhile
+        self._keep(reply.ok, time.monotonic() - age_s)
+
+    def _keep(self, sample: zenoh.Sample, said_s: float) -> None:
+        key = str(sample.key_expr)
+        kind = key.removeprefix(f"{self.base}/")
+        with self._lock:
+            if kind not in MESSAGES or sample.kind != zenoh.SampleKind.PUT:
+                if not kind.startswith("soil_tire/"):
+                    self._count(f"sent to {key[:80]!r}, where nothing is expected")
+                return
+            if len(sample.payload) > LARGEST:  # not even kept until it is looked at
+                self._count(f"{kind}: {len(sample.payload)} bytes are too many")
+                return
+            row = (sample.payload.to_bytes(), str(sample.encoding), said_s)
+            if kind == "event":
+                self._events.append(row)
+            else:
+                self._new[kind] = row
+
+    def _take_token(self, sample: zenoh.Sample) -> None:
+        which = alive_of(str(sample.key_expr), self._prefix)
+        if which is None:
+            return
+        with self._lock:
+            (self._alive.add if sample.kind == zenoh.SampleKind.PUT else self._alive.discard)(which)
+            asked = which == self._followed and which in self._alive
+        if asked:  # it has begun anew: another rig perhaps, and values that were missed
+            self._ask()

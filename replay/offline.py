@@ -1,0 +1,327 @@
+"""The offline driver: frames from logs, the same guarded fold as live, results to where they are wanted.
+
+records of a log ─► fold ─► OUT.mcap, Zenoh, comparison with what was logged live
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tilth.estimator.pose import log_time, receiver_checks
+from tilth.estimator.pose.log_time import LogTime
+from tilth.logger.fitting import Retold
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log.mcap_log import LogWriter, machine_sha256
+from tilth.replay.compare import IDENTICAL, Comparison
+from tilth.replay.readers.any_log import open_log, place
+from tilth.replay.readers.log import EmptyLog, Log, Logged, Place
+from tilth.replay.readers.rig import Say, on_buses_of
+from tilth.schemas.channels import FIT_TOPIC, READY_TOPIC, payload
+from tilth.schemas.flow import Estimate, Event, Frame, Origin, Pose, Publication
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
+
+LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC})  # what enters the fold besides frames and stored states
+WITH_RESULTS = IDENTICAL | INPUTS
+SHOWN = 4096  # frames between two looks of the progress bar
+SAID = frozenset(
+    {"fault", "clock_step", *receiver_checks.KINDS}
+)  # events that a person at a replay should read
+
+
+@dataclass(slots=True)
+class Flagged:
+    """Poses that carried a flag."""
+
+    poses: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a replay did."""
+
+    frames: int = 0
+    measurements: int = 0
+    poses: int = 0
+    rejected: dict[str, int] = field(default_factory=dict)  # reason -> count, of the readers and of the fold
+    duration_ns: int = 0  # that passed in the logs: gaps between them and steps of their clocks left out,
+    # and of logs that others wrote also silences, which nobody can tell from a clock that was set ahead
+    truncated: bool = False
+    faults: int = 0  # of the fold
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the last
+    events: list[Event] = field(default_factory=list)
+    flags: dict[str, Flagged] = field(default_factory=dict)
+    unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """Where frames and results go besides the summary; None: nowhere."""
+
+    writer: LogWriter | None = None
+    publish: Callable[[str, bytes], None] | None = None  # topic, payload
+    comparison: Comparison | None = None
+    pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
+    progress: Callable[[int], None] | None = None  # is told the bytes read so far
+
+
+class Pace:
+    """Waits so that frames pass `rate` times as fast as they were recorded."""
+
+    def __init__(
+        self,
+        rate: float,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._rate = rate
+        self._clock = clock
+        self._sleep = sleep
+        self._last_ns = 0
+        self._zero_ns = 0
+        self._zero_s: float | None = None  # on the clock, of _zero_ns in the log
+
+    def __call__(self, t_ns: int) -> None:
+        step_ns = t_ns - self._last_ns
+        self._last_ns = t_ns
+        now = self._clock()
+        if self._zero_s is None or not 0 <= step_ns <= LONGEST_WAIT_S * 1e9:
+            self._zero_ns, self._zero_s = t_ns, now
+        wait = self._zero_s + (t_ns - self._zero_ns) * 1e-9 / self._rate - now
+        if wait > 0:
+            self._sleep(wait)
+
+
+def replay(
+    paths: Sequence[Path],
+    machine: Machine,
+    machine_text: str,
+    *,
+    buses: Mapping[str, str] | None = None,
+    outputs: Outputs | None = None,
+    say: Say = lambda text: None,
+) -> Summary:
+    """Feed logs, in the order given, through the fold.
+
+    Parts of a run go on from one another, and so do logs that others wrote, which tell of no run. A log of
+    another run, or out of order, begins with a new fold: its counts are added up, the estimates are those of
+    the last run. A state stored in a log is taken up where the log was recorded with this machine file, as
+    the daemon did when it wrote it: a file of a run replays alone, and several give what the run gave.
+    `buses` maps names of the logs to names of the machine file. `say` is told, in sentences, what a person
+    should know.
+    Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
+    """
+    run = _Run(machine, machine_text, outputs or Outputs(), say)
+    empty: EmptyLog | None = None
+    try:
+        for path in paths:
+            try:
+                run.log(path, buses or {})
+            except EmptyLog as error:
+                empty = error
+                if len(paths) > 1:
+                    say(str(error))
+    finally:
+        run.fitter.close()
+    run.close_counts()
+    if not run.summary.frames and not run.summary.truncated:
+        raise empty or EmptyLog(f"{paths[0]}: no frame is in it")
+    return run.summary
+
+
+class _Run:
+    """The fold and what has come of it so far."""
+
+    def __init__(self, machine: Machine, machine_text: str, outputs: Outputs, say: Say) -> None:
+        self.summary = Summary()
+        self._machine = machine
+        self._sha256 = machine_sha256(machine, machine_text)
+        self._outputs = outputs
+        self._say = say
+        self._read_bytes = 0
+        self._told_other = False
+        self._waited = 0  # frames for which the estimators were not ready
+        self._place: Place | None = None  # of the last log
+        self._anew = False  # the next record is not of the run that the fold knows
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
+        self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
+        self.fitter = Retold(machine, lambda kind, text: say(text))
+        self._fold = GuardedFold(machine, fitter=self.fitter)
+        self._before = _counts(self._fold)
+        self._unknown_before = self._unknown_now()
+
+    def log(self, path: Path, buses: Mapping[str, str]) -> None:
+        log = open_log(path, WITH_RESULTS if self._outputs.comparison else INPUTS)
+        try:
+            self._follow(log)
+            self._records(log, buses)
+        finally:
+            log.file.close()
+            self._read_bytes += log.size
+        self._ended(log)
+
+    def _follow(self, log: Log) -> None:
+        """See whether a log goes on where the one before it ended, and say so where it does not."""
+        last, self._place = self._place, place(log)
+        self.fitter.own = self._place.run != ("", "")
+        if last is None:
+            return
+        self._anew |= not self._place.goes_on_from(last)
+        told = self._place.told_after(last)
+        if told:
+            self._say(f"{log.path}: {told}")
+
+    def _records(self, log: Log, buses: Mapping[str, str]) -> None:
+        pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
+        summary = self.summary
+        time, before_ns = LogTime(), summary.duration_ns
+        for record in on_buses_of(self._machine, log, buses, self._say):
+            if self._anew:
+                self._start_anew(record.t_ns)
+            if isinstance(record, Frame):
+                log_time.follow(time, record)
+                even_ns = time.silent_ns if self.fitter.own else 0  # a clock of tilth's is never set
+                summary.duration_ns = before_ns + time.passed_ns + even_ns
+                if pace is not None:
+                    pace(time.latest_ns)
+                summary.frames += 1
+                self._frame(record)
+                if progress is not None and summary.frames % SHOWN == 0:
+                    progress(self._read_bytes + log.position())
+            elif isinstance(record, Snapshot):
+                self._snapshot(log, record)
+            elif record.topic == READY_TOPIC:
+                self._ready(log, record)
+            else:
+                if comparison is not None:
+                    comparison.logged(record)
+                if record.topic == FIT_TOPIC:
+                    self._fit(record)
+
+    def _frame(self, frame: Frame) -> None:
+        if self._outputs.writer is not None:
+            self._outputs.writer.frame(frame)
+        self._waited += not self._fold.ready
+        self._put(self._fold.take(frame))
+
+    def _fit(self, record: Logged) -> None:
+        """What the log says became of a fit: it is used at the next frame, as it was live."""
+        told = FitOutcome.FromString(record.data)
+        self.fitter.tell(told.method, told.asked_ns, told.adopted, told.awaited)
+        self._put([(p, payload(p)) for p in self._fold.decided(told.t_ns)])
+
+    def _ready(self, log: Log, record: Logged) -> None:
+        """From here on the estimators take part, or do not, as they did live."""
+        told = Ready.FromString(record.data)
+        if told.ready and not self._fold.ready and self._waited:
+            self._say(
+                f"{log.path}: {self._waited} frames came before the estimators were ready; estimates follow "
+                "after them, as they did live"
+            )
+        self._waited = 0
+        self._fold.ready = told.ready
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
+
+    def _put(self, told: list[tuple[Publication, bytes]]) -> None:
+        writer, publish = self._outputs.writer, self._outputs.publish
+        comparison = self._outputs.comparison
+        for publication, data in told:
+            topic = publication.topic
+            value = publication.value
+            if isinstance(value, Event):
+                self.summary.events.append(value)
+                if value.kind in SAID:
+                    self._say(value.text)
+            elif isinstance(value, Pose):
+                self._flag(value)
+            if writer is not None:
+                writer.message(topic, publication.t_ns, data)
+            if publish is not None:
+                publish(topic, data)
+            if comparison is not None:
+                comparison.recomputed(topic, publication.t_ns, data)
+
+    def _flag(self, pose: Pose) -> None:
+        for flag in pose.flags:
+            seen = self.summary.flags.setdefault(flag, Flagged(0, pose.t_ns, pose.t_ns))
+            seen.poses += 1
+            seen.last_ns = pose.t_ns
+
+    def _start_anew(self, t_ns: int) -> None:
+        self._anew = False
+        self.fitter.forget()
+        fold = GuardedFold(self._machine, fitter=self.fitter)
+        self._go_on_with(fold, t_ns, fold.renew())
+
+    def _snapshot(self, log: Log, stored: Snapshot) -> None:
+        """Go on from a stored state, as the daemon did that stored it."""
+        if stored.machine_sha256 != self._sha256:
+            if not self._told_other:
+                self._say(f"{log.path}: its stored state is of another machine file; going on without it")
+            self._told_other = True
+            return
+        try:
+            fold = GuardedFold(self._machine, stored.state_json, self.fitter)
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            self._say(f"{log.path}: its stored state is of another version ({error}); going on without it")
+            return
+        self._go_on_with(fold, stored.t_ns, stored.state_json)
+
+    def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:
+        self.close_counts()
+        self._fold = fold
+        if self._outputs.writer is not None:
+            self._outputs.writer.snapshot(t_ns, state_json)
+        self._before = _counts(fold)
+        self._unknown_before = self._unknown_now()
+
+    def close_counts(self) -> None:
+        """Add to the summary what the fold has counted since it was started or its state taken from a log."""
+        self.summary.estimates = dict(self._fold.estimates)
+        now = _counts(self._fold)
+        self._counts.update(now)
+        self._counts.subtract(self._before)
+        self._before = now
+        self._unknown.update(self._unknown_now())
+        self._unknown.subtract(self._unknown_before)
+        self._unknown_before = self._unknown_now()
+        self.summary.unknown = {self._origins[key]: n for key, n in self._unknown.most_common() if n > 0}
+        self.summary.measurements = self._counts["measurements", ""]
+        self.summary.poses = self._counts["poses", ""]
+        for (kind, reason), count in self._counts.items():
+            if kind == "rejected" and count > 0:
+                self.summary.rejected[reason] = count
+        self.summary.faults += self._fold.faults
+        self._fold.faults = 0
+
+    def _unknown_now(self) -> Counter[tuple[str, int]]:
+        told = self._fold.unknown
+        self._origins |= {(origin.bus, origin.source): origin for origin in told}
+        return Counter({(origin.bus, origin.source): number for origin, number in told.items()})
+
+    def _ended(self, log: Log) -> None:
+        for reason, count in log.skipped.items():
+            self._counts["rejected", reason] += count
+        if self._outputs.comparison is not None:
+            self._outputs.comparison.finish(log.truncated)
+        if not self._fold.ready:
+            self._say(f"{log.path}: it ends before the estimators were ready; nothing is estimated, as live")
+        if log.truncated:
+            self.summary.truncated = True
+            self._say(f"{log.path}: cut off; replayed as far as it is whole")
+        if log.note:
+            self._say(f"{log.path}: {log.note}")
+        if log.skipped.get("damaged_chunk"):
+            self._say(f"{log.path}: {log.skipped['damaged_chunk']} damaged parts of it were left out")
+
+
+def _counts(fold: GuardedFold) -> Counter[tuple[str, str]]:
+    rejected = {("rejected", reason): count for reason, count in fold.rejected.items()}
+    return Counter({("measurements", ""): fold.measurements, ("poses", ""): fold.poses, **rejected})

@@ -1,0 +1,177 @@
+"""Opens a log of CAN frames, whatever wrote it; the kind is told by its content, not by its name.
+
+Frames come in file order and are never sorted. Their t_ns are the log's own stamps: nanoseconds since 1970
+where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs and in EBL. A bus is called
+what the log calls it, "can<channel>" where that is a number, "can0" where nothing is said. Remote frames, CAN
+FD frames longer than 8 bytes and frames whose stamp is before 1970 or after 2262 are counted in `skipped`.
+"""
+
+import re
+from collections.abc import Callable, Container, Iterator
+from pathlib import Path
+from typing import BinaryIO, Final, NamedTuple
+
+from mcap.writer import MCAP0_MAGIC
+
+from tilth.replay.readers import can_logs, captures, ebl, mcap_reader, stream, text
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Log, OtherKind, Place, Record
+from tilth.schemas.flow import Frame
+
+_SNIFFED = 64 * 1024  # bytes looked at, comments not counted
+
+Reader = Callable[[Log, BinaryIO], Iterator[Record]]
+
+
+def frames(path: Path | str) -> Iterator[Frame]:
+    """Frames of a log in file order. Raises LogError."""
+    return (record for record in open_log(path).records if isinstance(record, Frame))
+
+
+def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
+    """A log ready to be read; of Tilth's own logs also the snapshots and the results logged on `topics`.
+
+    Raises LogError, here or while its records are read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise ForeignLog(f"{path}: a folder; give the log files in it")
+    if path.exists() and not path.is_file():  # before it is opened: a pipe without a writer waits for one
+        raise ForeignLog(f"{path}: a pipe or a device; give a file")
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise ForeignLog(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+    log = Log(path, "", file, path.stat().st_size, topics=topics)
+    try:
+        log.packed = file.read(len(stream.PACKED)) == stream.PACKED
+        kind = _kind(log)
+        if log.packed and kind.by_path:
+            raise ForeignLog(f"{path}: {kind.name} inside gzip; unpack it first")
+    except BaseException:
+        file.close()
+        raise
+    log.form = kind.name
+    source = _stream(log) if log.packed or kind.line or kind.by_path else stream.before_zeros(log)
+    log.records = _closing(log, kind.read(log, source))
+    return log
+
+
+def readable() -> str:
+    """What a person should know who gave something else, in one sentence."""
+    names = list(dict.fromkeys(kind.listed or kind.name for kind in KINDS))
+    return f"tilth reads {', '.join(names[:-1])} and {names[-1]}, packed by gzip too"
+
+
+def metadata(log: Log) -> dict[str, dict[str, str]]:
+    """Metadata records of one of Tilth's own logs; {} of any other. Ask before reading the records."""
+    return mcap_reader.metadata(log) if log.form == MCAP else {}
+
+
+def place(log: Log) -> Place:
+    """The place of a log in its run. Ask before reading the records."""
+    found = metadata(log).get("run", {})
+    part = found.get("part", "")
+    if not part.isdecimal():
+        return Place()
+    return Place((found.get("id", ""), found.get("started_utc", "")), int(part))
+
+
+def _stream(log: Log) -> BinaryIO:
+    """The log's bytes from the first on, unpacked where gzip packed them."""
+    log.file.seek(0)
+    return stream.unpacked(log) if log.packed else log.file
+
+
+def _closing(log: Log, records: Iterator[Record]) -> Iterator[Record]:
+    with log.file:
+        try:
+            first = next(records, None)
+            if first is not None:
+                yield first
+                yield from records
+            elif not log.truncated:
+                raise EmptyLog(f"{log.path}: no frame is in it")
+        except OtherKind as error:
+            raise ForeignLog(f"{error}; {readable()}") from None
+
+
+class Kind(NamedTuple):
+    """One kind of log: how it begins, or by what a line of it is known, and who reads it."""
+
+    name: str
+    read: Reader
+    magics: tuple[bytes, ...] = ()
+    line: re.Pattern[str] | None = None
+    by_path: bool = False  # needs the file itself, not a stream
+    listed: str = ""  # to a person, if not by its name
+
+
+def _mcap(log: Log, stream: BinaryIO) -> Iterator[Record]:
+    return mcap_reader.records(log)
+
+
+def _lines(log: Log, stream: BinaryIO) -> Iterator[Record]:
+    with can_logs.text(log, stream) as lines:
+        yield from text.frames(lines, log)
+
+
+_ASC = re.compile(r"(date\s+\w+\s+\S|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
+_CSV = re.compile(r"timestamp,arbitration_id,extended,remote,error,dlc,data\s*$")
+
+MCAP: Final = "MCAP"
+KINDS: Final = (
+    Kind(MCAP, _mcap, (MCAP0_MAGIC,), by_path=True, listed="its own .mcap logs"),
+    *(Kind(form.name, _lines, line=form.pattern) for form in text.FORMS if form.name),
+    Kind("ASC", can_logs.asc, line=_ASC),
+    Kind("BLF", can_logs.blf, (b"LOGG",)),
+    Kind("TRC", can_logs.trc, line=re.compile(r";\$FILEVERSION")),
+    Kind("MF4", can_logs.mf4, (b"MDF     ", b"UnFinMF "), by_path=True),
+    Kind("CSV", can_logs.csv, line=_CSV, listed="the CSV files of python-can"),
+    Kind("SQLite", can_logs.sqlite, (b"SQLite format 3\0",), by_path=True, listed="its SQLite files"),
+    Kind("pcap", captures.pcap, tuple(captures.PCAP), listed="pcap and pcapng of SocketCAN"),
+    Kind("pcapng", captures.pcapng, (captures.PCAPNG,), listed="pcap and pcapng of SocketCAN"),
+    Kind("EBL", ebl.ebl, (ebl.MAGIC,), listed="Actisense's EBL"),
+)
+_BY_NAME: Final = {kind.name: kind for kind in KINDS}
+
+
+def _kind(log: Log) -> Kind:
+    """What kind of log this is."""
+    if log.size == 0:
+        raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
+    head = _stream(log).read(len(MCAP0_MAGIC) * 2)
+    if log.packed and not head:
+        raise ForeignLog(f"{log.path}: a gzip file that is damaged, or cut off at its head; {readable()}")
+    for kind in KINDS:
+        if head.startswith(kind.magics):
+            return kind
+    if MCAP0_MAGIC.startswith(head):  # cut off within its first eight bytes
+        return _BY_NAME[MCAP]
+    found = _text_kind(log)
+    log.truncated = False  # what looking has found will be found again
+    log.skipped.clear()
+    return found
+
+
+def _text_kind(log: Log) -> Kind:
+    """By the first lines of a text that are no comments."""
+    lines = stream.without_zeros(log, _stream(log))
+    left = _SNIFFED
+    comments = 0
+    told = False
+    while left > 0 and (line := lines.readline(_SNIFFED)):
+        text = line.decode("utf-8-sig", "replace")
+        for kind in KINDS:
+            if kind.line is not None and kind.line.match(text):
+                return kind
+        if text.startswith(";") and ".trc" in log.path.suffixes:
+            return _BY_NAME["TRC"]
+        if text.isspace() or text.startswith("#"):
+            comments += 1
+        else:
+            left -= len(line)
+            told = True
+    if told:
+        raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {readable()}")
+    what = "nothing but comments" if comments else "nothing but zero bytes, as a power cut leaves them"
+    raise EmptyLog(f"{log.path}: {what}; no frame is in it")

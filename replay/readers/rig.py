@@ -1,0 +1,87 @@
+"""What a log and a machine file have in common: the machine file stored in a log, the names of the buses."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from itertools import chain, islice
+from pathlib import Path
+
+from tilth.replay.readers.any_log import metadata, open_log
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Log, Record
+from tilth.replay.readers.mcap_reader import MACHINE
+from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Machine, MachineError, parse_machine
+
+PEEKED = 2000  # records among which the buses of a log are looked for
+
+Say = Callable[[str], None]
+
+
+def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machine, str]:
+    """The machine that the first of these logs to tell it was recorded with, and the text of its file.
+
+    plausible: as of parse_machine; False for what only reads, and estimates nothing.
+    Raises LogError where none tells it, MachineError.
+    """
+    cut: Path | None = None
+    for path in paths:
+        try:
+            log = open_log(path)
+        except EmptyLog:
+            continue
+        with closing(log.file):
+            found = metadata(log).get(MACHINE, {})
+            if log.truncated:
+                cut = cut or path
+        text = found.get("toml")
+        if text is not None:
+            try:
+                return parse_machine(text, found.get("dbc") or None, plausible=plausible), text
+            except MachineError as error:
+                raise MachineError(f"{path}: its own machine file: {error}; give --machine M.toml") from None
+    if cut is not None:
+        raise ForeignLog(f"{cut}: cut off before its machine file; give --machine M.toml")
+    raise ForeignLog(f"{paths[0]}: no machine file is in this log; give --machine M.toml")
+
+
+def on_buses_of(machine: Machine, log: Log, given: Mapping[str, str], say: Say) -> Iterator[Record]:
+    """Records of a log with the bus names of the machine file.
+
+    `given` maps names of the log to names of the machine file. Without it a log with one bus (as far as its
+    first PEEKED records show) is that of a machine file with one bus. Says what it did and what does not fit.
+    """
+    names = [bus.name for bus in machine.bus]
+    first = list(islice(log.records, PEEKED))
+    seen = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
+    renames = {bus: name for bus, name in given.items() if bus != name}
+    if not given and len(seen) == len(names) == 1 and seen != names:
+        renames = {seen[0]: names[0]}
+        say(f"{log.path}: its bus {seen[0]} is taken for {names[0]} of the machine file")
+    elif seen and not any(renames.get(bus, bus) in names for bus in seen):
+        say(
+            f"{log.path}: has the buses {', '.join(seen)}, the machine file has {', '.join(names)}; "
+            "say which is which with --bus LOG=MACHINE"
+        )
+    records = chain(first, log.records)
+    return _renamed(records, renames) if renames else records
+
+
+def _renamed(records: Iterator[Record], renames: Mapping[str, str]) -> Iterator[Record]:
+    for r in records:
+        if isinstance(r, Frame) and r.bus in renames:
+            yield Frame(r.t_ns, r.rx_ns, renames[r.bus], r.can_id, r.extended, r.error, r.data)
+        else:
+            yield r
+
+
+def bus_names(pairs: Sequence[str], machine: Machine | None) -> dict[str, str]:
+    """{name in the log: name in the machine file} of --bus LOG=MACHINE. Raises ValueError in one sentence."""
+    if pairs and machine is None:
+        raise ValueError("--bus LOG=MACHINE needs --machine M.toml, whose buses it names")
+    names = [bus.name for bus in machine.bus] if machine is not None else []
+    found = {}
+    for pair in pairs:
+        theirs, equals, ours = pair.partition("=")
+        if not equals or ours not in names:
+            raise ValueError(f"--bus {pair}: write LOG=MACHINE; the machine file has {', '.join(names)}")
+        found[theirs] = ours
+    return found

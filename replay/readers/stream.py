@@ -1,0 +1,129 @@
+"""The bytes of a log as a stream: unpacked, and without the zero bytes that a power cut leaves behind."""
+
+import io
+import re
+import zlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from tilth.replay.readers.log import Log
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
+PACKED: Final = b"\x1f\x8b"  # how gzip begins
+CHUNK: Final = 16 * 1024
+BUFFER: Final = 64 * 1024
+TAIL: Final = 64  # zeros that are too many for the end of any record
+_GZIP: Final = 31  # zlib's number for: gzip, with its header
+_ZEROS: Final = re.compile(rb"\0+")
+
+
+def unpacked(log: Log) -> BinaryIO:
+    """What gzip has packed, as far as it is there; log.truncated says that its end is missing."""
+    return _stream(_members(log))
+
+
+def without_zeros(log: Log, stream: BinaryIO) -> BinaryIO:
+    """A text's bytes: zero bytes at the end are a cut, others make an unreadable line of where they are."""
+    return _stream(_text(log, stream))
+
+
+def written(log: Log) -> int:
+    """How many bytes a power cut has left of what was not packed: a long run of zeros at its end is none."""
+    end = log.size
+    while end:
+        start = max(0, end - BUFFER)
+        log.file.seek(start)
+        block = log.file.read(end - start).rstrip(b"\0")
+        end = start + len(block)
+        if block:
+            break
+    log.file.seek(0)
+    return end if log.size - end >= TAIL else log.size
+
+
+def before_zeros(log: Log) -> BinaryIO:
+    """A binary log's bytes up to the zeros at its end; log.truncated says that there are such."""
+    end = written(log)
+    return log.file if end == log.size else _stream(_limited(log, end))
+
+
+class _Chunks(io.RawIOBase):
+    """Pieces of bytes, none of them empty, as a file."""
+
+    def __init__(self, chunks: Iterator[bytes]) -> None:
+        self._chunks = chunks
+        self._left = b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: "WriteableBuffer", /) -> int:
+        view = memoryview(buffer)
+        self._left = self._left or next(self._chunks, b"")
+        count = min(len(view), len(self._left))
+        view[:count] = self._left[:count]
+        self._left = self._left[count:]
+        return count
+
+
+def _stream(chunks: Iterator[bytes]) -> BinaryIO:
+    return io.BufferedReader(_Chunks(chunks), BUFFER)
+
+
+def _members(log: Log) -> Iterator[bytes]:
+    """gzip files may follow one another, and zeros may follow the last."""
+    member = zlib.decompressobj(_GZIP)
+    while piece := log.file.read(CHUNK):
+        while piece:
+            if member.eof:
+                piece = piece.lstrip(b"\0")
+                if not piece:
+                    break
+                member = zlib.decompressobj(_GZIP)
+            before = member.copy()
+            try:
+                found = member.decompress(piece)
+            except zlib.error:
+                yield from _up_to_damage(before, piece)
+                log.skip("damaged_gzip")
+                log.truncated = True
+                return
+            if found:
+                yield found
+            piece = member.unused_data
+    if not member.eof:
+        log.truncated = True
+
+
+def _up_to_damage(member: "zlib._Decompress", piece: bytes) -> Iterator[bytes]:
+    for at in range(len(piece)):
+        try:
+            found = member.decompress(piece[at : at + 1])
+        except zlib.error:
+            return
+        if found:
+            yield found
+
+
+def _limited(log: Log, left: int) -> Iterator[bytes]:
+    while left and (piece := log.file.read(min(left, BUFFER))):
+        left -= len(piece)
+        yield piece
+    log.truncated = True
+
+
+def _text(log: Log, stream: BinaryIO) -> Iterator[bytes]:
+    zeros = False  # came last
+    while chunk := stream.read(BUFFER):
+        body = chunk.rstrip(b"\0")
+        if not body:
+            zeros = True
+            continue
+        if zeros:
+            body = b"\0" + body
+        zeros = chunk[-1] == 0
+        yield _ZEROS.sub(b"\0\n", body)
+    if zeros:
+        log.truncated = True

@@ -1,0 +1,316 @@
+"""The demo: the virtual tractor on a CAN bus over loopback, the real daemon at its other end, a comparison.
+
+A second process plays the traffic; this one runs the same daemon as `tilth run`. Where the daemon has to
+compile first, the tractor drives meanwhile, and its time counts from when the estimators are ready.
+"""
+
+import json
+import logging
+import math
+import re
+import select
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Literal, Self
+
+from rich.table import Table
+
+from tilth.logger import compiling
+from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.display import Display, NoDisplay
+from tilth.logger.zenoh.session import free_endpoint
+from tilth.replay.estimates_json import estimates_and_nuisances
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
+from tilth.schemas.machine import parse_machine
+from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.spread import interval
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.simulate import PACKAGED
+from tilth.simulator.tractor import draw
+
+SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
+COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
+STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
+SOON_S: Final = 4.0  # of that without a word
+ENDING_S: Final = 30.0  # longest wait for it to end
+TICK_S: Final = 0.1
+
+
+class DemoError(Exception):
+    """The demo cannot run; one sentence says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """What a demo gave."""
+
+    seed: int
+    truth: Mapping[str, float]  # PARAMETERS, N/rad and m
+    summary: Summary
+    frames_sent: int
+
+    @property
+    def frames_lost(self) -> int:
+        return self.frames_sent - self.summary.recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One parameter: truth beside estimate."""
+
+    name: str
+    truth: float
+    estimate: ParameterEstimate | None
+    interval: tuple[float, float] | None  # 95 %
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval holds the truth; None where there is no estimate."""
+        return None if self.interval is None else self.interval[0] <= self.truth <= self.interval[1]
+
+
+def run_demo(
+    seconds: float,
+    seed: int,
+    log_folder: Path,
+    display: Display | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    say: Callable[[str], None] = lambda text: None,
+    watch: Callable[[str], object] | None = None,
+) -> Demo:
+    """Drive the packaged machine for so long, in real time. Raises DemoError and MachineError.
+
+    stop: asked ten times a second; the log is finished in any case. say: told what takes its time. watch:
+    told the Zenoh endpoint before it begins.
+    """
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
+    packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    timed = _Timed(display or NoDisplay(), seconds)
+    kept = compiling.load(parse_machine(packaged))  # then the daemon estimates from its first frame on
+    if not kept:
+        say("kernels are compiled, once per machine; the tractor drives on until estimates had their time")
+    with Player(packaged, seed, seconds if kept else seconds + COMPILING_S, stop, say) as player:
+        text = on_loopback(packaged, player.port)
+        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
+        text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
+        machine = parse_machine(text)
+        if watch is not None:
+            watch(endpoint)
+        summary = run_daemon(
+            machine,
+            text,
+            log_folder=log_folder,
+            prefix_suffix=SIMULATED,
+            status=timed,
+            stop=lambda: player.finished(stop() or (timed.over and not kept)),
+        )
+    if player.sent is None:
+        files = " ".join(str(path) for path in summary.log_files)
+        raise DemoError(f"the simulator died before its end; what came until then is in {files}")
+    return Demo(seed, draw(machine, seed, Scenario()), summary, player.sent)
+
+
+class _Timed(Display):
+    """Shows what is to be shown, and knows when the estimators have been ready for so many seconds."""
+
+    def __init__(self, display: Display, seconds: float) -> None:
+        self.over = False
+        self._display = display
+        self._seconds = seconds
+        self._ready_ns = 0
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        if status.t_ns and not status.preparing:
+            self._ready_ns = self._ready_ns or status.t_ns
+            self.over = status.t_ns - self._ready_ns >= self._seconds * 1e9
+        self._display.show(status, estimate)
+
+    def event(self, event: Event) -> None:
+        self._display.event(event)
+
+
+def on_loopback(machine_text: str, port: int) -> str:
+    """The machine file with its one bus replaced by a socketcand server on this computer."""
+    bus = f"""[[bus]]
+name = "can0"
+interface = "socketcand"
+channel = "can0"
+bitrate = 250000
+options = {{ host = "127.0.0.1", port = {port} }}
+
+"""
+    return re.sub(r"\[\[bus\]\]\n[^\[]*", bus, machine_text, count=1)
+
+
+class Player:
+    """The second process: see socketcand_server.main."""
+
+    def __init__(
+        self,
+        machine_text: str,
+        seed: int,
+        seconds: float,
+        stop: Callable[[], bool],
+        say: Callable[[str], None],
+    ) -> None:
+        """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
+        self.sent: int | None = None  # frames, as soon as it says so
+        self._ended = False
+        self._told_to_stop = False
+        # A session of its own: Ctrl-C in the terminal is for the daemon, which then ends the player.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tilth.simulator.socketcand_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+        )
+        self._order({"machine_text": machine_text, "seed": seed, "seconds": seconds})
+        try:
+            self.port = self._ready(stop, say)
+        except DemoError:
+            self._process.terminate()
+            self.close()
+            raise
+
+    def _ready(self, stop: Callable[[], bool], say: Callable[[str], None]) -> int:
+        """Its port."""
+        for tick in range(round(STARTING_S / TICK_S)):
+            answer = self._answer(TICK_S)
+            if answer is not None:
+                return answer["port"]
+            if stop():
+                raise DemoError("stopped before it began")
+            if self._process.poll() is not None:
+                break
+            if tick == round(SOON_S / TICK_S):
+                say("preparing the tractor's model for this computer, which is done only once")
+        raise DemoError(
+            "the simulator did not start; run `python -m tilth.simulator.socketcand_server` to see why"
+        )
+
+    def finished(self, early: bool) -> bool:
+        """True when all is played and so has been received; early: play no further."""
+        if early and not self._told_to_stop:
+            self._told_to_stop = True
+            self._order({"stop": True})
+        if not self._ended:
+            answer = self._answer(0.0)
+            self._ended = answer is not None or self._process.poll() is not None
+            self.sent = answer["sent"] if answer is not None else None
+            return False  # once more round: what was sent last is still to be read
+        return True
+
+    def close(self) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process.wait(ENDING_S)
+        if self._process.stdout is not None:  # not before it has said its last word
+            self._process.stdout.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _order(self, order: dict[str, Any]) -> None:
+        if self._process.stdin is not None:
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+
+    def _answer(self, timeout_s: float) -> dict[str, int] | None:
+        """The next line that it says; None where there is none in time, or where it has died."""
+        stdout = self._process.stdout
+        if stdout is None or not select.select([stdout], [], [], timeout_s)[0]:
+            return None
+        line = stdout.readline()
+        return json.loads(line) if line else None
+
+
+def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[Comparison]:
+    """One row for each of PARAMETERS."""
+    rows = []
+    for i, name in enumerate(PARAMETERS):
+        parameter = estimate.parameters[i] if estimate is not None else None
+        rows.append(Comparison(name, truth[name], parameter, _interval(estimate, i)))
+    return rows
+
+
+def _interval(estimate: Estimate | None, i: int) -> tuple[float, float] | None:
+    """95 %, log-normal."""
+    if estimate is None:
+        return None
+    value, sd = estimate.parameters[i].value, estimate.parameters[i].sd
+    if value is None or sd is None:
+        return None
+    n = len(PARAMETERS)
+    log_sd = math.sqrt(estimate.log_covariance[i * n + i]) if estimate.log_covariance else sd / value
+    return interval(value, log_sd)
+
+
+def result(demo: Demo) -> dict[str, Any]:
+    """What `tilth demo --json` says: that of a replay, with truth and the fate of the frames."""
+    summary = demo.summary
+    first, last = summary.first_frame_ns, summary.last_frame_ns
+    return {
+        "frames": summary.recorded,
+        "measurements": summary.measurements,
+        "rejected": summary.rejected,
+        "poses": summary.poses,
+        "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
+        "truncated": False,
+        **estimates_and_nuisances(summary.estimates),
+        "truth": dict(demo.truth),
+        "log": [str(path) for path in summary.log_files],
+        "frames_sent": demo.frames_sent,
+        "frames_lost": demo.frames_lost,
+    }
+
+
+def comparison_table(demo: Demo) -> Table:
+    """Truth beside the recommended estimate, for a terminal."""
+    table = Table(title=f"Truth and estimate, seed {demo.seed}", title_justify="left")
+    for heading, justify in _COLUMNS:
+        table.add_column(heading, justify=justify)
+    for row in compare(demo.truth, demo.summary.estimates.get("recommended")):
+        table.add_row(*_cells(row))
+    return table
+
+
+_COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
+    ("", "left"),
+    ("truth", "right"),
+    ("estimate", "right"),
+    ("95 % interval", "right"),
+    ("holds truth", "left"),
+    ("status", "left"),
+)
+
+
+def _cells(row: Comparison) -> tuple[str, ...]:
+    unit, scale, digits = ("kN/rad", 1e-3, 0) if row.name.startswith("C_") else ("m", 1.0, 2)
+    start = (f"{row.name}, {unit}", f"{row.truth * scale:.{digits}f}")
+    status = "unestimated" if row.estimate is None else row.estimate.status.name.lower()
+    if row.estimate is None or row.interval is None or row.estimate.value is None:
+        return *start, "", "", "", status
+    low, high = (f"{end * scale:.{digits}f}" for end in row.interval)
+    holds = "[green]yes[/]" if row.holds else "[red]no[/]"
+    return *start, f"{row.estimate.value * scale:.{digits}f}", f"{low} … {high}", holds, status
+
+
+def reasons(demo: Demo) -> list[str]:
+    """A line for each reason why there is no estimate, or none that is fresh."""
+    names: dict[str, list[str]] = {}
+    estimate = demo.summary.estimates.get("recommended")
+    for row in compare(demo.truth, estimate):
+        reason = "no estimator has spoken" if row.estimate is None else row.estimate.reason
+        if reason:
+            names.setdefault(reason, []).append(row.name)
+    return [f"{', '.join(of)}: {reason}" for reason, of in names.items()]

@@ -1,0 +1,181 @@
+"""The ground under the virtual tractor: its slope, what is uneven on it, and its soil over time and place.
+
+Uneven ground is a sum of waves along the way, so that it is band-limited, can be asked for anywhere, and does
+not depend on how long a run is. The implement comes over the same ground after the tractor's rear axle.
+A plane that falls by `slope` (rad) towards `downhill` tilts a body by its heading; horizontal and inclined
+distances are not told apart (at 5° they differ by 0.4 %).
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.nonlinear import STATES
+from tilth.estimator.models.parameters import Rig
+from tilth.schemas.flow import PARAMETERS
+from tilth.simulator.scenario import Change, Ground, Soil
+
+Array = NDArray[np.float64]
+
+WAVES: Final = 24
+PATCH_BAND: Final = 4.0  # longest wave of the patches over the shortest
+AT: Final = {name: k for k, name in enumerate(STATES)}
+AXLES: Final = ("front", "rear", "implement")
+AXLE_OF: Final = [0, 1, 2, 0, 1, 2]  # of each of PARAMETERS: front, rear, implement
+
+
+class Waves(NamedTuple):
+    """A band-limited function of one distance: sum of amplitude cos(wavenumber s + phase)."""
+
+    amplitude: float
+    wavenumber: Array  # rad/m, (WAVES,)
+    phase: Array  # rad, (WAVES,)
+
+    def at(self, s: Array | float) -> Array:
+        """Its value at each s, m; the shape of s."""
+        if self.amplitude == 0.0:
+            return np.zeros(np.shape(s))
+        angle = np.multiply.outer(s, self.wavenumber) + self.phase
+        return np.asarray(self.amplitude * np.cos(angle).sum(axis=-1))
+
+
+def waves(rng: np.random.Generator, sd: float, band: tuple[float, float]) -> Waves:
+    """Waves of that standard deviation, their lengths (m) spread over the band by logarithm."""
+    shares = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
+    lengths = band[0] * (band[1] / band[0]) ** shares
+    return Waves(sd * math.sqrt(2.0 / WAVES), 2 * np.pi / lengths, rng.uniform(0.0, 2 * np.pi, WAVES))
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """How the ground tilts both bodies and pushes them. Angles rad, distances m along the tractor's way."""
+
+    slope: float
+    downhill: float
+    roll: tuple[float, float]  # of tractor and implement, whatever their heading
+    rolling: Waves  # rad
+    pushing: Waves  # lateral force over weight
+    lag: float  # from the tractor's rear axle to the implement's
+
+    def rolls(
+        self, s: Array | float, heading_t: Array | float, heading_i: Array | float
+    ) -> tuple[Array, Array]:
+        """Roll of tractor and implement, right side down; shapes as of s."""
+        tractor = self._roll(heading_t) + self.roll[0] + self.rolling.at(s)
+        implement = self._roll(heading_i) + self.roll[1] + self.rolling.at(np.subtract(s, self.lag))
+        return tractor, implement
+
+    def pitch(self, heading: Array | float) -> Array:
+        """Pitch of a body, nose up."""
+        return np.asarray(-np.arcsin(np.sin(self.slope) * np.cos(self.downhill - heading)))
+
+    def _roll(self, heading: Array | float) -> Array:
+        return np.asarray(np.arcsin(np.sin(self.slope) * np.sin(self.downhill - heading)))
+
+    def inputs(self, s: float, x: Array, rig: Rig) -> tuple[float, float, float, float, float]:
+        """(gravity_t, gravity_i, drive, force_t, force_i) of the nonlinear model at one state, shape (13,).
+
+        Gravity along both bodies is one force on the tractor's drive.
+        """
+        psi_t, psi_i = x[AT["psi_t"]], x[AT["psi_i"]]
+        roll_t, roll_i = self.rolls(s, psi_t, psi_i)
+        down_t, down_i = math.cos(self.downhill - psi_t), math.cos(self.downhill - psi_i)
+        along = rig.g * math.sin(self.slope) * (rig.m_t * down_t + rig.m_i * down_i)
+        force_t = rig.m_t * rig.g * float(self.pushing.at(s))
+        force_i = rig.m_i * rig.g * float(self.pushing.at(s - self.lag))
+        return rig.g * math.sin(roll_t), rig.g * math.sin(roll_i), along, force_t, force_i
+
+
+def terrain(ground: Ground, roll_deg: tuple[float, float], rig: Rig, rng: np.random.Generator) -> Terrain:
+    """The ground of a scenario under a rig."""
+    return Terrain(
+        math.radians(ground.slope_deg),
+        math.radians(ground.downhill_deg),
+        (math.radians(roll_deg[0]), math.radians(roll_deg[1])),
+        waves(rng, math.radians(ground.roll_sd_deg), ground.band),
+        waves(rng, ground.force_sd, ground.band),
+        rig.c - rig.b + rig.towed_length,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """The six soil-tyre parameters over time and place."""
+
+    theta: Array  # (6,), without changes and patches
+    changes: tuple[Change, ...]
+    patches: tuple[Waves, Array] | None  # along unit vectors, shape (WAVES, 2)
+    rig: Rig
+
+    @property
+    def uniform(self) -> bool:
+        return not self.changes and self.patches is None
+
+    def at(self, t: Array | float, states: Array) -> Array:
+        """Parameters under the axles, shape (..., 6). t: s, shape (...); states: (..., 13)."""
+        axles = axles_of(self.rig, states)
+        log = np.zeros((*axles.shape[:-2], len(PARAMETERS)))
+        for change in self.changes:
+            factors = np.log([getattr(change, name) for name in PARAMETERS])
+            log += share(change, t, axles)[..., AXLE_OF] * factors
+        if self.patches is not None:
+            wave, direction = self.patches
+            angle = (axles @ direction.T) * wave.wavenumber + wave.phase
+            log[..., :3] += wave.amplitude * np.cos(angle).sum(axis=-1)
+        return np.asarray(self.theta * np.exp(log))
+
+
+def axles_of(rig: Rig, states: Array) -> Array:
+    """North and east of the middles of front, rear and implement's axle, m, shape (..., 3, 2). states:
+    (..., 13)."""
+    psi_t, psi_i = states[..., AT["psi_t"]], states[..., AT["psi_i"]]
+    centre = states[..., :2]
+    ahead_t = np.stack([np.cos(psi_t), np.sin(psi_t)], axis=-1)
+    ahead_i = np.stack([np.cos(psi_i), np.sin(psi_i)], axis=-1)
+    cart = centre - rig.c * ahead_t - rig.towed_length * ahead_i
+    return np.stack([centre + rig.a * ahead_t, centre - rig.b * ahead_t, cart], axis=-2)
+
+
+def share(change: Change, t: Array | float, axles: Array) -> Array:
+    """How much of a change there is at each axle, 0 to 1, shape (..., 3). axles: (..., 3, 2)."""
+    if change.at_s is not None:
+        beyond = np.broadcast_to(np.subtract(t, change.at_s)[..., None], axles.shape[:-1])
+    else:
+        towards = math.radians(change.towards_deg)
+        beyond = (axles[..., 0] - (change.north or 0.0)) * math.cos(towards)
+        beyond = beyond + (axles[..., 1] - (change.east or 0.0)) * math.sin(towards)
+    if change.over == 0.0:
+        return np.where(beyond >= 0.0, 1.0, 0.0)
+    return np.asarray(np.clip(beyond / change.over, 0.0, 1.0))
+
+
+def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator) -> Field:
+    """The soil of a scenario; `parameters`: the six before any change."""
+    patches = None
+    if soil.patch_log_sd > 0.0:
+        band = (soil.patch_length, PATCH_BAND * soil.patch_length)
+        wave, angle = waves(rng, soil.patch_log_sd, band), rng.uniform(0.0, np.pi, WAVES)
+        patches = wave, np.column_stack([np.cos(angle), np.sin(angle)])
+    theta = np.array([parameters[name] for name in PARAMETERS])
+    return Field(theta, soil.changes, patches, rig)
+
+
+def crossings(
+    changes: tuple[Change, ...], rig: Rig, time: Array, states: Array
+) -> Iterator[tuple[int, str, float, float]]:
+    """(number of the change from 1, axle, when it begins there, when it is whole), s, for those that come.
+
+    time: (n,), states: (n, 13).
+    """
+    axles = axles_of(rig, states)
+    for number, change in enumerate(changes, start=1):
+        for axle, part in zip(AXLES, share(change, time, axles).T, strict=True):
+            begun = np.flatnonzero(part > 0.0)
+            if len(begun):
+                whole = np.flatnonzero(part >= 1.0)
+                until = time[whole[0]] if len(whole) else time[-1]
+                yield number, axle, float(time[begun[0]]), float(until)

@@ -1,0 +1,251 @@
+"""A scenario to files: the log of its frames, and the truth beside it.
+
+LOG             what a recorder would have taken: MCAP with the machine file, or candump -l text
+LOG.truth.json  what the run is made from: parameters, rig, nuisances, events, units, and where it comes from
+LOG.truth.csv   both bodies, wheel angle, slip and soil over time, on the clock of the log: COLUMNS
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.nonlinear import STATES
+from tilth.estimator.models.parameters import RIG_PARAMETERS
+from tilth.logger.log.mcap_log import LogWriter, Run, software
+from tilth.schemas.flow import PARAMETERS, Frame
+from tilth.schemas.machine import Machine
+from tilth.simulator.ground import AXLES, crossings
+from tilth.simulator.receivers import ORIGIN_DEG
+from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.traffic import host_clock, traffic
+
+Array = NDArray[np.float64]
+
+PACKAGED: Final = "machines/jd7930-parker500.toml"  # of tilth.deploy: what is driven if nothing else is said
+KEEP: Final = 2  # of the samples every other goes into the table: 50 a second
+SHOWN: Final = 4096  # frames between two words on progress
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and up to which second of the run."""
+
+
+class Writer(Protocol):
+    """Takes the frames of one file."""
+
+    def frame(self, frame: Frame) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Candump:
+    """Text as `candump -l` writes it, to the microsecond."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError; FileExistsError: a log is never overwritten."""
+        self._stream = path.open("x", encoding="ascii")
+
+    def frame(self, frame: Frame) -> None:
+        seconds, nanoseconds = divmod(frame.t_ns, 1_000_000_000)
+        identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
+        stamp = f"({seconds}.{nanoseconds // 1000:06d})"
+        self._stream.write(f"{stamp} {frame.bus} {identifier}#{frame.data.hex().upper()}\n")
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What a run is simulated from, with the texts that go into its files."""
+
+    machine: Machine
+    machine_text: str
+    scenario: Scenario
+    scenario_text: str
+    seed: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """What a simulation wrote."""
+
+    truth: Truth
+    frames: int
+    files: tuple[Path, Path, Path]  # log, truth as JSON, truth as CSV
+
+
+def _mcap(path: Path, source: Source) -> Writer:
+    start_ns = source.scenario.utc_start_ns
+    run = Run(f"simulated-{source.seed}", 1, start_ns)
+    writer = LogWriter(path, source.machine, source.machine_text, run)
+    told = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
+    writer.metadata("simulated", told)
+    return writer
+
+
+def _candump(path: Path, source: Source) -> Writer:
+    return Candump(path)
+
+
+WRITERS: Final = {".mcap": _mcap, ".log": _candump}
+"""By the ending of the log's name."""
+
+
+def files_of(log: Path) -> tuple[Path, Path, Path]:
+    """Log, truth as JSON and truth as CSV."""
+    return log, log.with_name(log.name + ".truth.json"), log.with_name(log.name + ".truth.csv")
+
+
+def simulate_to(source: Source, log: Path, progress: Progress = lambda what, seconds: None) -> Simulated:
+    """Drive a scenario and write its three files; the same source gives the same bytes.
+
+    Raises OSError, FileExistsError before anything is written; ValueError where the machine is none that can
+    be driven, KeyError where the log's name has no ending of WRITERS.
+    """
+    make, files = WRITERS[log.suffix], files_of(log)
+    for path in files:
+        if path.exists():
+            raise FileExistsError(f"{path} exists")
+    truth = drive(
+        source.machine, source.seed, source.seconds, source.scenario,
+        progress=lambda seconds: progress("driving", seconds),
+    )  # fmt: skip
+    with closing(make(log, source)) as writer:
+        _write_truth(source, truth, files)
+        count = 0
+        start_ns = host_clock(truth)(0.0)
+        for count, frame in enumerate(traffic(source.machine, truth), start=1):
+            writer.frame(frame)
+            if count % SHOWN == 0:
+                progress("frames", (frame.t_ns - start_ns) * 1e-9)
+    return Simulated(truth, count, files)
+
+
+# The truth.
+
+
+class Column(NamedTuple):
+    """One column of the table; `of` gives its samples, shape (n,)."""
+
+    name: str
+    unit: str
+    meaning: str
+    of: Callable[[Truth], Array]
+
+
+_OF_A_BODY: Final = (
+    ("x", "m", "CG north of the origin", "x"),
+    ("y", "m", "CG east of the origin", "y"),
+    ("psi", "rad", "heading, clockwise from north, not wrapped", "heading"),
+    ("u", "m/s", "velocity of the CG forward", "forward_velocity"),
+    ("v", "m/s", "velocity of the CG to the right", "lateral_velocity"),
+    ("r", "rad/s", "yaw rate, turning right", "yaw_rate"),
+    ("phi", "rad", "roll, right side down", "roll"),
+    ("theta", "rad", "pitch, nose up", "pitch"),
+)
+
+
+def _bodies() -> Iterator[Column]:
+    for body in ("tractor", "implement"):
+        for name, unit, meaning, key in _OF_A_BODY:
+            yield Column(f"{name}_{body[0]}", unit, f"{meaning}, {body}", attrgetter(f"{body}.{key}"))
+
+
+def _axles() -> Iterator[Column]:
+    for axle in AXLES:
+        name = f"alpha_{axle[0]}"
+        yield Column(name, "rad", f"slip angle, {axle} axle", _column("states", STATES.index(name)))
+    for k, name in enumerate(PARAMETERS):
+        unit = "N/rad" if name.startswith("C_") else "m"
+        yield Column(name, unit, "on the soil under its axle", _column("soil", k))
+
+
+def _column(key: str, k: int) -> Callable[[Truth], Array]:
+    def of(truth: Truth) -> Array:
+        samples: Array = getattr(truth, key)[:, k]
+        return samples
+
+    return of
+
+
+COLUMNS: Final = (
+    *_bodies(),
+    Column("delta", "rad", "mean wheel angle of the front axle, turned right", attrgetter("wheel_angle")),
+    *_axles(),
+)
+"""Of LOG.truth.csv, after t_ns: the log's clock, as Frame.t_ns and Pose.t_ns."""
+
+
+def _write_truth(source: Source, truth: Truth, files: tuple[Path, Path, Path]) -> None:
+    log, described, table = files
+    text = json.dumps(_description(source, truth, log, table), indent=1, ensure_ascii=False)
+    with described.open("x", encoding="utf-8") as stream:
+        stream.write(text + "\n")
+    values = np.column_stack([column.of(truth)[::KEEP] for column in COLUMNS]).tolist()
+    with table.open("x", encoding="ascii") as stream:
+        stream.write(",".join(["t_ns", *(column.name for column in COLUMNS)]) + "\n")
+        t_ns_at = host_clock(truth)
+        row = "%d" + ",%.9g" * len(COLUMNS) + "\n"
+        for at_s, numbers in zip(truth.time[::KEEP].tolist(), values, strict=True):
+            stream.write(row % (t_ns_at(at_s), *numbers))
+
+
+def _description(source: Source, truth: Truth, log: Path, table: Path) -> dict[str, Any]:
+    """All of LOG.truth.json."""
+    return {
+        "purpose": source.scenario.purpose,
+        "log": log.name,
+        "parameters": truth.parameters,
+        "rig": {
+            row.name: {"value": value, "unit": row.unit, "meaning": row.meaning}
+            for row, value in zip(RIG_PARAMETERS, truth.rig, strict=True)
+        },
+        "nuisances": truth.nuisances,  # SI; named in simulator/tractor.py
+        "events": sorted(_events(truth), key=lambda event: (event["t_ns"], event["what"])),
+        "origin_deg": ORIGIN_DEG,
+        "utc_start_ns": truth.scenario.utc_start_ns,
+        "table": {
+            "file": table.name,
+            "period_s": KEEP * STEP_S,
+            "columns": {
+                "t_ns": {"unit": "ns", "meaning": "the log's clock, as the frames' stamps"},
+                **{c.name: {"unit": c.unit, "meaning": c.meaning} for c in COLUMNS},
+            },
+        },
+        "source": {
+            "seed": source.seed,
+            "seconds": source.seconds,
+            "scenario": source.scenario_text,
+            "machine": source.machine_text,
+            "software": software(),
+        },
+    }
+
+
+def _events(truth: Truth) -> Iterator[dict[str, Any]]:
+    """What happens to receivers and soil, each with the times of its beginning and end on the log's clock."""
+    end_s, t_ns_at = float(truth.time[-1]), host_clock(truth)
+
+    def event(what: str, start_s: float, until_s: float, **more: Any) -> dict[str, Any]:
+        times = {"t_ns": t_ns_at(start_s), "end_ns": t_ns_at(min(until_s, end_s))}
+        return {"what": what, **times, **more}
+
+    for fault in truth.scenario.faults:
+        if fault.start_s < end_s:
+            yield event(fault.kind, fault.start_s, fault.end_s, mount=fault.mount.value)
+    for claim in truth.scenario.reclaims:
+        if claim.at_s < end_s:
+            yield event("reclaim", claim.at_s, claim.at_s, mount=claim.mount.value, source=claim.source)
+    for number, axle, start_s, until_s in crossings(
+        truth.scenario.soil.changes, truth.rig, truth.time, truth.states
+    ):
+        yield event("soil", start_s, until_s, change=number, axle=axle)
