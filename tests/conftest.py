@@ -12,6 +12,7 @@ import can
 import pytest
 from logs import MACHINE
 from loopback import Sender
+from paths import ROOT
 
 from tilth.logger import compiling
 
@@ -23,7 +24,7 @@ sys.dont_write_bytecode = False
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile once, before all processes and what they start would each do it."""
     if getattr(session.config.option, "numprocesses", None):
-        machine = Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml"
+        machine = ROOT / "deploy/machines/jd7930-parker500.toml"
         subprocess.run([sys.executable, "-m", "tilth.logger.compiling", str(machine)], check=True)
 
 
@@ -36,7 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of this checkout."""
-    folder, root = tmp_path_factory.mktemp("wheel"), Path(__file__).resolve().parents[1]
+    folder, root = tmp_path_factory.mktemp("wheel"), ROOT
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)]
     built = subprocess.run(build, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor",
     "adaptive_guidance", "cli",

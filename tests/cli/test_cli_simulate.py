@@ -1,0 +1,244 @@
+"""`tilth simulate`: a log that a recorder could have taken, and beside it what was true."""
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paths import ROOT
+
+from tilth.cli import main
+from tilth.estimator.fold import initial, step
+from tilth.estimator.pose.geometry import to_plane
+from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.rig import machine_in
+from tilth.schemas.flow import PARAMETERS, Pose
+from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import parse_scenario
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import host_clock, simulate
+
+SCENARIOS = ROOT / "examples" / "scenarios"
+MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
+SUDDEN = """
+seconds = 4.0
+seed = 5
+steering = [[1.0, 0.0], [5.0, 6.0]]
+faults = [{ mount = "tractor_rear", start_s = 1.0, end_s = 2.0, kind = "silent" }]
+[[soil.changes]]
+north = 9.0
+east = 0.0
+C_af = 0.5
+C_ai = 0.5
+"""
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return parse_machine(MACHINE.read_text())
+
+
+@pytest.fixture(scope="module")
+def sudden(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of SUDDEN."""
+    folder = tmp_path_factory.mktemp("sudden")
+    (folder / "sudden.toml").write_text(SUDDEN)
+    assert main(["simulate", str(folder / "sudden.toml"), "--out", str(folder / "run.mcap")]) == 0
+    return folder / "run.mcap"
+
+
+def _truth(log: Path) -> dict[str, Any]:
+    told: dict[str, Any] = json.loads(Path(f"{log}.truth.json").read_text())
+    return told
+
+
+def _table(log: Path) -> dict[str, np.ndarray]:
+    with Path(f"{log}.truth.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+@pytest.mark.parametrize("ending", ["mcap", "log"])
+def test_the_log_holds_the_frames_of_the_scenario(machine: Machine, tmp_path: Path, ending: str) -> None:
+    log = tmp_path / f"run.{ending}"
+    words = ["--out", str(log), "--seconds", "2", "--seed", "7"]
+    assert main(["simulate", str(SCENARIOS / "demo.toml"), *words]) == 0
+    wanted = list(simulate(machine, 7, 2.0, parse_scenario((SCENARIOS / "demo.toml").read_text())))
+    got = list(frames(log))
+    assert [(f.bus, f.can_id, f.data) for f in got] == [(f.bus, f.can_id, f.data) for f in wanted]
+    step_ns = 1 if ending == "mcap" else 1000
+    assert all(0 <= w.t_ns - g.t_ns < step_ns for w, g in zip(wanted, got, strict=True))
+
+
+def test_an_mcap_log_carries_its_machine_and_replays(
+    sudden: Path, machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert machine_in([sudden])[0] == machine
+    assert main(["replay", str(sudden), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["poses"] > 10 and not said["truncated"]
+
+
+def test_a_candump_log_replays_with_a_machine_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    assert main(["simulate", str(SCENARIOS / "demo.toml"), "--out", str(log), "--seconds", "3"]) == 0
+    first = log.read_text().splitlines()[0]
+    assert re.fullmatch(r"\(17778\d{5}\.\d{6}\) can0 18EEFF[0-9A-F]{2}#[0-9A-F]{16}", first)
+    capsys.readouterr()
+    assert main(["replay", str(log), "--machine", str(MACHINE), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["poses"] > 5
+
+
+@pytest.mark.parametrize("ending", ["mcap", "log"])
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, ending: str) -> None:
+    said = []
+    for name, seed in (("one", 3), ("two", 3), ("other", 4)):
+        folder = tmp_path / name
+        folder.mkdir()
+        words = ["--out", str(folder / f"run.{ending}"), "--seconds", "1.5", "--seed", str(seed)]
+        assert main(["simulate", str(SCENARIOS / "bad_day.toml"), *words]) == 0
+        said.append([path.read_bytes() for path in sorted(folder.iterdir())])
+    assert len(said[0]) == 3
+    assert said[0] == said[1]
+    assert all(one != other for one, other in zip(said[0], said[2], strict=True))
+
+
+def test_the_truth_names_parameters_rig_events_and_source(sudden: Path, machine: Machine) -> None:
+    told, truth = _truth(sudden), drive(machine, 5, 4.0, parse_scenario(SUDDEN))
+    assert told["parameters"] == pytest.approx(truth.parameters)
+    assert told["nuisances"] == pytest.approx(truth.nuisances)
+    assert told["rig"]["m_i"] == {
+        "value": pytest.approx(truth.rig.m_i),
+        "unit": "kg",
+        "meaning": "mass of the implement with its load",
+    }
+    assert told["source"]["seed"] == 5
+    assert (told["source"]["scenario"], told["source"]["machine"]) == (SUDDEN, MACHINE.read_text())
+    assert told["source"]["software"]["numpy"] == np.__version__
+    clock = host_clock(truth)
+    whats = [(e["what"], e.get("mount"), e.get("axle")) for e in told["events"]]
+    assert whats == [
+        ("silent", "tractor_rear", None),
+        ("soil", None, "front"),
+        ("soil", None, "rear"),
+        ("soil", None, "implement"),
+    ]
+    assert (told["events"][0]["t_ns"], told["events"][0]["end_ns"]) == (clock(1.0), clock(2.0))
+
+
+def test_the_table_is_the_truth_on_the_clock_of_the_log(sudden: Path, machine: Machine) -> None:
+    table, told = _table(sudden), _truth(sudden)
+    truth = drive(machine, 5, 4.0, parse_scenario(SUDDEN))
+    assert list(table) == list(told["table"]["columns"])
+    assert len(table["t_ns"]) == 201
+    np.testing.assert_array_equal(table["t_ns"], [host_clock(truth)(t) for t in truth.time[::2]])
+    for name, wanted in (
+        ("x_t", truth.tractor.x),
+        ("psi_i", truth.implement.heading),
+        ("v_i", truth.implement.lateral_velocity),
+        ("delta", truth.wheel_angle),
+        ("alpha_i", truth.states[:, 10]),
+        ("sigma_r", truth.soil[:, 4]),
+    ):
+        np.testing.assert_allclose(table[name], wanted[::2], rtol=1e-7, atol=1e-8, err_msg=name)
+    halves = {name: table[name][-1] / table[name][0] for name in PARAMETERS}
+    assert halves == pytest.approx({**dict.fromkeys(PARAMETERS, 1.0), "C_af": 0.5, "C_ai": 0.5})
+    changed = told["events"][1]
+    assert table["t_ns"][np.flatnonzero(table["C_af"] < 0.9 * table["C_af"][0])[0]] == pytest.approx(
+        changed["t_ns"], abs=5e7
+    )
+
+
+def test_poses_replayed_from_the_log_are_those_of_the_truth(machine: Machine, tmp_path: Path) -> None:
+    """Columns, clock, units and signs, through everything that a log goes through."""
+    log = tmp_path / "run.log"
+    words = ["--out", str(log), "--seconds", "20"]
+    assert main(["simulate", str(SCENARIOS / "side_slope.toml"), *words]) == 0
+    table, told = _table(log), _truth(log)
+    state = initial(machine)
+    poses = [p.value for f in frames(log) for p in step(state, f) if isinstance(p.value, Pose)]
+    good = [p for p in poses[20:] if not p.flags]
+    assert len(good) > 50
+
+    def true(name: str, pose: Pose) -> float:
+        return float(np.interp(pose.t_ns, table["t_ns"], table[name]))
+
+    for pose in good:
+        origin = to_plane(told["origin_deg"], pose.origin_latitude_deg, pose.origin_longitude_deg)
+        for body, letter in ((pose.tractor, "t"), (pose.implement, "i")):
+            assert body.x is not None and body.y is not None and body.heading is not None
+            assert body.roll is not None and body.forward_velocity is not None
+            assert body.x + origin[0] == pytest.approx(true(f"x_{letter}", pose), abs=0.5)
+            assert body.y + origin[1] == pytest.approx(true(f"y_{letter}", pose), abs=0.3)
+            off = (body.heading - true(f"psi_{letter}", pose) + np.pi) % (2 * np.pi) - np.pi
+            assert abs(off) < 0.05
+            assert body.roll == pytest.approx(true(f"phi_{letter}", pose), abs=0.05)
+            assert body.forward_velocity == pytest.approx(true(f"u_{letter}", pose), abs=0.3)
+
+
+def test_the_scenario_may_name_its_machine(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    assert main(["simulate", str(SCENARIOS / "kingpin.toml"), "--out", str(log), "--seconds", "1"]) == 0
+    assert machine_in([log])[0].wheel_angle.kingpin == "left"
+    other = tmp_path / "other.mcap"
+    words = ["--out", str(other), "--seconds", "1", "--machine", str(MACHINE)]
+    assert main(["simulate", str(SCENARIOS / "kingpin.toml"), *words]) == 0
+    assert machine_in([other])[0].wheel_angle.kingpin == "mean"
+
+
+def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    words = ["--out", str(log), "--seconds", "1", "--json"]
+    assert main(["simulate", str(SCENARIOS / "demo.toml"), *words]) == 0
+    captured = capsys.readouterr()
+    said = json.loads(captured.out)
+    assert captured.err == ""
+    assert said["frames"] == len(log.read_text().splitlines())
+    assert [Path(said[key]).exists() for key in ("log", "truth", "table")] == [True] * 3
+    assert said["parameters"] == _truth(log)["parameters"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["{bad}", "--out", "{new}"], ["bad.toml", "speeed", "did you mean", "speed"]),
+        (["{gone}", "--out", "{new}"], ["gone.toml", "cannot be read"]),
+        (["{good}", "--out", "{old}"], ["old.mcap", "never overwritten"]),
+        (["{good}", "--out", "{beside}"], ["beside.log.truth.csv", "never overwritten"]),
+        (["{good}", "--out", "{blf}"], ["run.blf", ".mcap or .log"]),
+        (["{good}", "--out", "{nowhere}"], ["there is no folder"]),
+        (["{good}", "--out", "{new}", "--seconds", "0"], ["--seconds 0", "above zero"]),
+        (["{good}", "--out", "{new}", "--seconds", "nan"], ["--seconds nan"]),
+        (["{good}", "--out", "{new}", "--seed", "-1"], ["--seed -1"]),
+        (["{good}", "--out", "{new}", "--machine", "{bad}"], ["bad.toml", "speeed"]),
+        (["{good}", "--out", "{new}", "--machine", "{odd}"], ["odd.toml", "mass = 93 kg: must be from 500"]),
+        (["{good}"], ["--out"]),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_exit_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: list[str]
+) -> None:
+    names = {name: tmp_path / f"{name}.toml" for name in ("good", "bad", "gone", "odd")}
+    names |= {"new": tmp_path / "new.mcap", "old": tmp_path / "old.mcap", "blf": tmp_path / "run.blf"}
+    names |= {"beside": tmp_path / "beside.log", "nowhere": tmp_path / "no" / "run.log"}
+    names["good"].write_text("seconds = 1.0\n")
+    names["bad"].write_text("speeed = 4.0\n")
+    names["odd"].write_text(MACHINE.read_text().replace("mass = 9391.0", "mass = 93.0"))
+    names["old"].write_bytes(b"precious")
+    Path(f"{names['beside']}.truth.csv").write_bytes(b"precious")
+    before = sorted(tmp_path.iterdir())
+    try:
+        status: object = main(["simulate", *(word.format(**names) for word in words)])
+    except SystemExit as left:
+        status = left.code
+    captured = capsys.readouterr()
+    assert (status, captured.out, len(captured.err.splitlines())) == (2, "", 1)
+    for word in told:
+        assert word in captured.err
+    assert sorted(tmp_path.iterdir()) == before
+    assert names["old"].read_bytes() == b"precious"

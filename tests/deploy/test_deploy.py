@@ -1,0 +1,245 @@
+"""From a wheel to a computer that records, and back: the installer for real, in a folder for a computer."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from loopback import TEXT
+from paths import ROOT
+
+from tilth.deploy import can_up
+from tilth.deploy.install import KERNELS, Failed, adapter_rule
+
+INSTALLER = ROOT / "deploy" / "install.py"
+PYTHON = Path(sys.base_prefix) / "bin" / "python3"  # as on a bare computer, with pip
+SYSTEM = ROOT / "deploy" / "system"
+UNITS = ("tilth.service", "tilth-can@.service")
+EXPOSED = 2.5  # of 10: the most that `systemd-analyze security` may find
+
+
+def has_pip() -> bool:
+    return (
+        subprocess.run([str(PYTHON), "-m", "pip", "--version"], capture_output=True, check=False).returncode
+        == 0
+    )
+
+
+def without_tilth(target: Path) -> Path:
+    """All that Tilth needs, as an environment would have it once pip has fetched it."""
+    target.mkdir()
+    for path in Path(pytest.__file__).parents[1].iterdir():
+        if not path.name.startswith(("tilth", "__editable__")) and path.suffix != ".pth":
+            (target / path.name).symlink_to(path)
+    return target
+
+
+class Box:
+    """A folder that stands for a computer."""
+
+    def __init__(self, folder: Path, needed: Path, kernels: bool = False) -> None:
+        """kernels: whether they are compiled, which takes half a minute for each release."""
+        self.root = folder / "root"
+        self._environment = {
+            **os.environ,
+            "PIP_NO_DEPS": "1",
+            "PIP_NO_COMPILE": "1",
+            "NUMBA_DISABLE_JIT": "0" if kernels else "1",
+            "PYTHONPATH": str(needed),
+        }
+
+    def setup(self, *words: str | Path) -> "subprocess.CompletedProcess[str]":
+        command = [str(PYTHON), str(INSTALLER), "--root", str(self.root), *map(str, words)]
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=self._environment)
+
+    def tilth(self, *words: str) -> "subprocess.CompletedProcess[str]":
+        command = [str(self.root / "opt/tilth/current/bin/tilth"), *words]
+        environment = {**self._environment, "NUMBA_CACHE_DIR": str(self.root / KERNELS)}
+        return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+
+    def release(self, link: str) -> str:
+        return (self.root / "opt/tilth" / link).resolve().name
+
+    def files(self) -> set[str]:
+        """All but what the releases hold."""
+        return {
+            str(path.relative_to(self.root))
+            for path in self.root.rglob("*")
+            if not path.is_dir() and "releases" not in path.parts
+        }
+
+
+@pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
+def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, wheel: Path) -> None:
+    box = Box(tmp_path, without_tilth(tmp_path / "needed"))
+    machine = tmp_path / "machine.toml"
+    machine.write_text(TEXT.replace('prefix = "tilth"', 'prefix = "tilth"\nconfig = "daemon.json"'))
+    keys = tmp_path / "daemon.json"
+    keys.write_text("{}")
+
+    said = box.setup("install", wheel)
+    assert said.returncode == 1 and "say with --machine which rig this is" in said.stderr
+    said = box.setup("upgrade", wheel)
+    assert said.returncode == 1 and "nothing is installed yet" in said.stderr
+    assert not box.root.exists()
+
+    said = box.setup("install", wheel, "--machine", machine, "--keys", keys)
+    assert said.returncode == 0, said.stderr
+    assert "release 1) is current" in said.stdout and "not used" not in said.stdout
+    assert (box.root / "etc/tilth/machine.toml").read_text() == machine.read_text()
+    assert (box.root / "etc/tilth/daemon.json").stat().st_mode & 0o777 == 0o640
+    assert box.tilth("--help").returncode == 0
+    assert (box.root / KERNELS).is_dir() and "in advance failed" not in said.stdout + said.stderr
+    for name in UNITS:
+        assert (box.root / "etc/systemd/system" / name).read_text() == (SYSTEM / name).read_text()
+    log = box.root / "var/lib/tilth/logs/a.mcap"
+    log.parent.mkdir(parents=True)
+    log.write_text("a season")
+
+    assert box.setup("rollback").returncode == 1  # there is none before
+    said = box.setup("upgrade", wheel)
+    assert said.returncode == 0 and (box.release("current"), box.release("previous")) == ("2", "1")
+    for bad, words in ((tmp_path / "bad.whl", "no wheel of Tilth"), (tmp_path / "empty", "give a wheel")):
+        bad.write_text("") if bad.suffix else bad.mkdir()
+        said = box.setup("upgrade", bad)
+        assert said.returncode == 1 and words in said.stderr
+    installed = box.root / "etc/tilth/machine.toml"
+    installed.write_text(TEXT.replace("[tractor]", "[traktor]"))
+    said = box.setup("rollback")
+    assert said.returncode == 1 and 'did you mean "tractor"' in said.stderr
+    assert (box.release("current"), box.release("previous")) == ("2", "1")
+    assert {path.name for path in (box.root / "opt/tilth/releases").iterdir()} == {"1", "2"}
+    installed.write_text(machine.read_text())
+    assert box.setup("rollback").returncode == 0
+    assert (box.release("current"), box.release("previous")) == ("1", "2")
+    assert "current   1: tilth 0" in box.setup("status").stdout
+
+    assert box.setup("uninstall").returncode == 0
+    assert box.files() == {
+        "etc/tilth/machine.toml", "etc/tilth/daemon.json", "var/lib/tilth/logs/a.mcap",
+    }  # fmt: skip
+
+
+@pytest.mark.cold
+@pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
+def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path) -> None:
+    """Where the unit lets the recorder look for them."""
+    box = Box(tmp_path, without_tilth(tmp_path / "needed"), kernels=True)
+    machine = tmp_path / "machine.toml"
+    machine.write_text(TEXT)
+    said = box.setup("install", wheel, "--machine", machine)
+    assert said.returncode == 0 and said.stdout.count("compiling kernels, once per machine") == 1
+    unit = (SYSTEM / "tilth.service").read_text()
+    assert f"Environment=NUMBA_CACHE_DIR=/{KERNELS} " in unit and "CacheDirectory=tilth\n" in unit
+    logs = str(tmp_path / "logs")
+    done = box.tilth("run", str(machine), "--log", logs, "--no-zenoh", "--plain", "--seconds", "1")
+    assert "recording, " in done.stdout and "compil" not in done.stdout + done.stderr
+    assert box.setup("uninstall").returncode == 0 and not (box.root / KERNELS).exists()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_understands_the_unit_and_finds_little_exposed(name: str, tmp_path: Path) -> None:
+    for unit in UNITS:  # what they start is not here
+        text = (SYSTEM / unit).read_text()
+        (tmp_path / unit).write_text(re.sub("(?m)^ExecStart=[^ ]*", "ExecStart=/bin/true", text))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--recursive-errors=no", str(tmp_path / name)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0 and done.stderr == ""
+    score = ["systemd-analyze", "security", "--offline=true", f"--threshold={EXPOSED * 10:.0f}"]
+    done = subprocess.run([*score, str(tmp_path / name)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_unit_starts_what_the_installer_puts_there() -> None:
+    text = (SYSTEM / "tilth.service").read_text()
+    assert "ExecStart=/opt/tilth/current/bin/tilth run /etc/tilth/machine.toml" in text
+    assert "Type=notify" in text and "User=tilth" in text and "WatchdogSec=60" in text
+
+
+def test_the_installed_versions_are_those_of_the_lock_file() -> None:
+    lock = (ROOT / "uv.lock").read_text()
+    pins = [line.partition(" ;")[0] for line in (ROOT / "deploy/constraints.txt").read_text().splitlines()]
+    assert len(pins) > 30
+    for pin in pins:
+        name, _, version = pin.partition("==")
+        assert f'name = "{name}"\nversion = "{version}"' in lock, (
+            "run `python -m tilth.deploy.generate` after a change of uv.lock"
+        )
+
+
+@pytest.mark.parametrize(
+    ("properties", "condition"),
+    [
+        (
+            {"ID_SERIAL_SHORT": "0042", "ID_PATH": "pci-0"},
+            'ENV{ID_SERIAL_SHORT}=="0042", ATTR{dev_port}=="1"',
+        ),
+        ({"ID_PATH": "pci-0:usb-1.2"}, 'ENV{ID_PATH}=="pci-0:usb-1.2", ATTR{dev_port}=="1"'),
+    ],
+)
+def test_an_adapter_keeps_its_name(properties: dict[str, str], condition: str) -> None:
+    rule = adapter_rule(properties, "1", "can_tractor")
+    assert condition in rule and rule.endswith('NAME="can_tractor"\n')
+
+
+def test_an_adapter_that_nothing_tells_apart_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Failed, match="neither serial number nor path"):
+        adapter_rule({}, "0", "can_tractor")
+    for words, said in (
+        (("can0", "can7"), "the kernel gives such names itself"),
+        (("can0", "../x"), "letters, digits and underscores"),
+        (("nothing9", "can_tractor"), "no such interface"),
+    ):
+        done = Box(tmp_path, tmp_path).setup("adapter", *words)
+        assert done.returncode == 1 and said in done.stderr
+
+
+MACHINE = '[[bus]]\ninterface = "socketcan"\nchannel = "can0"\nbitrate = 500000\n'
+
+
+@pytest.mark.parametrize(
+    ("words", "text", "status", "said"),
+    [
+        (["can7"], MACHINE, 0, "can7 is no socketcan [[bus]]"),
+        (["can0"], MACHINE.replace("500000", '"fast"'), 1, "give bits per second, such as 250000"),
+        (["can0"], MACHINE.replace("500000", "0"), 1, "give bits per second"),
+        (["can0"], "[[bus", 1, "machine.toml: "),
+        (["can0"], None, 1, "no such file"),
+        (["can0"], MACHINE, 1, "can0: "),  # there is none here
+        ([], MACHINE, 2, "usage"),
+    ],
+)
+def test_what_keeps_a_bus_down_is_said(
+    words: list[str],
+    text: str | None,
+    status: int,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "machine.toml"
+    if text is not None:
+        path.write_text(text)
+    if words == ["can0"] and Path("/sys/class/net/can0").exists():
+        pytest.skip("this computer has a can0")
+    assert can_up.main([*words, str(path)]) == status
+    out, err = capsys.readouterr()
+    assert said in out + err
+
+
+def test_the_bit_rate_is_the_machine_files() -> None:
+    machine = {
+        "bus": [{"interface": "slcan", "channel": "can0"}, {"interface": "socketcan", "channel": "can0"}]
+    }
+    assert can_up.bitrate_of("can0", machine) == 250_000
+    machine["bus"][1]["bitrate"] = 500_000  # type: ignore[assignment]
+    assert can_up.bitrate_of("can0", machine) == 500_000
+    assert can_up.bitrate_of("can1", machine) is None and can_up.bitrate_of("can0", {}) is None

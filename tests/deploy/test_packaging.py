@@ -1,0 +1,62 @@
+"""The wheel holds every module and data file of the tree, and the generated files are up to date."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+from google.protobuf import descriptor_pb2
+from grpc_tools import protoc
+from paths import ROOT
+
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto import tilth_pb2
+
+FOLDERS = ("schemas", "estimator", "logger", "replay", "client", "monitor", "cli", "deploy")
+SHIPPED = {
+    ".py", ".pyi", ".proto", ".json", ".toml", ".txt", ".service", ".rules", ".sysusers", ".sysctl",
+    ".timesyncd", ".html", ".js", ".css", ".svg",
+}  # fmt: skip
+
+
+def test_the_wheel_is_complete(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    tree = {
+        f"tilth/{path.relative_to(ROOT)}"
+        for folder in FOLDERS
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in SHIPPED and "__pycache__" not in path.parts
+    }
+    assert tree - names == set()
+    assert {name for name in names if name.startswith("tilth/schemas/proto/")} >= {
+        "tilth/schemas/proto/tilth.proto"
+    }
+
+
+def test_the_generated_protobuf_module_is_that_of_the_proto_file(tmp_path: Path) -> None:
+    folder = ROOT / "schemas" / "proto"
+    target = tmp_path / "set.bin"
+    assert (
+        protoc.main(["protoc", f"-I{folder}", f"--descriptor_set_out={target}", str(folder / "tilth.proto")])
+        == 0
+    )
+    wanted = descriptor_pb2.FileDescriptorSet.FromString(target.read_bytes()).file[0]
+    shipped = descriptor_pb2.FileDescriptorProto()
+    tilth_pb2.DESCRIPTOR.CopyToProto(shipped)
+    for proto in (wanted, shipped):
+        for message in proto.message_type:
+            for field in message.field:
+                field.ClearField("json_name")
+    assert shipped == wanted, "run `python -m tilth.deploy.generate` after a change of tilth.proto"
+
+
+def test_the_shipped_json_schema_is_that_of_the_machine_file() -> None:
+    shipped = json.loads((ROOT / "schemas" / "machine.schema.json").read_text())
+    assert shipped == Machine.model_json_schema(), (
+        "run `python -m tilth.deploy.generate` after a change of it"
+    )
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_the_checkers_find_each_folder(folder: str) -> None:
+    assert (ROOT / ".typing" / "tilth" / folder).resolve() == ROOT / folder

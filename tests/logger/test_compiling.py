@@ -1,0 +1,230 @@
+"""What estimators call is compiled while frames are recorded; who calls it later finds it compiled."""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from logs import MACHINE, MACHINE_FILE
+from loopback import machine_text, records_of
+from mcap.reader import make_reader
+from paths import ROOT, SUPPORT
+
+from tilth.cli import main
+from tilth.estimator.compiled import Kernel
+from tilth.logger import compiling
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.schemas.channels import READY_TOPIC
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto.tilth_pb2 import Ready, Status
+from tilth.simulator.traffic import simulate
+
+NEEDED = """
+import gc, sys
+from dataclasses import replace
+from circle import demo_machine
+from drives import LEARNING, QUIET
+from tilth.estimator.compiled import Kernel
+from tilth.logger.compiling import is_prepared, kernels_of, prepare
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.replay.scenario import Fault
+from tilth.replay.traffic import simulate
+from tilth.schemas.flow import Mount
+
+def compiled():
+    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and one.how != "not called yet"]
+    return {one.function.__qualname__: (one.how, len(one._run.signatures)) for one in kernels}
+
+machine = demo_machine()
+estimation = machine.estimation.model_copy(update={"two_step": True})
+machine = machine.model_copy(update={"estimation": estimation})
+silent = Fault(Mount.IMPLEMENT_REAR, 20.0, 24.0, "silent")
+faults = (silent, Fault(Mount.TRACTOR_FRONT, 30.0, 30.5, "rtk_float"))
+frames = list(simulate(machine, 3, 42.0, replace(QUIET, faults=faults)))
+prepare(machine, lambda share: None)
+before = compiled()
+assert is_prepared(machine)
+assert set(before) >= {one.function.__qualname__ for one in kernels_of(machine)}, before
+assert before and all(how == "compiled and kept" for how, _ in before.values()), before
+fold = GuardedFold(machine)
+for frame in frames:
+    fold.take(frame)
+fold.renew()
+assert fold.faults == 0 and fold.poses > 190, (fold.faults, fold.poses)
+assert all(fold.estimates[method].parameters[0].age_s is not None for method in ("tracker", "pem"))
+assert compiled() == before, (compiled(), before)
+"""
+DEMO = """
+import sys
+sys.modules["asammdf"] = None  # two seconds of import for reading files
+from tilth.cli import main
+raise SystemExit(main())
+"""
+
+
+def test_what_a_drive_calls_was_prepared() -> None:
+    """Whatever the estimators do: stretches, advice, fits in place, faults. A process of its own, since here
+    others have called kernels before."""
+    command = [sys.executable, "-c", NEEDED]
+    done = subprocess.run(
+        command,
+        env={**os.environ, "PYTHONPATH": f"{SUPPORT}{os.pathsep}{ROOT / 'bench'}"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They follow from the first frame on; the estimators see nothing until they are ready."""
+
+    def never(kernel: Kernel[..., Any], *args: object) -> object:
+        raise AssertionError("a kernel was called")
+
+    monkeypatch.setattr(Kernel, "__call__", never)
+    fold = GuardedFold(MACHINE)
+    fold.ready = False
+    told = {p.topic for frame in simulate(MACHINE, 3, 12.0) for p, _ in fold.take(frame)}
+    fold.renew()
+    assert fold.faults == 0 and fold.poses > 50 and not fold.ready
+    assert "/pose" in told and not any(topic.startswith("/soil_tire") for topic in told)
+
+
+def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As numba tells it, without its work."""
+    shares: list[float] = []
+    kernels = [Kernel(one.function) for one in compiling.kernels_of(MACHINE)]
+    assert len(kernels) >= 2 and all(len(kernel.functions()) > 5 for kernel in kernels)
+
+    def call(machine: Machine, on_start: Callable[[Any], None], on_end: Callable[[Any], None]) -> None:
+        for kernel in kernels:
+            on_start(kernel.function.__code__)
+            for function in reversed(kernel.functions()):
+                on_end(function.__code__)
+            on_end(call.__code__)  # one of numba's own
+
+    monkeypatch.setattr(compiling, "kernels_of", lambda machine: kernels)
+    monkeypatch.setattr(compiling, "_call", call)
+    assert compiling.prepare(MACHINE, shares.append) > 0.0
+    assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
+    assert 0.2 < shares[len(shares) // 2] < 0.8
+    codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
+    assert len(shares) == 1 + len(codes)
+
+
+@pytest.fixture(scope="module")
+def nowhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment of a program for whose kernels there is no place: whoever runs it, root too."""
+    root = tmp_path_factory.mktemp("program")
+    (root / "tilth").mkdir()
+    for folder in (ROOT / ".typing" / "tilth").iterdir():
+        if folder.name != "estimator":
+            (root / "tilth" / folder.name).symlink_to(folder.resolve())
+    own = root / "tilth" / "estimator"
+    shutil.copytree(ROOT / "estimator", own, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in (root, own, *(room for room in own.iterdir() if room.is_dir())):
+        (folder / "__pycache__").write_text("in the way")
+    in_the_way = str(root / "__pycache__")
+    return {
+        **os.environ, "PYTHONPATH": str(root), "HOME": in_the_way, "XDG_CACHE_HOME": in_the_way,
+        "NUMBA_CACHE_DIR": in_the_way,
+    }  # fmt: skip
+
+
+def test_no_place_for_kernels_is_said_by_check(nowhere: dict[str, str], tmp_path: Path) -> None:
+    text = machine_text(tmp_path / "logs", '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "v"\n\n')
+    (tmp_path / "m.toml").write_text(text)
+    words = ["check", str(tmp_path / "m.toml"), "--seconds", "0.1"]
+    for environment, state in ((nowhere, "PROBLEM"), (dict(os.environ), "OK")):
+        done = subprocess.run(
+            [sys.executable, "-c", DEMO, *words],
+            env=environment,
+            cwd=tmp_path,
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        (line,) = [line for line in done.stdout.splitlines() if " kernels: " in line]
+        assert line.startswith(state), done.stderr
+        assert ("set NUMBA_CACHE_DIR to a folder" in line) == (state == "PROBLEM")
+
+
+def demo(environment: dict[str, str], folder: Path) -> tuple[dict[str, Any], str]:
+    """What six seconds of it say, and what it says of itself meanwhile."""
+    command = [sys.executable, "-c", DEMO, "demo", "--seconds", "6", "--json", "--no-page"]
+    done = subprocess.run(
+        [*command, "--log", str(folder)], env=environment, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    said: dict[str, Any] = json.loads(done.stdout)
+    assert said["frames_lost"] == 0 and said["poses"] >= 25 and "stamp" not in said["rejected"], said
+    return said, done.stderr
+
+
+def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
+    """From a run's start to its first frame, to when the estimators were ready, to the first estimate; nan
+    where the log has none, as where they are ready from the start."""
+    began_ns, first = 0, dict[str, int]()
+    for path in paths:
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            for record in reader.iter_metadata():
+                if record.name == "clock" and record.metadata["why"] == "start":
+                    began_ns = int(record.metadata["t_ns"])
+            for _, channel, message in reader.iter_messages(log_time_order=False):
+                name = "frame" if channel.topic.startswith("/can/") else channel.topic
+                if name != READY_TOPIC or Ready.FromString(message.data).ready:
+                    first.setdefault(name, message.log_time)
+    names = ("frame", READY_TOPIC, "/soil_tire/tracker")
+    return tuple(  # type: ignore[return-value]
+        (first[name] - began_ns) * 1e-9 if name in first else math.nan for name in names
+    )
+
+
+@pytest.mark.cold
+@pytest.mark.parametrize("kept", [True, False], ids=["kept", "nowhere"])
+def test_the_first_start_on_a_new_computer_records_from_the_first_second(
+    tmp_path: Path, nowhere: dict[str, str], kept: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    said, told = demo(own if kept else nowhere, tmp_path / "logs")
+    logs = [Path(name) for name in said["log"]]  # one, unless this computer is very busy
+    frame_s, ready_s, estimate_s = seconds_of(logs)
+    assert frame_s < 3.0 and 5.0 < ready_s <= estimate_s < ready_s + 3.0
+    assert said["duration_s"] > ready_s + 4.0  # its time counts from then
+    assert told.count("compiled: compiling kernels") == told.count("compiled: kernels were compiled for") == 1
+    assert told.count("set NUMBA_CACHE_DIR to a folder") == (not kept)
+    assert " s left" in told
+    statuses = [one for log in logs for one in records_of(log, "/status", Status)]
+    left = [one.ready_in_s for one in statuses if one.HasField("ready_in_s")]
+    assert len(left) > 1 and left[-1] < max(left) and not statuses[-1].preparing
+    assert max(one.longest_turn_s for one in statuses if one.preparing) < 2.0  # the loop is not held up
+    assert main(["replay", *said["log"], "--verify", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["verify"]["difference"] is None and again["verify"]["compared"] > said["measurements"]
+    assert all(again[key] == said[key] for key in ("frames", "measurements", "poses", "estimates"))
+    if kept:  # the second start finds them
+        said, told = demo(own, tmp_path / "logs")
+        assert "compil" not in told and seconds_of([Path(name) for name in said["log"]])[0] < 3.0
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        ([], 2, "usage: python -m tilth.logger.compiling MACHINE.toml\n"),
+        (["nowhere.toml"], 2, "nowhere.toml: the machine file cannot be read (no such file"),
+        ([str(MACHINE_FILE)], 0, ""),
+    ],
+)
+def test_it_is_a_command_too(words: list[str], status: int, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tilth.logger.compiling", *words], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == status and done.stderr.startswith(said) and bool(done.stderr) == bool(said)

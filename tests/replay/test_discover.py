@@ -1,0 +1,326 @@
+"""What is heard on a bus, and the machine file drafted from it."""
+
+import json
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from paths import ROOT
+
+from tilth.cli import WrongUse, main
+from tilth.cli.discover import parse_buses
+from tilth.replay.discover import Findings, Survey
+from tilth.replay.machine_draft import FILL_IN, draft
+from tilth.replay.wheel_search import WheelCandidate, candidates
+from tilth.schemas.flow import Frame, Mount
+from tilth.schemas.machine import Bus, Machine, parse_machine
+from tilth.simulator.tractor import Fault, Scenario
+from tilth.simulator.traffic import simulate
+
+MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
+STEER = 0x18FF0B15
+DRIVE = Scenario(steering=((3.0, 0.0), (6.0, 8.0), (6.0, -8.0)))
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return parse_machine(MACHINE.read_text())
+
+
+def _findings(frames: Iterator[Frame]) -> Findings:
+    survey = Survey()
+    for frame in frames:
+        survey.take(frame)
+    return survey.findings()
+
+
+@pytest.fixture(scope="module")
+def found(machine: Machine) -> Findings:
+    return _findings(simulate(machine, 1, 15.0, DRIVE))
+
+
+def _filled(text: str) -> str:
+    """A draft with every marked line filled in, as a person would."""
+    values = {
+        "name": '"my-rig"',
+        "interface": '"socketcan"',
+        "channel": '"can0"',
+        "bus": '"can0"',
+        "byte_order": '"big"',
+        "start_byte": "0",
+        "id": "0x18FF0B15",
+        "source": "28",
+        "manufacturer": "33",
+        "mass": "9391.0",
+        "yaw_inertia": "12000.0",
+        "scale": "0.01",
+        "offset": "-300.0",
+    }
+    mounts, places = iter(Mount), iter((1.6, -1.1, 1.3, -1.3))
+
+    def fill(line: re.Match[str]) -> str:
+        key = line[1]
+        if key == "mount":
+            return f'mount = "{next(mounts)}"'
+        if key == "position":
+            return f"position = [{next(places)}, 0.0, 3.0]"
+        return f"{key} = {values.get(key, '1.5')}"
+
+    return re.sub(rf"^(\w+) = {FILL_IN}.*$", fill, text, flags=re.MULTILINE)
+
+
+def test_sources_and_their_messages(found: Findings) -> None:
+    sources = {source.source: source for source in found.sources}
+    star_fire, compass = sources[28], sources[70]
+    assert star_fire.name == 0xA00017000421E240
+    assert (star_fire.manufacturer_name, star_fire.function) == ("John Deere", 23)
+    assert compass.manufacturer_name == "Hemisphere"
+    rates = {(m.pgn, m.selector): m.per_s for m in star_fire.messages}
+    assert rates[65267, None] == pytest.approx(5.0, abs=0.1)
+    assert rates[65535, 0xE1] == pytest.approx(5.0, abs=0.1)
+    rates = {(m.pgn, m.selector): m.per_s for m in compass.messages}
+    assert rates[129025, None] == pytest.approx(10.0, abs=0.1)
+    assert rates[129029, None] == pytest.approx(1.0, abs=0.1)  # messages, not their seven frames
+    titles = {(m.pgn, m.selector): m.title for m in star_fire.messages}
+    assert titles[65535, 0xE1] == "StarFire TCM"
+    assert titles[65535, 0x51] == "proprietary"
+    assert sources[0x2A].manufacturer_name == "John Deere"
+    assert 254 not in sources
+
+
+def test_receivers_and_the_wheel_angle(found: Findings) -> None:
+    assert {receiver.source for receiver in found.receivers} == {28, 70, 128, 129}
+    assert all(receiver.positions > 50 for receiver in found.receivers)
+    best = found.wheel_angles[0]
+    assert (best.can_id, best.start_byte, best.byte_order, best.signed) == (STEER, 0, "big", True)
+    assert best.per_s == pytest.approx(100.0, abs=1.0)
+    assert best.likely
+    assert best.highest == pytest.approx(800, abs=60)
+    assert len({c.can_id for c in found.wheel_angles}) == len(found.wheel_angles)
+
+
+def test_the_draft_parses_once_it_is_filled_in(found: Findings, machine: Machine) -> None:
+    text = draft(found, [Bus(name="can0", interface="socketcan", channel="can0")])
+    assert "FILL IN" in text
+    drafted = parse_machine(_filled(text))
+    assert {r.name for r in drafted.receiver} == {r.name for r in machine.receiver}
+    assert {r.name: r.roll_corrected for r in drafted.receiver} == {
+        r.name: r.roll_corrected for r in machine.receiver
+    }
+    assert drafted.bus == machine.bus
+    wheel = drafted.wheel_angle
+    assert (wheel.id, wheel.byte_order, wheel.start_byte, wheel.sign) == (STEER, "big", 0, 1)
+
+
+def test_nothing_is_filled_in_for_the_person(found: Findings) -> None:
+    keys = set(re.findall(rf"^(\w+) = {FILL_IN}", draft(found, []), flags=re.MULTILINE))
+    assert keys >= {"name", "a", "b", "c", "d", "e", "mass", "yaw_inertia", "cg_height", "mount", "position"}
+    assert keys >= {"scale", "interface", "channel"}
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        Scenario(claims=False),
+        Scenario(wheel_sensor=False, other_traffic=False),
+        Scenario(steering=((1.0, 0.0),)),
+        Scenario(faults=tuple(Fault(mount, 0.0, 99.0, "silent") for mount in Mount)),
+        Scenario(faults=tuple(Fault(mount, 0.0, 99.0, "not_available") for mount in Mount)),
+    ],
+    ids=["no claims", "no wheel sensor", "straight", "no receiver", "no position"],
+)
+def test_a_draft_of_little_parses_too(machine: Machine, scenario: Scenario) -> None:
+    parse_machine(_filled(draft(_findings(simulate(machine, 1, 6.0, scenario)), [])))
+
+
+def test_receivers_that_only_say_not_available_are_told_apart(machine: Machine) -> None:
+    mute = Scenario(faults=(Fault(Mount.IMPLEMENT_REAR, 0.0, 99.0, "not_available"),))
+    findings = _findings(simulate(machine, 1, 4.0, mute))
+    receivers = {r.source: (r.positions > 0, r.empty_positions > 0) for r in findings.receivers}
+    assert receivers == {28: (True, False), 128: (True, False), 70: (True, False), 129: (False, True)}
+    text = draft(findings, [])
+    assert text.count("[[receiver]]") == 3
+    assert "Source 129" in text
+
+
+def test_without_claims_the_address_stands_in_the_draft(machine: Machine) -> None:
+    findings = _findings(simulate(machine, 1, 4.0, Scenario(claims=False)))
+    assert all(source.name is None for source in findings.sources)
+    text = draft(findings, [])
+    assert "source = 128  # no address claim was heard" in text
+    assert text.count("manufacturer = " + FILL_IN) == 4
+
+
+def _words(kind: str, n: int = 600) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    t = np.arange(n) / 50.0
+    steer = 900 * np.sin(0.7 * t) + rng.normal(0, 5, n)
+    words = {
+        "wheel": steer,
+        "offset wheel": steer + 0x7D00,
+        "noise": rng.integers(0, 65536, n),
+        "counter": np.arange(n) * 3,
+        "byte counter": np.arange(n) % 256,
+        "still": np.full(n, 77),
+        "not available": np.full(n, 0xFFFF),
+    }
+    return words[kind].astype(np.int64) & 0xFFFF
+
+
+@pytest.mark.parametrize("order", ["big", "little"])
+@pytest.mark.parametrize(
+    ("kind", "signed"),
+    [
+        ("wheel", True),
+        ("offset wheel", False),
+        ("noise", None),
+        ("counter", None),
+        ("byte counter", None),
+        ("still", None),
+        ("not available", None),
+    ],
+)
+def test_what_moves_as_a_wheel_angle(kind: str, signed: bool | None, order: str) -> None:
+    data = [
+        b"\x10" + int(w).to_bytes(2, "big" if order == "big" else "little") + b"\xff" for w in _words(kind)
+    ]
+    times = [20_000_000 * k for k in range(len(data))]
+    found = sorted(candidates("can0", STEER, True, times, data, []), key=lambda c: -c.score)
+    if signed is None:
+        assert found == []
+        return
+    best = found[0]
+    assert (best.start_byte, best.byte_order, best.signed) == (1, order, signed)
+    assert best.yaw_correlation is None
+    assert not best.likely
+
+
+def test_the_one_that_turns_with_the_machine_comes_first() -> None:
+    times = [20_000_000 * k for k in range(600)]
+    yaw = [(t, 0.2 * np.sin(0.7e-9 * t - 0.1)) for t in times[::5]]
+    ours = [int(w).to_bytes(2, "big") for w in _words("wheel")]
+    mirrored = [((0x10000 - int(w)) & 0xFFFF).to_bytes(2, "big") for w in _words("wheel")]
+    slow = [(500 + int(40 * np.sin(0.05 * k))).to_bytes(2, "big") for k in range(600)]
+    best: list[WheelCandidate] = []
+    for data in (ours, mirrored, slow):
+        best += sorted(candidates("can0", STEER, True, times, data, yaw), key=lambda c: -c.score)[:1]
+    assert best[0].likely
+    assert best[1].likely
+    assert (best[0].yaw_correlation or 0.0) > 0.95
+    assert (best[1].yaw_correlation or 0.0) < -0.95
+    assert best[2].score < best[0].score
+
+
+@pytest.mark.parametrize(
+    ("given", "bus"),
+    [
+        ("socketcan:can1", Bus(name="can1", interface="socketcan", channel="can1")),
+        (
+            "slcan:/dev/ttyUSB0,bitrate=500000,sleep_after_open=0.5",
+            Bus(
+                name="can0",
+                interface="slcan",
+                channel="/dev/ttyUSB0",
+                bitrate=500_000,
+                options={"sleep_after_open": 0.5},
+            ),
+        ),
+        (
+            "socketcand:can0,host=127.0.0.1,port=29536,tcp_tune=true",
+            Bus(
+                name="can0",
+                interface="socketcand",
+                channel="can0",
+                options={"host": "127.0.0.1", "port": 29536, "tcp_tune": True},
+            ),
+        ),
+    ],
+)
+def test_buses_are_given_in_words(given: str, bus: Bus) -> None:
+    assert parse_buses([given]) == [bus]
+
+
+@pytest.mark.parametrize(
+    "given", ["can0", "socketcan:", ":can0", "socketcan:can0,listen", "socketcan:can0,bitrate=x"]
+)
+def test_a_bus_that_is_none(given: str) -> None:
+    with pytest.raises(WrongUse, match=re.escape(given)):
+        parse_buses([given])
+
+
+def _candump(frames: Iterator[Frame], path: Path) -> Path:
+    lines = [f"({f.rx_ns // 1000 / 1e6:.6f}) can0 {f.can_id:08X}#{f.data.hex().upper()}\n" for f in frames]
+    path.write_text("".join(lines))
+    return path
+
+
+def test_a_log_is_looked_into(machine: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = _candump(simulate(machine, 1, 12.0, DRIVE), tmp_path / "candump.log")
+    assert main(["discover", str(log), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["frames"] > 9000
+    assert answer["wheel_angles"][0]["id"] == STEER
+    assert {receiver["source"] for receiver in answer["receivers"]} == {28, 70, 128, 129}
+    parse_machine(_filled(answer["machine_file"]))
+    out = tmp_path / "draft.toml"
+    assert main(["discover", str(log), "--out", str(out)]) == 0
+    assert out.read_text() == answer["machine_file"]
+    shown = capsys.readouterr()
+    assert "A00017000421E240" in shown.out
+    assert str(out) in shown.err
+    assert main(["discover", str(log), "--out", str(out)]) == 2  # never overwritten
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["--bus", "virtual:x", "log.mcap"],
+        ["--bus", "no-such:x"],
+        ["--bus", "virtual:x", "--seconds", "0"],
+    ],
+)
+def test_wrong_use(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status: object = main(["discover", *words])
+    except SystemExit as left:
+        status = left.code
+    assert status == 2
+    assert capsys.readouterr().out == ""
+
+
+def test_a_bus_on_which_nothing_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["discover", "--bus", "virtual:silence", "--seconds", "0.3"]) == 1
+    assert "no frame was heard" in capsys.readouterr().err
+
+
+def test_it_listens_and_never_sends(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    done = threading.Event()
+    sent: list[can.Message] = []
+
+    def talk() -> None:
+        frames = list(simulate(machine, 1, 2.0))
+        with can.Bus(interface="virtual", channel="talk", receive_own_messages=False) as bus:
+            while not done.is_set():
+                for frame in frames:
+                    bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=True))
+                done.wait(0.1)
+            while (message := bus.recv(0)) is not None:
+                sent.append(message)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        status = main(["discover", "--bus", "virtual:talk", "--seconds", "1", "--json"])
+    finally:
+        done.set()
+        thread.join()
+    answer = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert answer["frames"] > 1000
+    assert answer["buses"] == ["talk"]
+    assert sent == []

@@ -1,0 +1,157 @@
+"""Logs for the tests of replay: written as the daemon writes them, read back whole."""
+
+import struct
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+import numpy as np
+from paths import ROOT, SHARED
+
+from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.machine_file import read_machine
+from tilth.replay.compare import IDENTICAL
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import Log, Logged
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Frame
+from tilth.schemas.proto import tilth_pb2 as pb
+
+DATA = SHARED / "data"
+MACHINE_FILE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
+MACHINE, MACHINE_TEXT = read_machine(MACHINE_FILE)
+SECOND = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND
+SECONDS = 18.0  # of the simulated run
+
+
+def some_frames(count: int, seed: int = 7) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    return [
+        Frame(
+            t_ns=START_NS + i * 1_234_000,
+            rx_ns=START_NS + i * 1_234_000 - int(rng.integers(900_000)),
+            bus=("can0", "implement")[int(rng.integers(2))],
+            can_id=int(rng.integers(1 << 29)),
+            extended=True,
+            error=False,
+            data=rng.bytes((0, 3, 8, 8, 8)[int(rng.integers(5))]),
+        )
+        for i in range(count)
+    ]
+
+
+def write_mcap(path: Path, rows: list[Frame], chunk_kilobytes: int = 1, finish: bool = True) -> Path:
+    log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
+    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), MACHINE_TEXT, Run("run", 1, START_NS))
+    for row in rows:
+        writer.frame(row)
+    if finish:
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+    return path
+
+
+def drained(path: Path) -> tuple[list[Frame], Log]:
+    log = open_log(path)
+    return [record for record in log.records if isinstance(record, Frame)], log
+
+
+def messages(count: int) -> list[can.Message]:
+    """Of two channels; every seventh is short with an 11-bit identifier."""
+    return [
+        can.Message(
+            timestamp=1_700_000_000 + i * 0.00125,
+            arbitration_id=0x18FEF300 + i % 40 if i % 7 else 0x123,
+            is_extended_id=i % 7 != 0,
+            data=bytes((i + k) % 256 for k in range(8 if i % 7 else 2)),
+            channel=i % 2,
+        )
+        for i in range(count)
+    ]
+
+
+def write_with_can(path: Path, rows: list[can.Message]) -> Path:
+    with can.Logger(str(path)) as writer:
+        for row in rows:
+            writer.on_message_received(row)
+    return path
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """A run as the daemon logs it: each frame, then what it gave; a state at the head of further parts."""
+
+    rows: list[Frame]
+    parts: list[Path]
+    results: int
+
+
+def record(folder: Path, rows: Sequence[Frame], parts: int, run: str = "r") -> Live:
+    fold = GuardedFold(MACHINE)
+    paths = []
+    results = 0
+    each = -(-len(rows) // parts)
+    for part in range(parts):
+        path = folder / f"{run}_{part + 1:03d}.mcap"
+        writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run(run, part + 1, rows[0].t_ns))
+        if part:
+            writer.snapshot(rows[part * each].t_ns, fold.renew())
+        for row in rows[part * each : (part + 1) * each]:
+            writer.frame(row)
+            for publication, data in fold.take(row):
+                writer.message(publication.topic, publication.t_ns, data)
+                results += 1
+        writer.close()
+        paths.append(path)
+    return Live(list(rows), paths, results)
+
+
+def results_of(paths: Sequence[Path], topics: frozenset[str] = IDENTICAL) -> dict[str, list[Logged]]:
+    found: dict[str, list[Logged]] = defaultdict(list)
+    for path in paths:
+        for row in open_log(path, topics).records:
+            if isinstance(row, Logged):
+                found[row.topic].append(row)
+    return dict(found)
+
+
+def altered(live: Live, folder: Path, topic: str, count: int, change: str) -> Path:
+    """The first part with result number `count` of a topic changed, left out, or there twice."""
+    path = folder / "altered.mcap"
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, 0))
+    seen = 0
+    for row in open_log(live.parts[0], IDENTICAL).records:
+        if isinstance(row, Frame):
+            writer.frame(row)
+        elif isinstance(row, Logged):
+            seen += row.topic == topic
+            hit = row.topic == topic and seen == count
+            data = row.data
+            if hit and change == "value":
+                message = CHANNEL[topic].message.FromString(data)
+                assert isinstance(message, pb.Pose)
+                message.tractor.heading += 1e-12
+                data = message.SerializeToString()
+            if not (hit and change == "missing"):
+                writer.message(row.topic, row.t_ns + (hit and change == "time"), data)
+            if hit and change == "twice":
+                writer.message(row.topic, row.t_ns, data)
+    writer.close()
+    return path
+
+
+def chunk_ends(content: bytes) -> list[int]:
+    """Where the chunks of a file end."""
+    ends, at = [], 8
+    while at < len(content) - 8:
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        at += 9 + length
+        if opcode == 6:
+            ends.append(at)
+    return ends
