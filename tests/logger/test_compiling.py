@@ -33,8 +33,8 @@ from drives import LEARNING, QUIET
 from tilth.estimator.compiled import Kernel
 from tilth.logger.compiling import is_prepared, kernels_of, prepare
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.replay.scenario import Fault
-from tilth.replay.traffic import simulate
+from tilth.simulator.scenario import Fault
+from tilth.simulator.traffic import simulate
 from tilth.schemas.flow import Mount
 
 def compiled():
