@@ -21,6 +21,11 @@ class Limits(NamedTuple):
     high: float
     usual: tuple[float, float]
     unit: str
+    least: float = 0.0  # beside 0, which says that it is exact, nothing below is possible
+
+    def impossible(self, value: float) -> bool:
+        """Whether no value of the key can be so."""
+        return not self.low <= value <= self.high or 0.0 < value < self.least
 
     @property
     def range(self) -> tuple[float, float]:
@@ -35,9 +40,9 @@ class Doubt:
     refused: bool
 
 
-def _spread(largest: float, unit: str) -> Limits:
-    """Of an sd that may be 0: exactly known."""
-    return Limits(0.0, largest, (0.0, LOOSE * largest), unit)
+def _spread(largest: float, unit: str, least: float = 0.0) -> Limits:
+    """Of an sd that may be 0: exactly known. Between 0 and `least` nobody can survey it."""
+    return Limits(0.0, largest, (0.0, LOOSE * largest), unit, least)
 
 
 LIMITS: Final[Mapping[str, Limits]] = {
@@ -46,9 +51,9 @@ LIMITS: Final[Mapping[str, Limits]] = {
     "tractor.c": Limits(0.1, 8.0, (0.5, 5.0), "m"),
     "tractor.mass": Limits(500.0, 40e3, (1e3, 32e3), "kg"),
     "tractor.yaw_inertia": Limits(100.0, 500e3, (300.0, 300e3), "kg m^2"),
-    "tractor.cg_height": Limits(0.3, 3.0, (0.5, 2.0), "m"),
-    "tractor.cg_sd": _spread(1.0, "m"),
-    "tractor.pair_yaw_sd": _spread(10.0, "deg"),
+    "tractor.cg_height": Limits(0.3, 2.0, (0.5, 1.6), "m"),
+    "tractor.cg_sd": _spread(1.0, "m", 1e-3),
+    "tractor.pair_yaw_sd": _spread(10.0, "deg", 0.01),
     "tractor.kingpin_distance": Limits(0.5, 4.0, (0.8, 3.0), "m"),
     "implement.d": Limits(0.5, 15.0, (1.0, 10.0), "m"),
     "implement.e": Limits(-2.0, 5.0, (0.0, 3.0), "m"),
@@ -56,17 +61,17 @@ LIMITS: Final[Mapping[str, Limits]] = {
     "implement.mass": Limits(100.0, 60e3, (200.0, 40e3), "kg"),
     "implement.yaw_inertia": Limits(50.0, 1e6, (100.0, 400e3), "kg m^2"),
     "implement.cg_height": Limits(0.3, 4.0, (0.4, 2.5), "m"),
-    "implement.cg_sd": _spread(1.0, "m"),
-    "implement.pair_yaw_sd": _spread(10.0, "deg"),
+    "implement.cg_sd": _spread(1.0, "m", 1e-3),
+    "implement.pair_yaw_sd": _spread(10.0, "deg", 0.01),
     "tyres.cornering_stiffness": Limits(5e3, 3e6, (10e3, 2e6), "N/rad"),
     "tyres.relaxation_length": Limits(0.05, 5.0, (0.2, 3.0), "m"),
     "tyres.log_sd": Limits(0.005, 3.0, (0.1, 1.5), "1"),
-    "receiver.survey_sd": _spread(1.0, "m"),
+    "receiver.survey_sd": _spread(1.0, "m", 1e-3),
     "receiver.position_sd": Limits(5e-4, 3.0, (0.003, 0.15), "m"),
-    "receiver.velocity_sd": Limits(5e-4, 2.5, (0.003, 0.5), "m/s"),
-    "receiver.yaw_rate_sd": Limits(1e-3, 10.0, (0.01, 3.0), "deg/s"),
-    "receiver.heading_sd": Limits(5e-3, 20.0, (0.02, 5.0), "deg"),
-    "receiver.roll_sd": Limits(5e-3, 20.0, (0.02, 5.0), "deg"),
+    "receiver.velocity_sd": Limits(2e-3, 2.5, (0.005, 0.5), "m/s"),
+    "receiver.yaw_rate_sd": Limits(0.01, 10.0, (0.02, 3.0), "deg/s"),
+    "receiver.heading_sd": Limits(0.01, 20.0, (0.02, 5.0), "deg"),
+    "receiver.roll_sd": Limits(0.01, 20.0, (0.02, 5.0), "deg"),
     "receiver.latency": Limits(0.0, 2.0, (0.0, 0.6), "s"),
     "receiver.latency.sd": _spread(1.0, "s"),
     "wheel_angle.zero": Limits(-360.0, 360.0, (-15.0, 15.0), "deg"),
@@ -110,16 +115,17 @@ MOST_MEANT: Final = 2
 def judged(name: str, key: str, value: float) -> Doubt | None:
     """Of one value against the row of its key. name: of the key, as the person who reads it knows it."""
     row = LIMITS[key]
-    fine = row.usual[0] <= value <= row.usual[1]
+    fine = row.usual[0] <= value <= row.usual[1] and not row.impossible(value)
     return None if fine else doubt_of(name, value, row)
 
 
 def doubt_of(name: str, value: float, row: Limits) -> Doubt:
     """Of a value that is not usual."""
-    refused = not row.low <= value <= row.high
+    refused = row.impossible(value)
     said = f"{name} = {shown(value, row.unit)}: "
     if refused:
-        said += f"must be from {row.low:g} to {row.high:g}"
+        least = f"0 (exactly known) or from {row.least:g}" if row.least else f"from {row.low:g}"
+        said += f"must be {least} to {row.high:g}"
     else:
         said += f"rare, {row.usual[0]:g} to {row.usual[1]:g} is usual; check it"
 

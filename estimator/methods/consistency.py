@@ -46,7 +46,7 @@ WATCHED: Final = 100
 TOLD: Final = 40  # stretches with steering (8 s) before the filter with the file left open is believed
 LATENCIES: Final = 30.0  # chi-square of three differences of latency
 PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
-HEARD: Final = 25  # poses of that
+HEARD: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
 
 EDGE: Final = 4.5  # of what a right file may differ by
 

@@ -2,7 +2,8 @@
 
 Without slip the wheels of a tractor that turns at yaw rate r at speed u stand at atan((a + b) r / u).
 Slip changes that by a third at the most; what is off by a factor of three, or goes the other way, is wrong in
-the machine file. What is off by less is found by open_tracker.
+the machine file. What is off by less is found by open_tracker. Both are smoothed alike: in a fast chirp the
+yaw rate lags by as much as a quarter of a wave, and says nothing of sign or scale.
 """
 
 import math
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 
 SLOWEST: Final = 1.5  # m/s
 MEMORY: Final = 100.0  # poses (20 s)
+SMOOTH: Final = 10.0  # poses (2 s), time constant
 ENOUGH: Final = 25.0  # poses
 TURNING: Final = math.radians(1.0)  # sd of either angle from which on they tell
 AGREES: Final = 0.7  # correlation
@@ -33,6 +35,7 @@ DEGREES: Final = (20.0, 160.0)  # a factor near 57.3: degrees and radians were t
 class WheelCheck:
     """Moments of (angle without slip, reading), rad, over the last MEMORY poses. Plain data."""
 
+    smooth: Array = field(default_factory=lambda: np.zeros(2))
     weight: float = 0.0
     mean: Array = field(default_factory=lambda: np.zeros(2))
     square: Array = field(default_factory=lambda: np.zeros((2, 2)))
@@ -45,11 +48,12 @@ def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
         return
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
     sample = np.array([math.atan(wheelbase * r / u), reading])
+    state.smooth += (sample - state.smooth) / SMOOTH
     keep = 1.0 - 1.0 / MEMORY
     state.weight = keep * state.weight + 1.0
-    off = sample - state.mean
+    off = state.smooth - state.mean
     state.mean += off / state.weight
-    state.square = keep * state.square + np.outer(off, sample - state.mean)
+    state.square = keep * state.square + np.outer(off, state.smooth - state.mean)
 
 
 def verdict(state: WheelCheck) -> tuple[str, str]:

@@ -146,6 +146,9 @@ SAID = [
     (CART, "position = [6.30, 0.0, 3.1]", "forward = 6.3 m: must be from -15.1 to 4.62"),
     (CART, "position = [1.30, 45.0, 3.1]", "implement_front: position, right = 45 m"),
     ("roll_corrected = true", "roll_corrected = true\nlatency = 100", "did you mean 0.1 (100 ms)?"),
+    ("roll_corrected = true", "yaw_rate_sd = 0.00524", "did you mean 0.3002 (0.00524 rad/s)?"),
+    ("cg_height = 1.1", "cg_height = 2.2", "tractor.cg_height = 2.2 m: must be from 0.3 to 2"),
+    ("e = 0.1", "e = 0.1\ncg_sd = 0.0004", "must be 0 (exactly known) or from 0.001 to 1"),
     ("roll_corrected = true", "position_sd = 25", "from 0.0005 to 3; did you mean 0.025 (25 mm)"),
     (LIGHT, HEAVY, "the tractor's front axle would stand off the ground"),
     ("d = 3.62\ne = 0.1", "d = 0.6\ne = -0.5", "its axle would stand at the hitch or ahead of it"),
@@ -181,7 +184,6 @@ RARE = [
     ("log_sd = 0.7", "log_sd = 0.05", "tyres.front.log_sd = 0.05: rare, 0.1 to 1.5 is usual; check it"),
     ("scale = 0.01", "scale = 0.0005", "tell -16.38 to 16.38 deg, rarely enough for a wheel"),
     ("e = 0.1", "e = -0.1", "implement.e = -0.1 m: rare"),
-    ("roll_corrected = true", "yaw_rate_sd = 0.00524", "did you mean 0.3002 (0.00524 rad/s)?"),
     (FRONT, "position = [-1.20, 0.9, 2.9]", "stands behind tractor_rear"),
 ]
 
