@@ -463,7 +463,7 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
     raw["implement"]["mass"] = {"value": 2127.0 * load, "sd": 200.0}
     raw["implement"]["yaw_inertia"] = 6402.0 * load
     machine = parse_machine(text_of(raw))
-    state, began, confirmed_s = fold.initial(machine), 0, math.nan
+    state, began, confirmed_s, withheld_s, last_ns = fold.initial(machine), 0, math.nan, 0.0, 0
     events: list[tuple[float, str]] = []
     for frame in simulate(machine, scenario.seed, seconds, scenario):
         began = began or frame.t_ns
@@ -471,11 +471,17 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
         fold.ask(state, frame.t_ns)
         if state.consistency.confirmed and math.isnan(confirmed_s):
             confirmed_s = (frame.t_ns - began) * 1e-9
+        if not state.consistency.confirmed and math.isfinite(confirmed_s):
+            withheld_s += (frame.t_ns - last_ns) * 1e-9
+        last_ns = frame.t_ns
         events += [
             ((p.t_ns - began) * 1e-9, p.value.text)
             for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION
         ]  # fmt: skip
-    return {"run": name, "seconds": seconds, "confirmed_s": confirmed_s, "events": events}
+    return {
+        "run": name, "seconds": seconds, "confirmed_s": confirmed_s, "withheld_s": withheld_s,
+        "events": events,
+    }  # fmt: skip
 
 
 # The table.
@@ -531,6 +537,12 @@ def summary_right(path: Path) -> None:
         print(
             f"confirmed in {len(sure)} of them, after {sure[len(sure) // 2]:.0f} s (median), "
             f"{sure[-1]:.0f} s at most"
+        )
+        after = sum(
+            line["seconds"] - line["confirmed_s"] for line in lines if math.isfinite(line["confirmed_s"])
+        )
+        print(
+            f"then withheld for {100 * sum(line['withheld_s'] for line in lines) / after:.2f} % of the time"
         )
     for line in wrong:
         print(f"  {line['run']}: {line['events'][0]}")

@@ -36,6 +36,8 @@ REFUSED: Final = "the data contradict the machine file"
 BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
 BEGINS_TOTAL: Final = 90.0  # of all of them
 ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
+SETTLES: Final = 40  # poses (8 s) in a row without doubt before the file counts as confirmed
+DOUBTED: Final = 60  # poses (12 s) in a row with doubt after which it does no longer
 LASTS: Final = 5  # poses (1 s) in a row before it is said
 LASTS_OPEN: Final = 40  # poses (8 s), of what the open filter says: other soil looks like it for seconds
 OVER: Final = 50  # poses (10 s) in a row without it before it is over
@@ -91,6 +93,7 @@ class Consistency:
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
     lacks: str = "nothing has been driven yet"  # what keeps it from being confirmed
+    agreed: int = 0  # poses in a row in which the open filter agrees with the file; below 0: in which not
     rates_known: bool = False  # whether turn rates lag: smoothed ones would make lengths look wrong
     rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -348,7 +351,7 @@ def _judge(
             if finding.said:
                 events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
                 state.forgets |= finding.lasted - OVER >= FORGETS
-    if not state.confirmed and not any(f.said for f in state.findings.values()):
+    if not any(f.said for f in state.findings.values()):
         _confirm(state, machine)
     return events
 
@@ -361,13 +364,25 @@ def _try_again(state: Consistency, machine: Machine, key: str) -> None:
 
 
 def _confirm(state: Consistency, machine: Machine) -> None:
-    wide = open_tracker.still_open(state.open)
+    """Whether driving has shown that the file is right; what is doubted for long is withheld without alarm."""
     now = open_tracker.misfit(state.open, machine)
     fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
-    if not wide and not fits:
-        wide = [open_tracker.NAMES[int(np.argmax(now.by_name))]]
+    state.agreed = max(state.agreed, 0) + 1 if fits else min(state.agreed, 0) - 1
+    if state.confirmed:
+        state.confirmed = state.agreed > -DOUBTED
+        state.lacks = _doubt(now)
+        return
+    wide = open_tracker.still_open(now)
     known = state.rates_known and not motion_check.waits(state.motion)
-    state.confirmed = not wide and len(state.rows) >= TOLD and known
+    state.confirmed = not wide and state.agreed >= SETTLES and len(state.rows) >= TOLD and known
     state.accused &= not state.confirmed
+    if not wide and not fits:
+        state.lacks = _doubt(now)
+        return
     keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates and rolls"
     state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"
+
+
+def _doubt(now: Misfit) -> str:
+    key = _KEYS[open_tracker.NAMES[int(np.argmax(now.by_name))]]
+    return f"driving does not agree well with the machine file ({key}?): drive on, steer to both sides"
