@@ -364,7 +364,7 @@ def _try_again(state: Consistency, machine: Machine, key: str) -> None:
 
 
 def _confirm(state: Consistency, machine: Machine) -> None:
-    """Whether driving has shown that the file is right; what is doubted for long is withheld without alarm."""
+    """Whether driving has shown that the file is right; what is doubted for long is withheld again."""
     now = open_tracker.misfit(state.open, machine)
     fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
     state.agreed = max(state.agreed, 0) + 1 if fits else min(state.agreed, 0) - 1
