@@ -11,6 +11,7 @@ import re
 import select
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -38,6 +39,7 @@ COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer th
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
 ENDING_S: Final = 30.0  # longest wait for it to end
+IN_FLIGHT_S: Final = 5.0  # longest wait for what it sent last
 TICK_S: Final = 0.1
 
 
@@ -107,7 +109,7 @@ def run_demo(
             log_folder=log_folder,
             prefix_suffix=SIMULATED,
             status=timed,
-            stop=lambda: player.finished(stop() or (timed.over and not kept)),
+            stop=lambda: player.finished(stop() or (timed.over and not kept), timed.frames),
         )
     if player.sent is None:
         files = " ".join(str(path) for path in summary.log_files)
@@ -120,11 +122,13 @@ class _Timed(Display):
 
     def __init__(self, display: Display, seconds: float) -> None:
         self.over = False
+        self.frames = 0  # taken by the daemon, by its last status
         self._display = display
         self._seconds = seconds
         self._ready_ns = 0
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        self.frames = status.frames
         if status.t_ns and not status.preparing:
             self._ready_ns = self._ready_ns or status.t_ns
             self.over = status.t_ns - self._ready_ns >= self._seconds * 1e9
@@ -160,7 +164,7 @@ class Player:
     ) -> None:
         """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
         self.sent: int | None = None  # frames, as soon as it says so
-        self._ended = False
+        self._ended_s: float | None = None
         self._told_to_stop = False
         # A session of its own: Ctrl-C in the terminal is for the daemon, which then ends the player.
         self._process = subprocess.Popen(
@@ -194,17 +198,19 @@ class Player:
             "the simulator did not start; run `python -m tilth.simulator.socketcand_server` to see why"
         )
 
-    def finished(self, early: bool) -> bool:
-        """True when all is played and so has been received; early: play no further."""
+    def finished(self, early: bool, taken: int) -> bool:
+        """True when all is played and so many frames have been taken; early: play no further."""
         if early and not self._told_to_stop:
             self._told_to_stop = True
             self._order({"stop": True})
-        if not self._ended:
+        if self._ended_s is None:
             answer = self._answer(0.0)
-            self._ended = answer is not None or self._process.poll() is not None
+            if answer is not None or self._process.poll() is not None:
+                self._ended_s = time.monotonic()
             self.sent = answer["sent"] if answer is not None else None
-            return False  # once more round: what was sent last is still to be read
-        return True
+            return False
+        # What was sent last may still be on its way, on a busy computer for a second or two.
+        return taken >= (self.sent or 0) or time.monotonic() > self._ended_s + IN_FLIGHT_S
 
     def close(self) -> None:
         if self._process.stdin is not None:
