@@ -13,6 +13,7 @@ from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.unread import tell_unread
+from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.any_log import open_log
@@ -48,11 +49,10 @@ class _Decoding:
         """Know what the daemon knew when it stored its state: who has which address."""
         if stored.machine_sha256 != self.sha256:
             return
-        decoder = Decoder(self.machine)
         try:
-            decoder.load(json.loads(stored.state_json)["decoder"])
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            _say(f"{log.path}: its stored state is of another version ({error}); going on without it")
+            decoder = restore_decoder(self.machine, stored.state_json)
+        except NotRestorable as why_not:
+            _say(f"{log.path}: its stored state is not used: {why_not}; going on without it")
             return
         self.close_counts()
         self.decoder = decoder

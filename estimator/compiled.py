@@ -3,28 +3,32 @@
 A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of this layer and
 of schemas by their bare names, which are compiled with it, so that an equation is written once for both
 worlds. numba is imported at the first call of a kernel and not before: who needs none does not pay for it.
-Compiled code is kept on disk under a name that holds a digest of all the functions in it.
+Compiled code is kept on disk under a name that holds a digest of all that is compiled into it
+(kernel_digest.py); a kernel that reads what cannot be part of the digest is refused at its first call.
 """
 
-import hashlib
+import importlib.util
 from collections.abc import Callable
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar
+
+from tilth.estimator import kernel_digest
+from tilth.estimator.kernel_digest import KernelFunction, called
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-LAYERS = ("tilth.schemas", "tilth.estimator")
+Finish = Callable[[FunctionType, FunctionType], Any]  # (linked function, function as written)
 
 
-class Kernel(Generic[P, R]):
+class Kernel(KernelFunction, Generic[P, R]):
     """A function that compiles itself when it is first called. `how` says what became of it."""
 
-    __slots__ = ("_run", "function", "how")
+    __slots__ = ("_run", "how")
 
     def __init__(self, function: Callable[P, R]) -> None:
         assert isinstance(function, FunctionType)
-        self.function: FunctionType = function
+        super().__init__(function)
         self.how = "not called yet"  # then "compiled and kept", "compiled" or "interpreted: <reason>"
         self._run: Callable[P, R] | None = None
 
@@ -37,25 +41,38 @@ class Kernel(Generic[P, R]):
     def functions(self) -> list[FunctionType]:
         """All that is compiled with it, itself included."""
         made: dict[FunctionType, Any] = {}
-        _linked(self.function, made, lambda linked: linked)
+        _linked(self.function, made, lambda linked, written: linked)
         return list(made)
 
     def plain(self) -> Callable[P, R]:
         """The same equations, interpreted."""
-        made: dict[FunctionType, Any] = {}
-        run: Callable[P, R] = _linked(self.function, made, lambda linked: linked)
+        run: Callable[P, R] = _linked(self.function, {}, lambda linked, written: linked)
         return run
 
     def _compile(self, args: tuple[Any, ...]) -> Callable[P, R]:
-        """Compiled for arguments of these types, kept on disk if there is a place; else interpreted."""
+        """Compiled for arguments of these types, kept on disk if there is a place; else interpreted.
+
+        Raises NotDigestible, also where numba is absent: a mistake in a kernel shows on every computer.
+        """
+        kernel_digest.check_arguments(self.function, args)
+        known = kernel_digest.readings(self.function)
         try:
             import numba
+            import numpy
         except (ImportError, OSError) as error:
             self.how = f"interpreted: {error}"
             return self.plain()
+        versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER))
         for how, keep in (("compiled and kept", True), ("compiled", False)):
+            compiler = numba.njit(cache=keep)
+
+            def finish(linked: FunctionType, written: FunctionType, compiler: Any = compiler) -> Any:
+                digest = kernel_digest.digest(written, known, versions)
+                linked.__qualname__ = f"{written.__qualname__}-{digest}"
+                return compiler(linked)
+
             try:
-                run = _linked(self.function, {}, numba.njit(cache=keep))
+                run = _linked(self.function, {}, finish)
                 run.compile(tuple(map(numba.typeof, args)))
             except Exception as error:  # whatever a compiler may say: the equations can still be interpreted
                 self.how = f"interpreted: {type(error).__name__} {str(error)[:200]}"
@@ -71,37 +88,15 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     return Kernel(function)
 
 
-def _linked(
-    function: FunctionType, made: dict[FunctionType, Any], finish: Callable[[FunctionType], Any]
-) -> Any:
-    """`finish` of the function, after each function of LAYERS that it calls was replaced by the same."""
+def _linked(function: FunctionType, made: dict[FunctionType, Any], finish: Finish) -> Any:
+    """`finish` of the function, after each function that it calls was replaced by the same."""
     if function not in made:
         scope = dict(function.__globals__)
-        for name, inner in _called(function).items():
+        for name, inner in called(function).items():
             scope[name] = _linked(inner, made, finish)
         linked = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
+        linked.__kwdefaults__ = function.__kwdefaults__
         linked.__module__ = function.__module__
-        linked.__qualname__ = f"{function.__qualname__}-{_digest(function)}"
-        made[function] = finish(linked)
+        linked.__qualname__ = function.__qualname__
+        made[function] = finish(linked, function)
     return made[function]
-
-
-def _called(function: FunctionType) -> dict[str, FunctionType]:
-    """The functions of LAYERS that a function names."""
-    found = {}
-    for name in function.__code__.co_names:
-        value = function.__globals__.get(name)
-        inner = value.function if isinstance(value, Kernel) else value
-        if isinstance(inner, FunctionType) and inner.__module__.startswith(LAYERS):
-            found[name] = inner
-    return found
-
-
-def _digest(function: FunctionType) -> str:
-    """Of what a function does: its code, the constants it names, and so on with all that it calls."""
-    called, code = _called(function), function.__code__
-    globals_ = [function.__globals__.get(name) for name in code.co_names if name not in called]
-    constants = [c for c in (*globals_, *code.co_consts) if isinstance(c, (bool, int, float, str, tuple))]
-    text = repr([code.co_code, code.co_names, [c for c in constants if not isinstance(c, CodeType)]])
-    text += "".join(_digest(called[name]) for name in sorted(called))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

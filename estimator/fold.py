@@ -4,7 +4,6 @@ Nothing here may ask whether it runs live: the result is a function of the machi
 their order.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -26,7 +25,6 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.state_json import from_plain, to_plain
 from tilth.estimator.warm_start import Kept
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -110,7 +108,7 @@ def initial(machine: Machine) -> State:
         machine, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
         consistency.initial(machine), estimators,
     )  # fmt: skip
-    state.estimates = _estimates_now(state)
+    state.estimates = estimates_now(state)
     return state
 
 
@@ -136,10 +134,10 @@ def _learn_anew(state: State, t_ns: int) -> None:
     state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
     elapsed_s = max(0, t_ns - state.kept_ns) * 1e-9
     warm_start.warm(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
-    state.estimates = _estimates_now(state)
+    state.estimates = estimates_now(state)
 
 
-def _estimates_now(state: State) -> dict[str, Estimate]:
+def estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> what can be said at this moment; "recommended" beside them."""
     now = {
         row.method: consistency.withheld(
@@ -351,42 +349,3 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
         row.clock_stepped(state.estimators[row.method], by_ns)
     text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
     out.append(Publication(t_ns, "/event", Event(t_ns, "clock_step", text)))
-
-
-_REBUILT = frozenset({"machine", "decoder", "estimators", "estimates"})
-
-
-def snapshot(state: State) -> str:
-    """The state as JSON text: `restore(machine, snapshot(s))` goes on exactly as `s` would."""
-    plain = to_plain(state, skip=_REBUILT)
-    plain["decoder"] = state.decoder.dump()
-    plain["estimators"] = {method: to_plain(own) for method, own in state.estimators.items()}
-    return json.dumps(plain, separators=(",", ":"))
-
-
-def restore(machine: Machine, text: str) -> State:
-    """The state that `snapshot` wrote. Raises ValueError where the text is not such a state."""
-    plain = json.loads(text)
-    if not isinstance(plain, dict) or "decoder" not in plain:
-        raise ValueError("this is no stored state of the fold")
-    decoder = Decoder(machine)
-    try:
-        decoder.load(plain.pop("decoder"))
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"this is no stored state of the decoder: {error}") from None
-    stored = plain.pop("estimators", {})
-    estimators = {
-        row.method: from_plain(row.state, stored[row.method])
-        if row.method in stored  # else the machine file that is replayed with asks for more
-        else row.initial(machine)
-        for row in rows_for(machine)
-    }
-    given = {
-        "machine": machine, "decoder": decoder, "estimators": estimators, "estimates": {},
-    }  # fmt: skip
-    state = from_plain(State, plain, given)
-    assert isinstance(state, State)
-    if set(state.aligner.tracks) != {receiver.mount.value for receiver in machine.receiver}:
-        raise ValueError("this stored state is of a machine with other receivers")
-    state.estimates = _estimates_now(state)
-    return state

@@ -5,7 +5,6 @@ is (1 − w) times the prior's and w times what was kept, and the information ve
 definite since both are, and goes from the one to the other.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -14,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.methods.estimators import Memory, rows_for
+from tilth.estimator.methods.learned import Learned
+from tilth.estimator.state_json import Stored, to_plain
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -31,6 +32,30 @@ class Kept:
     age_s: float  # since data last informed it, when it was kept
     counts: dict[str, float]
 
+    def to_json(self) -> dict[str, Any]:
+        """For the file between two runs."""
+        return {
+            "names": list(self.names),
+            "mean": to_plain(self.mean),
+            "covariance": to_plain(self.covariance),
+            "age_s": self.age_s,
+            "counts": self.counts,
+        }
+
+    @classmethod
+    def from_json(cls, plain: Any) -> "Kept":
+        """What `to_json` gave. Raises ValueError."""
+        stored = Stored(plain, "what was kept")
+        kept = cls(
+            tuple(stored.value(list[str], "names")),
+            stored.array("mean", -1),
+            stored.array("covariance", -1, -1),
+            stored.value(float, "age_s"),
+            stored.value(dict[str, float], "counts"),
+        )
+        stored.end()
+        return kept
+
 
 def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, Kept]:
     """Method -> what it has learned by t_ns; only methods that have learned something.
@@ -42,13 +67,9 @@ def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str
         memory, own = row.memory, estimators[row.method]
         if memory is None or not own.informed_ns:
             continue
-        kept[row.method] = Kept(
-            memory.names,
-            getattr(own, memory.mean).copy(),
-            getattr(own, memory.covariance).copy(),
-            max(t_ns - own.informed_ns, 0) * 1e-9,
-            {name: float(getattr(own, name)) for name in memory.counts},
-        )
+        learned = memory.learned(own)
+        age_s = max(t_ns - own.informed_ns, 0) * 1e-9
+        kept[row.method] = Kept(memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts))
     return kept
 
 
@@ -65,15 +86,16 @@ def warm(
         if row.memory is None or before is None:
             continue
         own = estimators[row.method]
-        told[row.method] = _why_not(row.memory, own, before)
+        fresh = row.memory.learned(own)
+        told[row.method] = _why_not(row.memory, fresh, before)
         if not told[row.method]:
-            _take(row.memory, own, before, elapsed_s)
+            row.memory.resume(own, _faded(row.memory, fresh, before, elapsed_s))
             own.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
     return told
 
 
-def _why_not(memory: Memory, own: Any, kept: Kept) -> str:
-    prior = getattr(own, memory.covariance)
+def _why_not(memory: Memory, fresh: Learned, kept: Kept) -> str:
+    prior = fresh.covariance
     active = np.diag(prior) > 0.0
     if (kept.names, kept.mean.shape, kept.covariance.shape) != (memory.names, prior.shape[:1], prior.shape):
         return "it is of another version"
@@ -82,14 +104,14 @@ def _why_not(memory: Memory, own: Any, kept: Kept) -> str:
     block = kept.covariance[np.ix_(active, active)]
     if not np.allclose(block, block.T, atol=1e-9) or np.linalg.eigvalsh(block)[0] <= 0.0:
         return "its covariance is none"
-    if any(name not in kept.counts for name in memory.counts) or not kept.age_s >= 0.0:
+    if any(name not in kept.counts for name in fresh.counts) or not kept.age_s >= 0.0:
         return "a part of it is missing"
     return ""
 
 
-def _take(memory: Memory, own: Any, kept: Kept, elapsed_s: float) -> None:
-    """Fade what was kept towards the prior, which the fresh state holds, and put it in the prior's place."""
-    prior_mean, prior = getattr(own, memory.mean), getattr(own, memory.covariance)
+def _faded(memory: Memory, fresh: Learned, kept: Kept, elapsed_s: float) -> Learned:
+    """What was kept, elapsed_s older: nearer to the prior, which a fresh state holds."""
+    prior_mean, prior = fresh.mean, fresh.covariance
     active = np.flatnonzero(np.diag(prior) > 0.0)
     mean, covariance = kept.mean.copy(), kept.covariance.copy()
     for name in memory.passing:
@@ -106,8 +128,4 @@ def _take(memory: Memory, own: Any, kept: Kept, elapsed_s: float) -> None:
     new_mean, new = prior_mean.copy(), prior.copy()
     new_mean[active] = faded @ vector
     new[at] = (faded + faded.T) / 2.0
-    setattr(own, memory.mean, new_mean)
-    setattr(own, memory.covariance, new)
-    for name in memory.counts:
-        kind = type(getattr(own, name))
-        setattr(own, name, kind(kept.counts[name]) if math.isfinite(kept.counts[name]) else kind())
+    return Learned(new_mean, new, kept.counts)

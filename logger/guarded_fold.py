@@ -16,12 +16,11 @@ from tilth.estimator.fold import (
     initial,
     keep,
     pending,
-    restore,
-    snapshot,
     step,
 )
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
+from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import Kept
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
@@ -51,7 +50,7 @@ class GuardedFold:
     """`take` never raises. After a fault the estimates are published as invalid and the state starts anew."""
 
     def __init__(self, machine: Machine, state_json: str | None = None, fitter: Fitter | None = None) -> None:
-        """The fold before the first frame, or as `renew` wrote it. Raises ValueError for another's text.
+        """The fold before the first frame, or as `renew` wrote it. Raises NotRestorable for another's text.
 
         fitter: makes the fits that are asked for; None: at once, here.
         """

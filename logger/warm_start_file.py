@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.estimator.state_json import from_plain, to_plain
 from tilth.estimator.warm_start import Kept
 from tilth.schemas.machine import Machine
 
@@ -38,7 +37,7 @@ def text_of(machine: Machine, kept: dict[str, Kept], utc_ns: int) -> str:
         "machine": machine.name,
         "utc_ns": utc_ns,
         "sections": _digests(machine),
-        "methods": {method: to_plain(one) for method, one in kept.items()},
+        "methods": {method: one.to_json() for method, one in kept.items()},
     }
     return json.dumps(plain, indent=1)
 
@@ -66,7 +65,7 @@ def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], fl
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
-        kept = {method: from_plain(Kept, one) for method, one in plain["methods"].items()}
+        kept = {method: Kept.from_json(one) for method, one in plain["methods"].items()}
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None

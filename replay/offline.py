@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
+from tilth.estimator.snapshot import NotRestorable
 from tilth.logger.fitting import Retold
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
@@ -264,15 +265,24 @@ class _Run:
         """Go on from a stored state, as the daemon did that stored it."""
         if stored.machine_sha256 != self._sha256:
             if not self._told_other:
-                self._say(f"{log.path}: its stored state is of another machine file; going on without it")
+                self._refuse(log, stored, "it is of another machine file")
             self._told_other = True
             return
         try:
             fold = GuardedFold(self._machine, stored.state_json, self.fitter)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            self._say(f"{log.path}: its stored state is of another version ({error}); going on without it")
+        except NotRestorable as why_not:
+            self._refuse(log, stored, str(why_not))
             return
         self._go_on_with(fold, stored.t_ns, stored.state_json)
+
+    def _refuse(self, log: Log, stored: Snapshot, reason: str) -> None:
+        """Go on without a stored state, and say so: to the person here, and among the events."""
+        text = f"its stored state is not used: {reason}; going on without it"
+        self._say(f"{log.path}: {text}")
+        event = Publication(
+            stored.t_ns, "/event", Event(stored.t_ns, "stored_state", f"{log.path.name}: {text}")
+        )
+        self._put([(event, payload(event))])
 
     def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:
         self.close_counts()

@@ -1,7 +1,8 @@
 """The estimators, one row each: an extension point. Tests run over every row.
 
-A row's functions share a state of their own type, which must be plain data (estimator/state_json.py): it is
-stored with the log and taken up again. A row with `fitting` asks for fits, which are made outside the fold.
+A row's functions share a state of their own type. It is stored with the log and taken up again: `to_json`
+writes all of it, `from_json` reads it back. A row with `fitting` asks for fits, which are made outside the
+fold.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,9 @@ from typing import Any
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import unknowns
-from tilth.estimator.methods import pem, steady_state, tracker, two_step
+from tilth.estimator.methods import learned, pem, steady_state, stored_state, tracker, two_step
+from tilth.estimator.methods.learned import Learned
+from tilth.estimator.methods.stored_state import Json
 from tilth.estimator.record.record import Stretch
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
@@ -29,20 +32,20 @@ class Fitting:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What of a row's state goes on in the next run: attributes of the state, besides `informed_ns`."""
+    """What of a row's state goes on in the next run, besides `informed_ns`."""
 
     names: tuple[str, ...]  # of what the vector holds
-    mean: str
-    covariance: str
     passing: tuple[str, ...]  # names that begin anew with each run
-    counts: tuple[str, ...]  # numbers that go on
+    learned: Callable[[Any], Learned]  # of a state
+    resume: Callable[[Any, Learned], None]  # changes the state, which is fresh
 
 
 @dataclass(frozen=True, slots=True)
 class Estimator:
     method: str  # published on /soil_tire/<method>
-    state: type
     initial: Callable[[Machine], Any]
+    to_json: Callable[[Any], Json]  # the whole state
+    from_json: Callable[[Any], Any]  # the state; raises ValueError where it is not what `to_json` gave
     take: Callable[
         [Any, Machine, Pose, Stretch | None], Estimate | None
     ]  # changes the state; an estimate when one is due
@@ -61,41 +64,47 @@ class Estimator:
 ESTIMATORS: tuple[Estimator, ...] = (
     Estimator(
         steady_state.METHOD,
-        steady_state.SteadyState,
         steady_state.initial,
+        stored_state.steady_state_json,
+        stored_state.steady_state_of,
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
         steady_state.events,
-        memory=Memory(steady_state.STATES, "x", "p", ("slow_t", "slow_i"), ("steady_s", "sideslip_s")),
+        memory=Memory(
+            steady_state.STATES, ("slow_t", "slow_i"), learned.of_steady_state, learned.into_steady_state
+        ),
     ),
     Estimator(
         tracker.METHOD,
-        tracker.TrackerState,
         tracker.initial,
+        stored_state.tracker_json,
+        stored_state.tracker_of,
         tracker.take,
         tracker.estimate,
         tracker.clock_stepped,
         tracker.events,
-        memory=Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("window_s", "distance")),
+        memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_tracker, learned.into_tracker),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
     ),
     Estimator(
         pem.METHOD,
-        pem.PemState,
         pem.initial,
+        stored_state.pem_json,
+        stored_state.pem_of,
         pem.take,
         pem.estimate,
         pem.clock_stepped,
         pem.events,
         Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
-        Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("fits", "window_s")),
+        Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
         two_step.METHOD,
-        two_step.TwoStepState,
         two_step.initial,
+        stored_state.two_step_json,
+        stored_state.two_step_of,
         two_step.take,
         two_step.estimate,
         two_step.clock_stepped,

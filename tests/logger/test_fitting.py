@@ -16,6 +16,7 @@ from logs import Live, results_of
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
+from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_plain
 from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
@@ -331,14 +332,19 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     assert asked is not None and own.closed is None
 
 
-def test_a_state_stored_before_fits_could_be_awaited_is_taken_up() -> None:
+def test_a_state_in_which_fits_could_not_be_awaited_is_refused_with_a_reason() -> None:
     fold = GuardedFold(MACHINE)
     for row in driven()[:2000]:
         fold.take(row)
     plain = json.loads(fold.renew())
-    del plain["ready"], plain["estimators"]["pem"]["late_ns"], plain["estimators"]["pem_two_step"]["late_ns"]
     again = GuardedFold(MACHINE, json.dumps(plain))
     assert again.renew() == fold.renew()
+    del plain["estimators"]["pem"]["late_ns"]
+    with pytest.raises(NotRestorable, match="the state of pem lacks late_ns"):
+        GuardedFold(MACHINE, json.dumps(plain))
+    del plain["version"]
+    with pytest.raises(NotRestorable, match="another version"):
+        GuardedFold(MACHINE, json.dumps(plain))
 
 
 @pytest.fixture(scope="module")

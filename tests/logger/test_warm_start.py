@@ -16,7 +16,8 @@ from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import go_on, keep
 from tilth.estimator.methods import pem, steady_state, tracker
-from tilth.estimator.methods.estimators import ESTIMATORS
+from tilth.estimator.methods.estimators import ESTIMATORS, ROW
+from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
@@ -39,16 +40,14 @@ VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-warm"
 def teach(state: fold.State, informed_ns: int) -> None:
     """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
-    for method, mean, covariance, scale in (
-        (pem.METHOD, "mean", "covariance", 0.1),
-        (tracker.METHOD, "mean", "covariance", 0.1),
-        (steady_state.METHOD, "x", "p", 0.1),
-    ):
-        own: Any = state.estimators[method]
-        sd = np.sqrt(np.diag(getattr(own, covariance)))
-        root = scale * sd[:, None] * rng.normal(size=(len(sd), len(sd))) / np.sqrt(len(sd))
-        setattr(own, covariance, root @ root.T + np.diag((0.1 * scale * sd) ** 2))
-        setattr(own, mean, getattr(own, mean) + scale * sd)
+    for method in (pem.METHOD, tracker.METHOD, steady_state.METHOD):
+        own, memory = state.estimators[method], ROW[method].memory
+        assert memory is not None
+        known = memory.learned(own)
+        sd = np.sqrt(np.diag(known.covariance))
+        root = 0.1 * sd[:, None] * rng.normal(size=(len(sd), len(sd))) / np.sqrt(len(sd))
+        covariance = root @ root.T + np.diag((0.01 * sd) ** 2)
+        memory.resume(own, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
         own.informed_ns = informed_ns
     state.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
@@ -77,19 +76,17 @@ def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
     memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
     assert new.informed_ns == old.informed_ns
     stays = [k for k, name in enumerate(memory.names) if name not in memory.passing]
-    assert getattr(new, memory.mean)[stays] == pytest.approx(getattr(old, memory.mean)[stays], abs=1e-9)
-    for count in memory.counts:
-        assert getattr(new, count) == getattr(old, count)
-    fresh = row.initial(MACHINE)
+    learned, fresh = memory.learned(new), memory.learned(row.initial(MACHINE))
+    assert learned.mean[stays] == pytest.approx(memory.learned(old).mean[stays], abs=1e-9)
+    assert learned.counts == memory.learned(old).counts
     for name in memory.passing:
         k = memory.names.index(name)
-        prior = getattr(fresh, memory.covariance)[k, k]
-        assert getattr(new, memory.covariance)[k, k] == pytest.approx(prior)
+        assert learned.covariance[k, k] == pytest.approx(fresh.covariance[k, k])
     assert from_json(after) == after.estimators.keys()
 
 
 def from_json(state: fold.State) -> Any:
-    return fold.restore(MACHINE, fold.snapshot(state)).estimators.keys()
+    return restore(MACHINE, snapshot(state)).estimators.keys()
 
 
 def test_what_was_learned_while_the_machine_file_is_in_doubt_is_not_kept() -> None:

@@ -1,8 +1,10 @@
 """A replay gives what the live run gave, to the byte; and what it does with logs of every kind."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -10,6 +12,7 @@ from logs import MACHINE, MACHINE_TEXT, SECONDS, Live, altered, record, results_
 
 from tilth.estimator.fold import State, step
 from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.snapshot import VERSION
 from tilth.logger import guarded_fold
 from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL, Comparison
@@ -18,6 +21,8 @@ from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine import parse_machine
+from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.simulator.traffic import simulate
 
 
@@ -104,6 +109,62 @@ def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> 
     summary, said = run([path])
     assert summary.poses > 0
     assert len(said) == 1 and "another version" in said[0]
+
+
+def with_state(part: Path, path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """A part of a run as another program, or a faulty disk, would have written its stored state."""
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("live", 2, 0))
+    for row in open_log(part).records:
+        if isinstance(row, Frame):
+            writer.frame(row)
+        elif isinstance(row, Snapshot):
+            plain = json.loads(row.state_json)
+            change(plain)
+            writer.snapshot(row.t_ns, json.dumps(plain))
+    writer.close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda plain: None, ""),
+        (lambda plain: plain.pop("version"), "it is of another version: 1 or none, where this program knows"),
+        (lambda plain: plain.update(version=VERSION - 1), f"it is of another version: {VERSION - 1}, where"),
+        (lambda plain: plain["estimators"]["tracker"].pop("mean"), "the state of tracker lacks mean"),
+        (lambda plain: plain["aligner"]["tracks"].popitem(), "it is of a machine with other receivers"),
+    ],
+    ids=["whole", "of the first version", "older", "damaged", "of another machine"],
+)
+def test_a_part_whose_state_is_refused_says_why_and_is_replayed_from_its_first_frame(
+    live: Live, tmp_path: Path, change: Callable[[dict[str, Any]], object], reason: str
+) -> None:
+    path, out = with_state(live.parts[1], tmp_path / "x.mcap", change), tmp_path / "out.mcap"
+    writer = LogWriter(out, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    summary, said = run([path], writer=writer)
+    writer.close()
+    assert summary.faults == 0 and summary.poses > 20
+    told = [event.text for event in summary.events if event.kind == "stored_state"]
+    assert len(told) == len(said) == (reason != "")
+    for text in (*told, *said):
+        assert reason in text and text.endswith("; going on without it")
+    kept = [
+        pb.Event.FromString(row.data).kind
+        for row in results_of([out], frozenset({"/event"})).get("/event", [])
+    ]
+    assert kept.count("stored_state") == len(told)
+
+
+def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refused(
+    live: Live, tmp_path: Path
+) -> None:
+    def older(plain: dict[str, Any]) -> None:
+        plain["version"] = VERSION - 1
+
+    whole, _ = run(live.parts[:2])
+    refused, said = run([live.parts[0], with_state(live.parts[1], tmp_path / "x.mcap", older)])
+    assert len(said) >= 1 and "another version" in said[-1]
+    assert refused.frames == whole.frames
 
 
 # Differences are found

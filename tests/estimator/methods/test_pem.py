@@ -15,12 +15,12 @@ from tilth.estimator.filters.likelihood import find, rigging
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
 from tilth.estimator.methods import pem
+from tilth.estimator.methods.stored_state import pem_json, pem_of
 from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
-from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import Manoeuvre, Scenario, Soil
@@ -189,8 +189,8 @@ def test_a_job_is_asked_for_made_and_taken(machine: Machine) -> None:
     job = pem.wanted(state, 5)
     assert job is not None
     assert pem.wanted(state, 6) is None  # one at a time
-    again = from_plain(pem.PemState, to_plain(state))
-    assert np.array_equal(again.job.record.rows, record.rows)
+    again = pem_of(pem_json(state))
+    assert again.job is not None and np.array_equal(again.job.record.rows, record.rows)
     estimate = pem.adopt(state, machine, pem.fit(machine, job), job.closed_ns)
     assert state.job is None
     given = [p for p in estimate.parameters if p.status is Status.ESTIMATED]

@@ -11,9 +11,9 @@ from circle import START_NS, demo_machine
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.steady_outputs import CONSTANTS, outputs
 from tilth.estimator.methods import steady_state
+from tilth.estimator.methods.stored_state import steady_state_json, steady_state_of
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 
 MACHINE = demo_machine()
@@ -372,5 +372,5 @@ def test_too_much_slip_for_the_tyre_model_teaches_nothing() -> None:
 
 def test_its_state_is_plain_data() -> None:
     state, said = learn(drive())
-    back = from_plain(steady_state.SteadyState, to_plain(state))
+    back = steady_state_of(steady_state_json(state))
     assert steady_state.estimate(back, MACHINE, said.t_ns) == said

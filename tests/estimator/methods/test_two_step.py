@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import two_step_fit, unknowns
 from tilth.estimator.filters.two_step_fit import Window, identify, merge_scalar
-from tilth.estimator.fold import initial, restore, snapshot
+from tilth.estimator.fold import initial
 from tilth.estimator.methods import two_step
+from tilth.estimator.methods.stored_state import two_step_json, two_step_of
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
+from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import from_plain, to_plain
 from tilth.schemas.flow import BodyPose, Pose, Status
 
@@ -199,7 +201,7 @@ def test_a_window_is_asked_for_fitted_and_merged_and_never_called_usable() -> No
     made = two_step.fit(MACHINE, job)
     again = two_step.fit(MACHINE, from_plain(two_step.Job, to_plain(job)))
     assert np.array_equal(made.values, again.values) and np.array_equal(made.sds, again.sds)
-    back = from_plain(two_step.TwoStepState, to_plain(state))
+    back = two_step_of(two_step_json(state))
     said = two_step.adopt(state, MACHINE, made, t_ns + 3 * 10**9)
     assert two_step.adopt(back, MACHINE, made, t_ns + 3 * 10**9) == said
     assert state.job is None

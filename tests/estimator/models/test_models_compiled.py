@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tilth.estimator import compiled
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.models import linear_analysis, nonlinear
 from tilth.estimator.models.actuator import BOSSERD
@@ -75,13 +74,6 @@ def test_a_mistake_in_the_arguments_is_not_hidden() -> None:
 
     with pytest.raises(ValueError, match="below zero"):
         Kernel(refuse)(-1.0)
-
-
-def test_the_kept_code_is_named_after_all_that_it_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = compiled._digest(nonlinear.integrate.function)
-    assert compiled._digest(nonlinear.integrate.function) == before
-    monkeypatch.setattr(nonlinear, "ROLLING_SPEED", 0.2)  # a constant, three calls down
-    assert compiled._digest(nonlinear.integrate.function) != before
 
 
 def test_neither_fold_nor_models_import_numba() -> None:

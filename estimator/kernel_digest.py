@@ -1,0 +1,261 @@
+"""What a kernel reads, as text, and a digest of it: part of the name under which its code is kept on disk.
+
+numba compiles the values of globals into the code. When it looks for kept code, it only asks whether the file
+that holds the function has changed. So all that a kernel reads must be part of the name: constants, also of
+other modules, members of enums, fields of NamedTuples, arrays, the functions that it calls, and what they
+read. What cannot be put into words here is refused, since the kept code would go stale unseen.
+"""
+
+import dis
+import hashlib
+import typing
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+LAYERS: Final = ("tilth.schemas.", "tilth.estimator.")  # whose functions are compiled with a kernel
+KNOWN: Final = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "typing"})
+"""Packages whose functions and types are told by their names: their versions are part of the digest."""
+PLAIN: Final = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)
+CAN_BE: Final = (
+    "numbers, strings, tuples, enums, arrays, NamedTuples, and functions of tilth.schemas and tilth.estimator"
+)
+
+
+class NotDigestible(TypeError):
+    """A kernel reads what cannot be part of its digest; a sentence that says what."""
+
+
+class Reading(NamedTuple):
+    """Of one function."""
+
+    text: str  # what it does and all that it reads, but for what it calls
+    calls: tuple[FunctionType, ...]
+
+
+class KernelFunction:
+    """What holds the function of a kernel. In this file, so that reading needs no compiler."""
+
+    __slots__ = ("function",)
+
+    def __init__(self, function: FunctionType) -> None:
+        if function.__closure__:
+            names = ", ".join(function.__code__.co_freevars)
+            raise NotDigestible(
+                f"the kernel {function.__qualname__} uses {names} of the function around it: make it an "
+                "argument or a constant of the module"
+            )
+        self.function = function
+
+
+def called(function: FunctionType) -> dict[str, FunctionType]:
+    """The functions of LAYERS that a function calls by their bare names."""
+    found = {}
+    for path in _paths(function.__code__):
+        inner = _own_function(function.__globals__.get(path[0]))
+        if inner is not None:
+            found[path[0]] = inner
+    return found
+
+
+def readings(function: FunctionType) -> dict[FunctionType, Reading]:
+    """All that is compiled with a function, itself included, and what each of them does and reads.
+
+    Raises NotDigestible.
+    """
+    found: dict[FunctionType, Reading] = {}
+    waiting = [function]
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found[one] = Reading(_function_text(one), tuple(called(one).values()))
+            waiting += found[one].calls
+    return found
+
+
+def digest(function: FunctionType, known: Mapping[FunctionType, Reading], versions: str = "") -> str:
+    """Of one function and all that it calls. known: of at least these; versions: of what compiles it."""
+    found = {function: known[function].text}
+    waiting = [function]
+    while waiting:
+        for inner in known[waiting.pop()].calls:
+            if inner not in found:
+                found[inner] = known[inner].text
+                waiting.append(inner)
+    own = found.pop(function)
+    text = repr((versions, own, sorted(found.values())))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def check_arguments(function: FunctionType, args: tuple[Any, ...]) -> None:
+    """Each type of NamedTuple among the arguments stands in the annotations: only so its fields are read.
+
+    Raises NotDigestible.
+    """
+    missing = _types_of(args) - set(_annotated(function))
+    if missing:
+        names = ", ".join(sorted(kind.__qualname__ for kind in missing))
+        raise NotDigestible(
+            f"the kernel {function.__qualname__} is given {names}, which its annotations do not name: "
+            "the order of its fields would not be part of the kernel's digest"
+        )
+
+
+def _own_function(value: Any) -> FunctionType | None:
+    inner = value.function if isinstance(value, KernelFunction) else value
+    own = isinstance(inner, FunctionType) and f"{inner.__module__}.".startswith(LAYERS)
+    return inner if own else None
+
+
+def _paths(code: CodeType) -> Iterator[tuple[str, ...]]:
+    """The globals that code names, each with the attributes that it takes of it: ("np", "linalg", "inv")."""
+    path: tuple[str, ...] = ()
+    for step in dis.get_instructions(code):
+        if step.opname == "LOAD_GLOBAL":
+            if path:
+                yield path
+            path = (step.argval,)
+        elif path and step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
+            path = (*path, step.argval)
+        elif path and step.opname not in ("CACHE", "EXTENDED_ARG", "PUSH_NULL"):
+            yield path
+            path = ()
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):  # a function or a comprehension inside
+            yield from _paths(constant)
+
+
+def _function_text(function: FunctionType) -> str:
+    if function.__closure__:
+        KernelFunction(function)  # says what is wrong with it
+    read = {path: _value_text(function, path) for path in _paths(function.__code__)}
+    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
+    return repr(
+        (
+            function.__module__,
+            function.__qualname__,
+            _code_text(function, function.__code__),
+            [_text(function, "a default", value) for value in defaults],
+            [_text(function, "an annotation", kind) for kind in _annotated(function)],
+            sorted(read.items()),
+        )
+    )
+
+
+def _code_text(function: FunctionType, code: CodeType) -> str:
+    """What code does, without where it stands: a comment moves no kernel."""
+    constants = [
+        _code_text(function, one) if isinstance(one, CodeType) else _text(function, "a constant", one)
+        for one in code.co_consts
+    ]
+    names = (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars)
+    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+    return repr((code.co_code, code.co_exceptiontable, names, counts, constants))
+
+
+def _value_text(function: FunctionType, path: tuple[str, ...]) -> str:
+    """What stands at a path, as far as modules lead; what follows is a part of the value."""
+    name, *rest = path
+    if name in function.__globals__:
+        value = function.__globals__[name]
+    elif name in function.__builtins__:
+        return f"builtin {name}"
+    else:
+        raise _refusal(function, name, "which is not there")
+    shown = name
+    while isinstance(value, ModuleType):
+        if not rest:
+            raise _refusal(function, shown, "a module, without naming at once what of it")
+        attribute = rest.pop(0)
+        module, shown = value, f"{shown}.{attribute}"
+        if not hasattr(module, attribute):
+            raise _refusal(function, shown, "which is not there")
+        value = getattr(module, attribute)
+        if _own_function(value) is not None:
+            raise _refusal(function, shown, "which must be imported by its bare name to be compiled with it")
+    return _text(function, shown, value)
+
+
+def _text(function: FunctionType, name: str, value: Any) -> str:
+    """A value in words; equal texts compile to equal code. name: for who reads the refusal."""
+    if type(value) in PLAIN:
+        return f"{type(value).__name__} {value!r}"
+    if isinstance(value, type):
+        return _type_text(function, name, value)
+    if isinstance(value, Enum):
+        return f"{_type_text(function, name, type(value))} member {value.name}"
+    if isinstance(value, (np.ndarray, np.generic)) and not value.dtype.hasobject:
+        return f"array {value.dtype.descr} {value.shape} {value.strides} {value.tobytes()!r}"
+    if isinstance(value, np.dtype) and not value.hasobject:
+        return f"dtype {value.descr}"
+    if isinstance(value, (tuple, frozenset)):
+        inner = [_text(function, name, one) for one in value]
+        kind = _type_text(function, name, type(value))
+        return f"{kind} {sorted(inner) if isinstance(value, frozenset) else inner}"
+    own = _own_function(value)
+    if own is not None:  # its own text stands beside
+        return f"function {own.__module__}.{own.__qualname__}"
+    if callable(value) and _is_known(type(value)) and _is_known(value):
+        return f"function {getattr(value, '__module__', '')}.{value.__name__}"
+    raise _refusal(function, name, f"which is {type(value).__name__}")
+
+
+def _type_text(function: FunctionType, name: str, kind: type) -> str:
+    """A type by its name, and what a kernel can read of it: members of an enum, fields of a named tuple."""
+    known = f"type {kind.__module__}.{kind.__qualname__}"
+    if issubclass(kind, Enum):
+        members = {key: _text(function, name, one.value) for key, one in kind.__members__.items()}
+        return f"{known} {members}"
+    if _is_named_tuple(kind):
+        fields: Any = kind
+        defaults = {key: _text(function, name, one) for key, one in fields._field_defaults.items()}
+        return f"{known} {fields._fields} {defaults}"
+    if _is_known(kind) or issubclass(kind, Exception):
+        return known
+    raise _refusal(function, name, "a class that is neither an enum nor a NamedTuple")
+
+
+def _is_known(value: Any) -> bool:
+    return str(getattr(value, "__module__", None) or "builtins").partition(".")[0] in KNOWN
+
+
+def _is_named_tuple(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+
+
+def _annotated(function: FunctionType) -> list[type]:
+    """The types of NamedTuple in the annotations of a function, with those of their fields."""
+    found: list[type] = []
+    waiting: list[Any] = list(_hints(function, function))
+    while waiting:
+        kind = waiting.pop(0)
+        waiting += typing.get_args(kind)
+        if _is_named_tuple(kind) and kind not in found:
+            found.append(kind)
+            waiting += _hints(function, kind)
+    return found
+
+
+def _hints(function: FunctionType, of: Any) -> list[Any]:
+    try:
+        return list(typing.get_type_hints(of).values())
+    except NameError as error:
+        raise _refusal(function, f"annotations of {of.__qualname__}", f"of which {error}") from None
+
+
+def _types_of(value: Any) -> set[type]:
+    """The types of NamedTuple in a value."""
+    if not isinstance(value, tuple):
+        return set()
+    inner = {kind for one in value for kind in _types_of(one)}
+    return inner | {type(value)} if _is_named_tuple(type(value)) else inner
+
+
+def _refusal(function: FunctionType, name: str, what: str) -> NotDigestible:
+    return NotDigestible(
+        f"the kernel {function.__qualname__} of {function.__module__} reads {name}, {what}: code that was "
+        f"compiled for one value of it would be used for another; kernels may read {CAN_BE}"
+    )

@@ -1,0 +1,66 @@
+"""What a method has learned, taken out of its state and put into a fresh one: for a warm start."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.methods.pem import PemState
+from tilth.estimator.methods.steady_state import SteadyState
+from tilth.estimator.methods.tracker import TrackerState
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    mean: Array  # [n]
+    covariance: Array  # [n, n]
+    counts: Mapping[str, float]  # name -> a number that goes on
+
+
+def of_steady_state(state: SteadyState) -> Learned:
+    """Of what this method knows."""
+    counts = {"steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s)}
+    return Learned(state.x.copy(), state.p.copy(), counts)
+
+
+def into_steady_state(state: SteadyState, learned: Learned) -> None:
+    """In the place of what this method knows."""
+    state.x, state.p = learned.mean, learned.covariance
+    state.steady_s = _counted(learned, "steady_s")
+    state.sideslip_s = _counted(learned, "sideslip_s")
+
+
+def of_tracker(state: TrackerState) -> Learned:
+    """Of what this method knows."""
+    counts = {"window_s": float(state.window_s), "distance": float(state.distance)}
+    return Learned(state.mean.copy(), state.covariance.copy(), counts)
+
+
+def into_tracker(state: TrackerState, learned: Learned) -> None:
+    """In the place of what this method knows."""
+    state.mean, state.covariance = learned.mean, learned.covariance
+    state.window_s = _counted(learned, "window_s")
+    state.distance = _counted(learned, "distance")
+
+
+def of_pem(state: PemState) -> Learned:
+    """Of what this method knows."""
+    counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
+    return Learned(state.mean.copy(), state.covariance.copy(), counts)
+
+
+def into_pem(state: PemState, learned: Learned) -> None:
+    """In the place of what this method knows."""
+    state.mean, state.covariance = learned.mean, learned.covariance
+    state.fits = int(_counted(learned, "fits"))
+    state.window_s = _counted(learned, "window_s")
+
+
+def _counted(learned: Learned, name: str) -> float:
+    """A number that goes on; none where it is no number."""
+    count = learned.counts[name]
+    return count if math.isfinite(count) else 0.0

@@ -1,0 +1,299 @@
+"""The state of each method in the snapshot: one function writes it, one reads it back.
+
+Names of the parts are those of the log. They stay when an attribute is renamed. Where a part is added or gets
+another meaning, `VERSION` of estimator/snapshot.py changes too. Reading raises ValueError where a part is
+missing, of another type or shape, or not known.
+"""
+
+from typing import Any, Final
+
+from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.unknowns import NAMES
+from tilth.estimator.methods import pem, two_step
+from tilth.estimator.methods.consistency import Consistency, Finding
+from tilth.estimator.methods.pem import PemState
+from tilth.estimator.methods.steady_state import STATES, SteadyState
+from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.methods.two_step import TwoStepState
+from tilth.estimator.pose.motion_check import MotionCheck
+from tilth.estimator.pose.wheel_check import WheelCheck
+from tilth.estimator.record.record import INPUTS, Record, Stretch
+from tilth.estimator.record.steady_driving import Steadiness
+from tilth.estimator.results.advice import Advisor
+from tilth.estimator.state_json import Stored, to_plain
+
+Json = dict[str, Any]
+
+N: Final = len(NAMES)
+
+
+def steady_state_json(state: SteadyState) -> Json:
+    """Ready for JSON."""
+    return {
+        "mean": to_plain(state.x),
+        "covariance": to_plain(state.p),
+        "prior_sd": to_plain(state.prior),
+        "prior_logs": to_plain(state.prior_logs),
+        "logs": to_plain(state.logs),
+        "log_covariance": to_plain(state.log_p),
+        "steadiness": to_plain(state.steadiness),
+        "seen_ns": state.seen_ns,
+        "informed_ns": state.informed_ns,
+        "published_ns": state.published_ns,
+        "steady_s": to_plain(state.steady_s),
+        "sideslip_s": to_plain(state.sideslip_s),
+        "surprise": to_plain(state.surprise),
+        "forgotten": state.forgotten,
+        "refused": dict(state.refused),
+        "reason": state.reason,
+        "supported": to_plain(state.supported),
+        "events": to_plain(state.said),
+    }
+
+
+def steady_state_of(plain: Any) -> SteadyState:
+    """What `steady_state_json` gave."""
+    stored, n = Stored(plain, "the state of steady_state"), len(STATES)
+    state = SteadyState(
+        x=stored.array("mean", n),
+        p=stored.array("covariance", n, n),
+        prior=stored.array("prior_sd", n),
+        prior_logs=stored.array("prior_logs", 3),
+        logs=stored.array("logs", 3),
+        log_p=stored.array("log_covariance", 3, 3),
+        steadiness=stored.value(Steadiness, "steadiness"),
+        seen_ns=stored.value(int, "seen_ns"),
+        informed_ns=stored.value(int, "informed_ns"),
+        published_ns=stored.value(int, "published_ns"),
+        steady_s=stored.value(float, "steady_s"),
+        sideslip_s=stored.value(float, "sideslip_s"),
+        surprise=stored.value(float, "surprise"),
+        forgotten=stored.value(int, "forgotten"),
+        refused=stored.value(dict[str, int], "refused"),
+        reason=stored.value(str, "reason"),
+        supported=stored.value(list[bool], "supported"),
+        said=stored.value(list[tuple[str, str]], "events"),
+    )
+    stored.end()
+    return state
+
+
+def tracker_json(state: TrackerState) -> Json:
+    """Ready for JSON."""
+    return {
+        "mean": to_plain(state.mean),
+        "covariance": to_plain(state.covariance),
+        "prior_mean": to_plain(state.prior_mean),
+        "prior_sd": to_plain(state.prior_sd),
+        "motion": to_plain(state.x),
+        "motion_covariance": to_plain(state.own),
+        "cross_covariance": to_plain(state.between),
+        "noise_ratios": to_plain(state.left),
+        "push_variances": to_plain(state.push),
+        "running": to_plain(state.running),
+        "since": state.since,
+        "waiting": to_plain(state.waiting),
+        "ticks_before": to_plain(state.before),
+        "steering": to_plain(state.steering),
+        "marks": to_plain(state.marks),
+        "marks_after": state.marks_after,
+        "counts": to_plain(state.counts),
+        "distance": to_plain(state.distance),
+        "window_s": to_plain(state.window_s),
+        "seen_ns": state.seen_ns,
+        "informed_ns": state.informed_ns,
+        "published_ns": state.published_ns,
+        "changed_ns": state.changed_ns,
+        "changes": state.changes,
+        "restarts": state.restarts,
+        "refused": dict(state.refused),
+        "supported": to_plain(state.given),
+        "advisor": to_plain(state.advisor),
+        "reason": state.reason,
+        "events": to_plain(state.told),
+        "steered": to_plain(state.steered),
+    }
+
+
+def tracker_of(plain: Any) -> TrackerState:
+    """What `tracker_json` gave."""
+    stored = Stored(plain, "the state of tracker")
+    state = TrackerState(
+        mean=stored.array("mean", N),
+        covariance=stored.array("covariance", N, N),
+        prior_mean=stored.array("prior_mean", N),
+        prior_sd=stored.array("prior_sd", N),
+        x=stored.array("motion", N_X),
+        own=stored.array("motion_covariance", N_X, N_X),
+        between=stored.array("cross_covariance", N_X, N),
+        left=stored.array("noise_ratios", 3),
+        push=stored.array("push_variances", 3),
+        running=stored.value(bool, "running"),
+        since=stored.value(int, "since"),
+        waiting=stored.maybe(Record, "waiting"),
+        before=stored.array("ticks_before", -1, len(INPUTS)),
+        steering=stored.value(float, "steering"),
+        marks=stored.value(list[Mark], "marks"),
+        marks_after=stored.value(int, "marks_after"),
+        counts=stored.array("counts", 3),
+        distance=stored.value(float, "distance"),
+        window_s=stored.value(float, "window_s"),
+        seen_ns=stored.value(int, "seen_ns"),
+        informed_ns=stored.value(int, "informed_ns"),
+        published_ns=stored.value(int, "published_ns"),
+        changed_ns=stored.value(int, "changed_ns"),
+        changes=stored.value(int, "changes"),
+        restarts=stored.value(int, "restarts"),
+        refused=stored.value(dict[str, int], "refused"),
+        given=stored.value(list[bool], "supported"),
+        advisor=stored.value(Advisor, "advisor"),
+        reason=stored.value(str, "reason"),
+        told=stored.value(list[str], "events"),
+        steered=stored.value(list[int], "steered"),
+    )
+    stored.end()
+    return state
+
+
+def pem_json(state: PemState) -> Json:
+    """Ready for JSON."""
+    return {
+        "mean": to_plain(state.mean),
+        "covariance": to_plain(state.covariance),
+        "prior_mean": to_plain(state.prior_mean),
+        "prior_sd": to_plain(state.prior_sd),
+        "window": to_plain(state.window),
+        "closed": to_plain(state.closed),
+        "job": to_plain(state.job),
+        "decided": to_plain(state.decided),
+        "late_ns": state.late_ns,
+        "distance": to_plain(state.distance),
+        "seen_ns": state.seen_ns,
+        "informed_ns": state.informed_ns,
+        "published_ns": state.published_ns,
+        "window_s": to_plain(state.window_s),
+        "fits": state.fits,
+        "late": state.late,
+        "changes": state.changes,
+        "refused": dict(state.refused),
+        "supported": to_plain(state.given),
+        "last": to_plain(state.last),
+        "reason": state.reason,
+        "events": to_plain(state.told),
+    }
+
+
+def pem_of(plain: Any) -> PemState:
+    """What `pem_json` gave."""
+    stored = Stored(plain, "the state of pem")
+    state = PemState(
+        mean=stored.array("mean", N),
+        covariance=stored.array("covariance", N, N),
+        prior_mean=stored.array("prior_mean", N),
+        prior_sd=stored.array("prior_sd", N),
+        window=stored.value(list[Stretch], "window"),
+        closed=stored.maybe(Record, "closed"),
+        job=stored.maybe(pem.Job, "job"),
+        decided=stored.value(int, "decided"),
+        late_ns=stored.value(int, "late_ns"),
+        distance=stored.value(float, "distance"),
+        seen_ns=stored.value(int, "seen_ns"),
+        informed_ns=stored.value(int, "informed_ns"),
+        published_ns=stored.value(int, "published_ns"),
+        window_s=stored.value(float, "window_s"),
+        fits=stored.value(int, "fits"),
+        late=stored.value(int, "late"),
+        changes=stored.value(int, "changes"),
+        refused=stored.value(dict[str, int], "refused"),
+        given=stored.value(list[bool], "supported"),
+        last=stored.maybe(pem.Fit, "last"),
+        reason=stored.value(str, "reason"),
+        told=stored.value(list[str], "events"),
+    )
+    stored.end()
+    return state
+
+
+def two_step_json(state: TwoStepState) -> Json:
+    """Ready for JSON."""
+    return {
+        "window": to_plain(state.window),
+        "closed": to_plain(state.closed),
+        "job": to_plain(state.job),
+        "decided": to_plain(state.decided),
+        "late_ns": state.late_ns,
+        "values": to_plain(state.values),
+        "sds": to_plain(state.sds),
+        "runs": to_plain(state.runs),
+        "rank": to_plain(state.rank),
+        "window_s": to_plain(state.window_s),
+        "informed_ns": state.informed_ns,
+        "published_ns": state.published_ns,
+        "late": state.late,
+        "refused": dict(state.refused),
+        "reason": state.reason,
+        "nothing": state.nothing,
+    }
+
+
+def two_step_of(plain: Any) -> TwoStepState:
+    """What `two_step_json` gave."""
+    stored = Stored(plain, "the state of pem_two_step")
+    state = TwoStepState(
+        window=stored.value(list[Stretch], "window"),
+        closed=stored.maybe(Record, "closed"),
+        job=stored.maybe(two_step.Job, "job"),
+        decided=stored.value(int, "decided"),
+        late_ns=stored.value(int, "late_ns"),
+        values=stored.array("values", 6),
+        sds=stored.array("sds", 6),
+        runs=stored.array("runs", 6),
+        rank=stored.value(int, "rank"),
+        window_s=stored.value(float, "window_s"),
+        informed_ns=stored.value(int, "informed_ns"),
+        published_ns=stored.value(int, "published_ns"),
+        late=stored.value(int, "late"),
+        refused=stored.value(dict[str, int], "refused"),
+        reason=stored.value(str, "reason"),
+        nothing=stored.value(str, "nothing"),
+    )
+    stored.end()
+    return state
+
+
+def consistency_json(state: Consistency) -> Json:
+    """Ready for JSON."""
+    return {
+        "open_tracker": tracker_json(state.open),
+        "wheel": to_plain(state.wheel),
+        "motion": to_plain(state.motion),
+        "findings": to_plain(state.findings),
+        "confirmed": to_plain(state.confirmed),
+        "lacks": state.lacks,
+        "rates_known": to_plain(state.rates_known),
+        "rows": to_plain(state.rows),
+        "methods": to_plain(state.methods),
+        "accused": to_plain(state.accused),
+        "forgets": to_plain(state.forgets),
+    }
+
+
+def consistency_of(plain: Any) -> Consistency:
+    """What `consistency_json` gave."""
+    stored = Stored(plain, "the state of consistency")
+    state = Consistency(
+        open=tracker_of(stored.plain("open_tracker")),
+        wheel=stored.value(WheelCheck, "wheel"),
+        motion=stored.value(MotionCheck, "motion"),
+        findings=stored.value(dict[str, Finding], "findings"),
+        confirmed=stored.value(bool, "confirmed"),
+        lacks=stored.value(str, "lacks"),
+        rates_known=stored.value(bool, "rates_known"),
+        rows=stored.value(list[tuple[float, float]], "rows"),
+        methods=stored.value(dict[str, dict[str, str]], "methods"),
+        accused=stored.value(bool, "accused"),
+        forgets=stored.value(bool, "forgets"),
+    )
+    stored.end()
+    return state

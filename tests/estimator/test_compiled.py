@@ -1,0 +1,281 @@
+"""Compiled code that was kept is used again as long as nothing that it was made of has changed.
+
+A package of kernels is written to disk and run in processes of its own with one folder for compiled code:
+once to compile, once unchanged, once with all its constants changed.
+"""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import FunctionType, SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from tilth.estimator import kernel_digest
+from tilth.estimator.compiled import Kernel
+from tilth.estimator.kernel_digest import NotDigestible
+from tilth.estimator.models import nonlinear
+
+CONSTANTS = """
+from enum import Enum, IntEnum
+from typing import NamedTuple
+import numpy as np
+
+class Kind(IntEnum):
+    ONE = 1
+    TWO = 2
+
+class Mode(Enum):
+    SLOW = 0.5
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+PLAIN = 1.0
+TUPLE = (1.0, (2.0, 3.0))
+PAIR = Pair(first=1.0, second=2.0)
+ARRAY = np.array([1.0, 2.0])
+DEFAULT = 1.0
+ATTRIBUTE = 1.0
+INSIDE = 1.0
+CALLED = 1.0
+FURTHER = 1.0
+"""
+CHANGED = (
+    CONSTANTS.replace("1.0", "5.0")
+    .replace("ONE = 1\n    TWO = 2", "ONE = 2\n    TWO = 1")
+    .replace("SLOW = 0.5", "SLOW = 0.7")
+    .replace("    first: float\n    second: float", "    second: float\n    first: float")
+)
+CALLED = """
+from tilth.estimator.planted import constants
+from tilth.estimator.planted.constants import CALLED, DEFAULT
+from tilth.estimator.compiled import kernel
+
+def times(x):
+    return x * CALLED
+
+def by_default(x, factor=DEFAULT):
+    return x * factor
+
+@kernel
+def further(x):
+    return x * constants.FURTHER
+"""
+KERNELS = """
+from tilth.estimator.planted import constants
+from tilth.estimator.planted.called import by_default, further, times
+from tilth.estimator.planted.constants import ARRAY, Kind, Mode, PAIR, Pair, PLAIN, TUPLE
+
+def plain(x):
+    return x * PLAIN
+
+def tuple_item(x):
+    return x * TUPLE[0]
+
+def named_tuple_value(x):
+    return x * PAIR.first
+
+def named_tuple_made(x):
+    return Pair(x, 5.0).first
+
+def named_tuple_given(x, pair: Pair = Pair(first=1.0, second=2.0)):
+    return x * pair.first
+
+def array(x):
+    return x * ARRAY[0]
+
+def default(x):
+    return by_default(x)
+
+def int_enum(x):
+    return 1.0 if int(x) == Kind.ONE else 5.0
+
+def enum(x):
+    return x * Mode.SLOW.value
+
+def enum_of_a_module(x):
+    return x * constants.Mode.SLOW.value
+
+def module_attribute(x):
+    return x * constants.ATTRIBUTE
+
+def function_inside(x):
+    def inner(y):
+        return y * constants.INSIDE
+    return inner(x)
+
+def called_function(x):
+    return times(x)
+
+def called_kernel(x):
+    return further(x)
+"""
+RUN = """
+import json, sys
+import tilth.estimator
+tilth.estimator.__path__.append(sys.argv[1])
+from types import FunctionType
+from tilth.estimator.compiled import Kernel
+from tilth.estimator.planted import constants, kernels
+
+told = {}
+for name, function in vars(kernels).items():
+    if isinstance(function, FunctionType) and function.__module__ == kernels.__name__:
+        kernel = Kernel(function)
+        if name == "named_tuple_given":  # by names: what is first must not depend on the order
+            value = kernel(1.0, constants.Pair(first=3.0, second=4.0))
+        else:
+            value = kernel(1.0)
+        told[name] = value, kernel.how, sum(kernel._run.stats.cache_hits.values())
+print(json.dumps(told))
+"""
+Told = dict[str, tuple[float, str, int]]  # kernel -> value, how, taken from what was kept
+BEFORE = {"enum": 0.5, "enum_of_a_module": 0.5, "named_tuple_given": 3.0}
+AFTER = {"enum": 0.7, "enum_of_a_module": 0.7, "named_tuple_given": 3.0}
+NAMES = [line[4 : line.index("(")] for line in KERNELS.splitlines() if line.startswith("def ")]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Told]:
+    """As written, once more, and with other constants."""
+    root = tmp_path_factory.mktemp("kernels")
+    package = root / "planted"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "called.py").write_text(CALLED)
+    (package / "kernels.py").write_text(KERNELS)
+    return [_run(root, package, text) for text in (CONSTANTS, CONSTANTS, CHANGED)]
+
+
+def _run(root: Path, package: Path, constants: str) -> Told:
+    (package / "constants.py").write_text(constants)
+    kept = {"NUMBA_CACHE_DIR": str(root / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(root)],
+        env={**os.environ, **kept},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    told: Told = {name: tuple(one) for name, one in json.loads(done.stdout).items()}
+    assert list(told) == NAMES
+    return told
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_constant_that_has_changed_is_seen_and_one_that_has_not_costs_no_compiling(
+    runs: list[Told], name: str
+) -> None:
+    first, again, changed = (run[name] for run in runs)
+    assert first == (BEFORE.get(name, 1.0), "compiled and kept", 0)
+    assert again == (BEFORE.get(name, 1.0), "compiled and kept", 1)
+    assert changed == (AFTER.get(name, 5.0), "compiled and kept", 0)
+
+
+def _function(source: str, **scope: Any) -> FunctionType:
+    names: dict[str, Any] = {"__name__": "typed_in", **scope}
+    exec(source, names)
+    made = names["f"]
+    assert isinstance(made, FunctionType)
+    return made
+
+
+class Wrong(NamedTuple):
+    first: float
+
+
+@dataclass
+class Record:
+    first: float = 1.0
+
+
+REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
+    ("return x * A[0]", {"A": [1.0]}, "reads A, which is list"),
+    ("return x * A['k']", {"A": {"k": 1.0}}, "reads A, which is dict"),
+    ("return x * A[0][0]", {"A": ([1.0],)}, "reads A, which is list"),
+    ("return x * A[0]", {"A": np.array([None])}, "reads A, which is ndarray"),
+    ("return x * A.first", {"A": Record()}, "reads A, which is Record"),
+    ("return x * A.first", {"A": Record}, "reads A, a class that is neither an enum nor a NamedTuple"),
+    ("return x * A.first", {"A": SimpleNamespace(first=1.0)}, "reads A, which is SimpleNamespace"),
+    ("return x * os.environ", {"os": os}, "reads os.environ, which is _Environ"),
+    ("m = math\n    return x * m.pi", {"math": math}, "reads math, a module, without naming at once"),
+    ("return x * getattr(math, 'pi')", {"math": math}, "reads math, a module, without naming at once"),
+    ("return x * math.pie", {"math": math}, "reads math.pie, which is not there"),
+    ("return x * LATER", {}, "reads LATER, which is not there"),
+    ("return [y * A[0] for y in (x, x)][0]", {"A": [1.0]}, "reads A, which is list"),
+    ("return n.slip_rate(x, x, x, x)", {"n": nonlinear}, "n.slip_rate, which must be imported by its bare"),
+    ("return dumps(x)", {"dumps": json.dumps}, "reads dumps, which is function"),
+)
+
+
+@pytest.mark.parametrize(("body", "scope", "told"), REFUSED)
+@pytest.mark.parametrize("numba", [True, False], ids=["numba", "without"])
+def test_what_the_digest_cannot_hold_is_refused_at_the_first_call(
+    body: str, scope: dict[str, Any], told: str, numba: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not numba:
+        monkeypatch.setitem(sys.modules, "numba", None)  # an import of it fails
+    fresh: Kernel[Any, Any] = Kernel(_function(f"def f(x):\n    {body}", **scope))
+    for _ in range(2):
+        with pytest.raises(NotDigestible, match="the kernel f of typed_in reads") as error:
+            fresh(1.0)
+        assert told in str(error.value)
+
+
+def test_variables_of_the_function_around_it_are_refused_at_once() -> None:
+    factor = 2.0
+
+    def scaled(x: float) -> float:
+        return factor * x
+
+    with pytest.raises(NotDigestible, match="uses factor of the function around it"):
+        Kernel(scaled)
+
+
+def test_a_named_tuple_that_no_annotation_names_is_refused() -> None:
+    unnamed: Kernel[Any, Any] = Kernel(_function("def f(x):\n    return x.first"))
+    with pytest.raises(NotDigestible, match="is given Wrong, which its annotations do not name"):
+        unnamed(Wrong(1.0))
+    named: Kernel[Any, Any] = Kernel(_function("def f(x: Wrong):\n    return x.first", Wrong=Wrong))
+    assert named(Wrong(1.0)) == 1.0
+    lost: Kernel[Any, Any] = Kernel(_function("def f(x: 'Lost'):\n    return x.first"))
+    with pytest.raises(NotDigestible, match="reads annotations of f, of which name 'Lost' is not defined"):
+        lost(Wrong(1.0))
+
+
+def digest(function: Callable[..., Any], versions: str = "") -> str:
+    assert isinstance(function, FunctionType)
+    return kernel_digest.digest(function, kernel_digest.readings(function), versions)
+
+
+def test_the_digest_follows_what_other_packages_hold_and_which_versions_they_have(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    function = _function("def f(x):\n    return math.sin(np.pi * x) + np.linalg.norm(x)", math=math, np=np)
+    before = digest(function)
+    assert digest(function) == before != digest(function, "of a year later")
+    monkeypatch.setattr(np, "pi", 3.0)
+    assert digest(function) != before
+
+
+def test_the_digest_follows_a_constant_three_calls_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = digest(nonlinear.integrate.function)
+    assert digest(nonlinear.integrate.function) == before
+    monkeypatch.setattr(nonlinear, "ROLLING_SPEED", 0.2)
+    assert digest(nonlinear.integrate.function) != before
+
+
+def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:
+    source = "def f(x):\n    # why\n    return 2.0 * x"
+    assert digest(_function(source)) == digest(_function("\n\n" + source.replace("    # why\n", "")))
+    assert digest(_function(source)) != digest(_function(source.replace("2.0", "2")))

@@ -1,0 +1,158 @@
+"""The stored state of the fold: all of it comes back, and what is not whole is refused with a reason."""
+
+import json
+from collections.abc import Callable
+from dataclasses import fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from circle import demo_machine
+
+from tilth.estimator.fold import State, initial, step
+from tilth.estimator.methods import consistency
+from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
+from tilth.estimator.methods.stored_state import consistency_json, consistency_of
+from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
+from tilth.estimator.state_json import to_plain
+from tilth.schemas.machine import Machine
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.traffic import simulate
+
+ASKING = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that all methods run
+MACHINE = demo_machine(**dict([ASKING]))
+
+
+@cache
+def stored() -> str:
+    """After five seconds; not to be changed."""
+    state = initial(MACHINE)
+    for frame in simulate(MACHINE, 3, 5.0, Scenario(other_traffic=False)):
+        step(state, frame)
+    return snapshot(state)
+
+
+def other(value: Any, number: int) -> Any:
+    """Another value of the same type and shape."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return value + number
+    if isinstance(value, str):
+        return f"{value} and {number}"
+    if isinstance(value, np.ndarray):
+        return value + number
+    if isinstance(value, dict):
+        return {"a reason": number}
+    if isinstance(value, list):
+        return [other(one, number) for one in value]
+    return value
+
+
+def changed(state: Any) -> Any:
+    """Each attribute has a value that no other has, so that one that is left out or exchanged shows."""
+    for number, field in enumerate(fields(state), start=1):
+        setattr(state, field.name, other(getattr(state, field.name), number))
+    return state
+
+
+@pytest.mark.parametrize("row", ESTIMATORS, ids=lambda row: row.method)
+def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> None:
+    state = changed(row.initial(MACHINE))
+    text = json.dumps(row.to_json(state))
+    again = row.from_json(json.loads(text))
+    assert type(again) is type(state) and to_plain(again) == to_plain(state)
+    assert json.dumps(row.to_json(again)) == text
+    assert len(json.loads(text)) == len(fields(state))
+
+
+def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
+    state = consistency.initial(MACHINE)
+    changed(state.open)
+    state.confirmed, state.accused, state.lacks = True, True, "little"
+    state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
+    state.findings = {"a": consistency.Finding("a", "is wrong")}
+    again = consistency_of(json.loads(json.dumps(consistency_json(state))))
+    assert to_plain(again) == to_plain(state)
+
+
+def test_it_is_plain_json_of_a_version_and_not_long() -> None:
+    plain = json.loads(stored())
+    assert plain["version"] == VERSION
+    assert set(plain["estimators"]) == {row.method for row in ESTIMATORS}
+    # All that the fold remembers, but for the machine file and what follows from the rest.
+    assert set(plain) == {"version"} | {f.name for f in fields(State)} - {"machine", "estimates"}
+    assert len(stored()) < 200_000
+    assert snapshot(restore(MACHINE, stored())) == stored()
+
+
+def spoilt(change: Callable[[dict[str, Any]], object]) -> str:
+    plain = json.loads(stored())
+    change(plain)
+    return json.dumps(plain)
+
+
+Change = Callable[[dict[str, Any]], object]
+REFUSED: tuple[tuple[str, Change, str], ...] = (
+    ("no version", lambda p: p.pop("version"), "it is of another version: 1 or none"),
+    ("older", lambda p: p.update(version=VERSION - 1), f"it is of another version: {VERSION - 1}, where"),
+    ("newer", lambda p: p.update(version=VERSION + 1), f"it is of another version: {VERSION + 1}, where"),
+    ("no number", lambda p: p.update(version=[]), "it is of another version"),
+    ("a part less", lambda p: p.pop("time"), "it is damaged: the stored state lacks time"),
+    (
+        "a part more",
+        lambda p: p.update(mood=1),
+        "it is damaged: the stored state has mood, which is not known",
+    ),
+    ("another kind", lambda p: p.update(frames="x"), "frames: int: 'x' is no int"),
+    ("no decoder", lambda p: p.pop("decoder"), "the stored state lacks decoder"),
+    ("a decoder's part less", lambda p: p["decoder"].pop("addresses"), "it is damaged: 'addresses'"),
+    ("no table", lambda p: p.update(estimators="none"), "estimators is not a table"),
+    ("an array less", lambda p: p["estimators"]["pem"].pop("mean"), "the state of pem lacks mean"),
+    (
+        "another shape",
+        lambda p: p["estimators"]["pem"].update(mean=[0.0]),
+        "pem, mean: an array of (1,), not of",
+    ),
+    ("half an array", lambda p: p["estimators"]["tracker"]["mean"].update(base64="AAAA"), "tracker, mean: "),
+    ("no list", lambda p: p["estimators"]["tracker"].update(steered=3), "steered: list: '3' is no list"),
+    ("a nested part less", lambda p: p["aligner"]["latency"].pop("tau"), "aligner: Aligner: 'tau'"),
+    ("a nested part more", lambda p: p["record"].update(mood=1), "record: RecordState: 'mood is not known'"),
+    (
+        "other receivers",
+        lambda p: p["aligner"]["tracks"].popitem(),
+        "it is of a machine with other receivers",
+    ),
+)
+
+
+@pytest.mark.parametrize(("change", "told"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
+def test_what_is_not_whole_is_refused_with_a_reason(change: Change, told: str) -> None:
+    with pytest.raises(NotRestorable) as error:
+        restore(MACHINE, spoilt(change))
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "3", "null", "cut", "[" * 100_000], ids=lambda text: text[:4]
+)
+def test_what_is_no_stored_state_is_refused_too(text: str) -> None:
+    text = stored()[:1000] if text == "cut" else text
+    for take in (restore, restore_decoder):
+        with pytest.raises(NotRestorable, match="it is damaged: "):
+            take(MACHINE, text)
+
+
+def test_a_state_of_before_the_machine_file_asked_for_a_method_is_taken_up() -> None:
+    usual: Machine = demo_machine()
+    again = restore(MACHINE, snapshot(initial(usual)))
+    assert set(again.estimators) == {row.method for row in ESTIMATORS}
+
+
+def test_the_decoder_alone() -> None:
+    assert restore_decoder(MACHINE, stored()).dump() == json.loads(stored())["decoder"]
+    with pytest.raises(NotRestorable, match="another version"):
+        restore_decoder(MACHINE, spoilt(lambda p: p.pop("version")))
+    with pytest.raises(NotRestorable, match="it is damaged"):
+        restore_decoder(MACHINE, spoilt(lambda p: p["decoder"].pop("assembler")))
