@@ -12,6 +12,7 @@ import io
 import os
 import struct
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -107,6 +108,19 @@ def unfinished(folder: Path) -> list[Path]:
         except OSError:  # it will be found again
             continue
     return found
+
+
+def finish_all(folder: Path, report: Callable[[str, str], None]) -> None:
+    """Finish what earlier runs could not. report: takes kind and text of an event for each file."""
+    for path in unfinished(folder):
+        try:
+            done = finish(path)
+        except FileNotFoundError:  # deleted meanwhile to make room
+            continue
+        except (NoLog, OSError) as error:
+            report("log", f"{path.name} was left unfinished and stays so: {error}")
+        else:
+            report("log", f"{path.name} was left unfinished; finished now: {done.messages} messages")
 
 
 def is_being_written(file: BinaryIO) -> bool:
