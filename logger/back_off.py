@@ -6,11 +6,11 @@ class BackOff:
         self._first_ns = first_ns
         self._longest_ns = longest_ns
         self._wait_ns = first_ns
-        self._retry_at_ns = 0
+        self.retry_at_ns = 0
 
     def failed(self, t_ns: int) -> None:
         """A try failed at t_ns."""
-        self._retry_at_ns = t_ns + self._wait_ns
+        self.retry_at_ns = t_ns + self._wait_ns
         self._wait_ns = min(2 * self._wait_ns, self._longest_ns)
 
     def worked(self) -> None:
@@ -19,4 +19,4 @@ class BackOff:
 
     def is_due(self, t_ns: int) -> bool:
         """Whether it is time to try again."""
-        return t_ns >= self._retry_at_ns
+        return t_ns >= self.retry_at_ns

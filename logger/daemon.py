@@ -19,7 +19,8 @@ from zenoh import ZError
 from tilth.estimator.fold import RECOMMENDED
 from tilth.logger import warm_start_file
 from tilth.logger.can.bus_opening import open_port
-from tilth.logger.can.buses import Buses, Opener
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.port_threads import Opener
 from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.fitting import Worker
@@ -310,7 +311,7 @@ class Daemon:
             frames=self._frames,
             measurements=self._fold.measurements,
             poses=self._fold.poses,
-            buses=[bus_status(source, t_ns) for source in self._buses.sources],
+            buses=[bus_status(bus, t_ns) for bus in self._buses.live_buses],
             receivers=self._sensors.receivers(t_ns),
             wheel_angle=self._sensors.wheel_angle(t_ns),
             rejected=[pb.Count(reason=reason, count=count) for reason, count in self._rejected().items()],
@@ -321,7 +322,7 @@ class Daemon:
         if self._worker.seconds is not None:
             status.fit_s = self._worker.seconds
         zenoh = self._no_zenoh if self._sink is None else self._sink.problem
-        status.problems.extend(problems_of(status, recording, zenoh))
+        status.problems.extend(problems_of(status, self._buses.live_buses, recording, zenoh))
         status.health = health_of(status)
         status.faults.extend(pb.Count(reason=reason, count=n) for reason, n in self._faults().items() if n)
         status.longest_turn_s = self._longest_turn_ns * 1e-9
@@ -339,7 +340,7 @@ class Daemon:
 
     def _rejected(self) -> dict[str, int]:
         other = {"stamp": self._clock.bad_stamps, "mark": self._marks.refused}
-        return rejected(self._fold.rejected, self._buses.sources, other)
+        return rejected(self._fold.rejected, self._buses.live_buses, other)
 
     def _summary(self) -> Summary:
         return Summary(
@@ -355,7 +356,7 @@ class Daemon:
             log_files=tuple(self._recording.files),
             recorded=self._recording.frames,
             not_recorded=self._recording.missed,
-            lost=sum(source.lost for source in self._buses.sources),
+            lost=sum(bus.traffic.lost for bus in self._buses.live_buses),
             bad_stamps=self._clock.bad_stamps,
             faults=self._fold.faults,
             problems=tuple(self._status.problems),

@@ -12,7 +12,8 @@ from pathlib import Path
 from zenoh import ZError
 
 from tilth.logger import compiling
-from tilth.logger.can.buses import Buses, Source
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
 from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
 from tilth.logger.clock import Clock
@@ -52,7 +53,7 @@ def _configuration(machine: Machine) -> Iterator[Finding]:
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[Finding]:
-    said: list[str] = []  # the sources know it all the same
+    said: list[str] = []  # the buses keep it all the same
     buses = Buses(machine.bus, clock, lambda kind, text: said.append(text))
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
@@ -60,26 +61,29 @@ def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[Finding]
         while clock.t_ns() - opened_ns < seconds * 1e9:
             for frame in buses.read(TURN_S):
                 devices.take(frame)
-            if any(source.opening for source in buses.sources) and opened_ns - began_ns < OPEN_S * 1e9:
+            if (
+                any(bus.connection.opening for bus in buses.live_buses)
+                and opened_ns - began_ns < OPEN_S * 1e9
+            ):
                 opened_ns = clock.t_ns()
-        findings = [_bus(source, (clock.t_ns() - opened_ns) * 1e-9) for source in buses.sources]
+        findings = [_bus(bus, (clock.t_ns() - opened_ns) * 1e-9) for bus in buses.live_buses]
     finally:
         buses.close()
     yield from findings
-    if any(source.frames for source in buses.sources):
+    if any(bus.traffic.frames for bus in buses.live_buses):
         yield from devices.findings()
 
 
-def _bus(source: Source, seconds: float) -> Finding:
-    what = f"bus {source.name}"
-    if source.state == "failed":
-        return Finding(what, PROBLEM, source.reason)
-    if source.frames == 0:
+def _bus(bus: LiveBus, seconds: float) -> Finding:
+    what = f"bus {bus.name}"
+    if bus.state is BusState.FAILED:
+        return Finding(what, PROBLEM, bus.reason)
+    if bus.traffic.frames == 0:
         text = f"silent for {seconds:.1f} s; check that its devices are on, the bit rate, the plug"
-        return Finding(what, PROBLEM, source.unusable or text)
-    text = f"{source.frames} frames in {seconds:.1f} s ({source.frames / seconds:.0f}/s)"
-    if source.tally.error_frames:
-        text += f", {source.tally.error_frames} of them error frames; check bitrate, termination and wiring"
+        return Finding(what, PROBLEM, bus.unusable or text)
+    text = f"{bus.traffic.frames} frames in {seconds:.1f} s ({bus.traffic.frames / seconds:.0f}/s)"
+    if bus.tally.error_frames:
+        text += f", {bus.tally.error_frames} of them error frames; check bitrate, termination and wiring"
         return Finding(what, PROBLEM, text)
     return Finding(what, OK, text)
 

@@ -68,7 +68,7 @@ class Drive:
         self._talker = talker
         self._folder = folder
         self._sent = 0
-        until(lambda: self.daemon._buses.sources[0].state == "open", self.daemon.turn)
+        until(lambda: self.daemon._buses.live_buses[0].state == "open", self.daemon.turn)
 
     def send(self, frames: list[Frame]) -> None:
         """In real time: what comes at once is of one instant, and gives no pose."""
