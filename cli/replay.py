@@ -21,7 +21,7 @@ from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.replay.compare import Comparison
 from tilth.replay.estimates_json import estimates_and_nuisances
-from tilth.replay.offline import Outputs, Pace, Summary, replay
+from tilth.replay.offline import Outputs, Pace, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.replay.readers.rig import bus_names, machine_in
@@ -175,7 +175,7 @@ def _progress(stack: ExitStack, logs: Sequence[Path]) -> Callable[[int], None]:
     return lambda done: bar.update(task, completed=done)
 
 
-def _as_json(summary: Summary, comparison: Comparison | None) -> dict[str, object]:
+def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str, object]:
     answer: dict[str, object] = {
         "frames": summary.frames,
         "measurements": summary.measurements,
@@ -205,7 +205,7 @@ def _sender(origin: Origin, messages: int) -> dict[str, object]:
     }
 
 
-def _show(summary: Summary, comparison: Comparison | None) -> None:
+def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
     console = Console()
     recommended = summary.estimates.get("recommended")
     for method, estimate in summary.estimates.items():

@@ -45,7 +45,7 @@ def bus_status(bus: LiveBus, t_ns: int) -> pb.BusStatus:
     return status
 
 
-def tell_of_log(status: pb.Status, recording: Recording) -> None:
+def log_status(status: pb.Status, recording: Recording) -> None:
     """Whether it is written, where, and how long there is room."""
     status.recording = recording.recording or recording.resting
     status.resting = recording.resting

@@ -42,7 +42,7 @@ class Flagged:
 
 
 @dataclass(slots=True)
-class Summary:
+class ReplaySummary:
     """What a replay did."""
 
     frames: int = 0
@@ -105,7 +105,7 @@ def replay(
     buses: Mapping[str, str] | None = None,
     outputs: Outputs | None = None,
     say: Say = lambda text: None,
-) -> Summary:
+) -> ReplaySummary:
     """Feed logs, in the order given, through the fold.
 
     Parts of a run go on from one another, and so do logs that others wrote, which tell of no run. A log of
@@ -138,7 +138,7 @@ class _Run:
     """The fold and what has come of it so far."""
 
     def __init__(self, machine: Machine, machine_text: str, outputs: Outputs, say: Say) -> None:
-        self.summary = Summary()
+        self.summary = ReplaySummary()
         self._machine = machine
         self._sha256 = machine_sha256(machine, machine_text)
         self._outputs = outputs

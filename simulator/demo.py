@@ -21,8 +21,9 @@ from typing import Any, Final, Literal, Self
 from rich.table import Table
 
 from tilth.logger import compiling
-from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display, NoDisplay
+from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
@@ -51,7 +52,7 @@ class Demo:
 
     seed: int
     truth: Mapping[str, float]  # PARAMETERS, N/rad and m
-    summary: Summary
+    summary: RunSummary
     frames_sent: int
 
     @property

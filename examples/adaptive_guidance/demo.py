@@ -42,8 +42,9 @@ from tilth.adaptive_guidance.study import (
 )
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger import compiling
-from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display
+from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.demo import SIMULATED, DemoError, on_loopback
@@ -64,7 +65,7 @@ _NUMBERS: Final = re.compile(r"[\d.]+")
 class Guided:
     """What the demo gave."""
 
-    summary: Summary
+    summary: RunSummary
     fixed: Driven
     adapting: Driven
     commands: dict[str, Any]  # what became of them, as the tractor tells it

@@ -13,7 +13,7 @@ from tilth.estimator.methods.estimators import rows_for
 from tilth.logger import guarded_fold
 from tilth.logger.log.mcap_log import LogWriter, Run
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.offline import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
+from tilth.replay.offline import LONGEST_WAIT_S, Outputs, Pace, ReplaySummary, replay
 from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.flow import Frame, Publication
@@ -34,7 +34,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Live:
 
 def run(
     paths: Sequence[Path], comparison: Comparison | None = None, writer: LogWriter | None = None
-) -> tuple[Summary, list[str]]:
+) -> tuple[ReplaySummary, list[str]]:
     said: list[str] = []
     outputs = Outputs(writer=writer, comparison=comparison)
     return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=said.append), said

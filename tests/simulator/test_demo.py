@@ -24,7 +24,7 @@ from loopback import PATIENCE_S
 from tilth.cli import main
 from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
-from tilth.logger.daemon import Summary
+from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -255,7 +255,7 @@ def test_the_interval_is_log_normal(machine: Machine, true: float, log_sd: float
 
 
 def test_lost_frames_and_a_run_without_estimates_are_told(machine: Machine) -> None:
-    summary = Summary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
+    summary = RunSummary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
     demo = Demo(1, draw(machine, 1, Scenario()), summary, 10)
     assert result(demo)["frames_lost"] == 1
     assert result(demo)["duration_s"] == 0.0

@@ -267,7 +267,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
         recording.frame(frame)
         if number == 2000:
             for k in range(HEARD):
-                clock.told(frame.t_ns + k, frame.t_ns + k + behind_ns)
+                clock.add_gnss_time(frame.t_ns + k, frame.t_ns + k + behind_ns)
         if number % 400 == 0:
             recording.tick(frame.t_ns)
     recording.close()
