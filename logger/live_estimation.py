@@ -1,4 +1,4 @@
-"""The estimators as the daemon runs them: the fold, its fits in another process, the kernels that both need."""
+"""The estimators as the daemon runs them: the fold, its fits in another process, their kernels."""
 
 import gc
 from collections.abc import Callable

@@ -61,7 +61,7 @@ class Demo:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TruthAndEstimate:
     """One parameter: truth beside estimate."""
 
     name: str
@@ -235,12 +235,12 @@ class Player:
         return json.loads(line) if line else None
 
 
-def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[Comparison]:
+def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[TruthAndEstimate]:
     """One row for each of PARAMETERS."""
     rows = []
     for i, name in enumerate(PARAMETERS):
         parameter = estimate.parameters[i] if estimate is not None else None
-        rows.append(Comparison(name, truth[name], parameter, _interval(estimate, i)))
+        rows.append(TruthAndEstimate(name, truth[name], parameter, _interval(estimate, i)))
     return rows
 
 
@@ -295,7 +295,7 @@ _COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
 )
 
 
-def _cells(row: Comparison) -> tuple[str, ...]:
+def _cells(row: TruthAndEstimate) -> tuple[str, ...]:
     unit, scale, digits = ("kN/rad", 1e-3, 0) if row.name.startswith("C_") else ("m", 1.0, 2)
     start = (f"{row.name}, {unit}", f"{row.truth * scale:.{digits}f}")
     status = "unestimated" if row.estimate is None else row.estimate.status.name.lower()

@@ -3,14 +3,16 @@
 from typing import IO, cast
 
 from tilth.logger.log.disk import Spool
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.machine import Log, Machine
 
 
 class OpenFile:
     """The writer of the format, and the spool that brings its bytes to the disk."""
 
-    def __init__(self, spool: Spool, machine: Machine, machine_text: str, run: Run, begun_ns: int) -> None:
+    def __init__(
+        self, spool: Spool, machine: Machine, machine_text: str, run: RunPart, begun_ns: int
+    ) -> None:
         self.spool = spool
         self.writer = LogWriter(spool.path, machine, machine_text, run, cast(IO[bytes], spool))
         self.begun_ns = begun_ns

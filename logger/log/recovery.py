@@ -34,7 +34,7 @@ from tilth.logger.log.mcap_file import (
     HEAD,
     MAGIC,
     MESSAGE,
-    Place,
+    RecordPlace,
     body_of,
     is_finished,
     place_at,
@@ -173,13 +173,13 @@ def _survey(path: Path, file: BinaryIO, size: int) -> Content:
     return content
 
 
-def _ends_data(file: BinaryIO, place: Place, size: int) -> bool:
+def _ends_data(file: BinaryIO, place: RecordPlace, size: int) -> bool:
     """Whether what follows is the index, whole or not, which is written anew."""
     ends = (place.opcode, place.end - place.body) == (Opcode.DATA_END, 4)
     return ends and _next_chunk(file, place.end, size) == size
 
 
-def _take(content: Content, file: BinaryIO, place: Place) -> bool:
+def _take(content: Content, file: BinaryIO, place: RecordPlace) -> bool:
     """Note what a record tells; False where it is damaged."""
     if place.opcode == UNREADABLE:
         content.covered += place.end - place.start
@@ -208,7 +208,7 @@ def _take(content: Content, file: BinaryIO, place: Place) -> bool:
     return True
 
 
-def _chunk(content: Content, place: Place, body: bytes) -> None:
+def _chunk(content: Content, place: RecordPlace, body: bytes) -> None:
     index: dict[int, list[tuple[int, int]]] = defaultdict(list)
     definitions = []
     data = unpacked(body)
@@ -256,7 +256,7 @@ def _define(content: Content, opcode: int, body: bytes) -> None:
         content.channels[channel.id] = channel
 
 
-def _message_index(content: Content, place: Place, index: MessageIndex) -> None:
+def _message_index(content: Content, place: RecordPlace, index: MessageIndex) -> None:
     """Believed where it is that of the chunk before it, message for message."""
     if not content.chunks:
         raise ValueError("an index before the first chunk")

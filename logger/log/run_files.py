@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tilth.logger.clock import WRONG_NS, Clock
 from tilth.logger.log.disk import Disk, Spool
-from tilth.logger.log.mcap_log import Run
+from tilth.logger.log.mcap_log import RunPart
 from tilth.logger.log.runs import file_name, unused_name
 
 Report = Callable[[str, str], None]  # kind and text of an event
@@ -47,14 +47,14 @@ class RunFiles:
         """The file that was begun last, whether it was made or not."""
         return self._spools[-1].path
 
-    def next_part(self, disk: Disk) -> tuple[Spool, Run]:
+    def next_part(self, disk: Disk) -> tuple[Spool, RunPart]:
         """The next file, not made yet, and its place in the run."""
         if self._spools and self._spools[-1].error is not None and not self._spools[-1].opened:
             self._spools.pop()  # never made; one that the disk has only not come to yet will be
         part = len(self._spools) + 1
         spool = Spool(disk, self.folder / file_name(self.name, part))
         self._spools.append(spool)
-        return spool, Run(self.run_id, part, self._started_ns, self._note)
+        return spool, RunPart(self.run_id, part, self._started_ns, self._note)
 
     def rename(self) -> None:
         """Give the files the run's name, where it has another one by now."""

@@ -14,7 +14,7 @@ from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.run_summary import RunSummary
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, ReplaySummary, replay
+from tilth.replay.offline import ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import READY_TOPIC
@@ -97,7 +97,7 @@ class Drive:
 
     def again(self, paths: tuple[Path, ...]) -> tuple[ReplaySummary, Comparison, list[str]]:
         comparison, said = Comparison(), list[str]()
-        outputs = Outputs(comparison=comparison)
+        outputs = ReplayOutputs(comparison=comparison)
         return replay(paths, self.machine, self.text, outputs=outputs, say=said.append), comparison, said
 
 

@@ -24,7 +24,7 @@ from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Event, Frame, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -288,7 +288,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
     comparison = Comparison()
-    summary = replay(logs, machine, text, outputs=Outputs(comparison=comparison))
+    summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
 

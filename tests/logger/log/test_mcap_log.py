@@ -26,7 +26,7 @@ from tilth.logger.clock import NEWEST_NS, OLDEST_NS, Clock, Relation
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log import run_files
 from tilth.logger.log.disk import Disk, Spool
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
@@ -34,7 +34,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
-RUN = Run("run", 1, START_NS)
+RUN = RunPart("run", 1, START_NS)
 
 frames = st.builds(
     Frame,
