@@ -26,15 +26,15 @@ from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
 from tilth.simulator.scenario import (
-    Change,
+    DrivenManoeuvre,
     Ground,
-    Link,
-    Manoeuvre,
     Parameter,
-    Row,
+    ReceiverLink,
+    RowSteering,
     Scenario,
     Soil,
-    Survey,
+    SoilChange,
+    SurveyErrors,
     Wheel,
 )
 from tilth.simulator.tractor import STEP_S, Truth, drive
@@ -45,9 +45,9 @@ Changed = Callable[[Machine], Machine]
 
 FIELD: Final = Soil(grip=0.7, rolling=0.06)
 UNEVEN: Final = Ground(roll_sd_deg=0.7, force_sd=0.015)
-EXACT: Final = Survey(cg_sd=0.0, lever_sd=0.0, pair_sd_deg=0.0)
+EXACT: Final = SurveyErrors(cg_sd=0.0, lever_sd=0.0, pair_sd_deg=0.0)
 RANDOM: Final = Scenario(
-    seconds=40.0, steering=Manoeuvre("random"), soil=FIELD, ground=UNEVEN, other_traffic=False
+    seconds=40.0, steering=DrivenManoeuvre("random"), soil=FIELD, ground=UNEVEN, other_traffic=False
 )
 DISSERTATION: Final[Mapping[Parameter, float]] = {
     "C_af": 90e3, "C_ar": 580e3, "C_ai": 62e3, "sigma_f": 1.5, "sigma_r": 1.9, "sigma_i": 1.1,
@@ -155,11 +155,11 @@ HIDDEN: Final = (
 )
 """Errors that the machine file does not tell, one at a time and together; the others are nothing."""
 
-_STEERED: Final = replace(RANDOM, seconds=75.0, steering=Row(offset=3.0, heading_deg=15.0))
+_STEERED: Final = replace(RANDOM, seconds=75.0, steering=RowSteering(offset=3.0, heading_deg=15.0))
 COVERAGE: Final = (
     Case("5_hz", replace(RANDOM, seconds=42.0), believed=partial(all_receivers, STAR_FIRE)),
     Case("10_hz", replace(RANDOM, seconds=42.0), believed=partial(all_receivers, NMEA_2000)),
-    Case("drop_outs", replace(RANDOM, seconds=42.0, link=Link(drop_out=0.05, jitter=0.005))),
+    Case("drop_outs", replace(RANDOM, seconds=42.0, link=ReceiverLink(drop_out=0.05, jitter=0.005))),
     Case("automatic_steering", _STEERED),
 )
 
@@ -169,7 +169,7 @@ SOIL_CHANGE: Final = Case(
         RANDOM,
         seconds=105.0,
         steering=((58.0, None), (8.0, 0.0), (60.0, None)),
-        soil=replace(FIELD, changes=(Change(at_s=CHANGE_S, C_af=DROP, C_ar=DROP, C_ai=DROP),)),
+        soil=replace(FIELD, changes=(SoilChange(at_s=CHANGE_S, C_af=DROP, C_ar=DROP, C_ai=DROP),)),
     ),
 )
 
@@ -188,7 +188,7 @@ HELD_OUT: Final = Case("held_out", replace(RANDOM, seconds=72.0))
 
 STRAIGHT: Final = Case(
     "straight_hour",
-    replace(_STEERED, seconds=3690.0, steering=Row(offset=5.0, heading_deg=20.0)),
+    replace(_STEERED, seconds=3690.0, steering=RowSteering(offset=5.0, heading_deg=20.0)),
 )
 ON_ROW_S: Final = 90.0  # the way onto the row is driven, and has been fitted
 

@@ -30,8 +30,9 @@ from pathlib import Path
 import numpy as np
 
 from tilth.logger.can.bus_opening import open_port
-from tilth.logger.can.buses import Buses, Opener
+from tilth.logger.can.buses import Buses
 from tilth.logger.can.port import Tally
+from tilth.logger.can.port_threads import Opener
 from tilth.logger.can.socketcan import CAN_FRAME, EXTENDED, SocketCanPort
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import Recording
@@ -70,7 +71,7 @@ class Recorder:
             print(event.text, flush=True)
         if t_ns >= self._next_ns:
             self._next_ns = t_ns + SECOND_NS
-            self.status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.sources])
+            self.status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.live_buses])
             self.recording.message("/status", t_ns, CHANNEL["/status"].encode(self.status))
         self.recording.tick(t_ns)
         return len(frames)
@@ -208,7 +209,7 @@ def cost(seconds: float) -> None:
         recorder.close()
         size = sum(path.stat().st_size for path in Path(folder).glob("*.mcap"))
     sent, took_s = load.sent()
-    got, lost = recorder.recording.frames, sum(source.lost for source in recorder.buses.sources)
+    got, lost = recorder.recording.frames, sum(bus.traffic.lost for bus in recorder.buses.live_buses)
     gaps = np.array([gap for gap in away if gap < 0.9 * TURN_S]) * 1e3  # without those that waited in vain
     print(f"{sent} frames sent on {BUSES} buses in {took_s:.1f} s ({sent / took_s:.0f}/s): {got} recorded,")
     print(f"    {sent - got} lost ({lost} of them known to the kernel), {size / got:.1f} bytes each")

@@ -18,9 +18,9 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame
@@ -64,7 +64,7 @@ def logged_drive(path: Path, seconds: float) -> tuple[Machine, str, list[Frame]]
     machine = parse_machine(text)
     rows = list(simulate(machine, 1, seconds))
     fold = GuardedFold(machine)
-    writer = LogWriter(path, machine, text, Run("bench", 1, 0))
+    writer = LogWriter(path, machine, text, RunPart("bench", 1, 0))
     for frame in rows:
         writer.frame(frame)
         for publication, data in fold.take(frame):
@@ -79,8 +79,8 @@ def ways(
     def with_out() -> None:
         out = folder / "out.mcap"
         out.unlink(missing_ok=True)
-        writer = LogWriter(out, machine, text, Run("bench", 1, 0))
-        replay([path], machine, text, outputs=Outputs(writer=writer))
+        writer = LogWriter(out, machine, text, RunPart("bench", 1, 0))
+        replay([path], machine, text, outputs=ReplayOutputs(writer=writer))
         writer.close()
 
     def decode(some: Iterable[Frame]) -> int:
@@ -94,7 +94,9 @@ def ways(
         "Decoder.measurements alone": lambda: decode(rows),
         "readers.frames, Decoder.measurements": lambda: decode(frames(path)),
         "replay": lambda: replay([path], machine, text),
-        "replay --verify": lambda: replay([path], machine, text, outputs=Outputs(comparison=Comparison())),
+        "replay --verify": lambda: replay(
+            [path], machine, text, outputs=ReplayOutputs(comparison=Comparison())
+        ),
         "replay --out": with_out,
     }
 

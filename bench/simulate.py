@@ -23,7 +23,7 @@ from scipy.integrate import solve_ivp
 from tilth.estimator.models import nonlinear
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
-from tilth.simulator.simulate import PACKAGED, Source, simulate_to
+from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import traffic
 
@@ -79,7 +79,7 @@ def scenarios(machine: Machine, text: str, seconds: float) -> None:
         truth = drive(machine, 1, seconds, scenario)
         driving = best(partial(drive, machine, 1, seconds, scenario))
         frames = best(partial(count, machine, truth))
-        source = Source(machine, text, scenario, scenario_text, 1, seconds)
+        source = SimulationInput(machine, text, scenario, scenario_text, 1, seconds)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
             simulate_to(source, Path(folder) / "run.mcap")

@@ -38,8 +38,9 @@ import zenoh
 from mcap.reader import make_reader
 
 from tilth.logger import compiling
-from tilth.logger.daemon import Daemon, Summary, run_daemon
+from tilth.logger.daemon import Daemon, run_daemon
 from tilth.logger.display import NoDisplay
+from tilth.logger.run_summary import RunSummary
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -230,7 +231,7 @@ def drive(minutes: int, told: Connection) -> None:
 
 def _until_sent(
     machine: Machine, text: str, folder: Path, child: Child, listener: Child | None = None
-) -> tuple[Summary, int, float]:
+) -> tuple[RunSummary, int, float]:
     state: dict[str, Any] = {"turns": 0, "answer": None, "end": 0.0}
 
     def stop() -> bool:

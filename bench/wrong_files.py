@@ -43,7 +43,7 @@ from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError, parse_machine
-from tilth.simulator.scenario import Ground, Manoeuvre, Parameter, Scenario, Soil, Turns, parse_scenario
+from tilth.simulator.scenario import DrivenManoeuvre, Ground, Parameter, Scenario, Soil, Turns, parse_scenario
 from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -67,8 +67,8 @@ DRIVES: Final = {
         ground=replace(UNEVEN, slope_deg=5.0), other_traffic=False, seed=1,
     ),
     "random": Scenario(
-        speed=(PARKED, (40.0, 4.5), (60.0, 3.5)), steering=Manoeuvre("random"), soil=FIELD, ground=UNEVEN,
-        other_traffic=False, seed=2,
+        speed=(PARKED, (40.0, 4.5), (60.0, 3.5)), steering=DrivenManoeuvre("random"), soil=FIELD,
+        ground=UNEVEN, other_traffic=False, seed=2,
     ),
     "soft": Scenario(
         speed=(PARKED, (30.0, 2.5), (70.0, 4.0)), steering=Turns(angle_deg=(6.0, 10.0), straight=(2.0, 5.0)),
@@ -91,7 +91,7 @@ GROUPS: Final = {
 
 
 @dataclass(frozen=True)
-class Change:
+class FileChange:
     name: str
     group: str
     apply: Callable[[Raw], None]
@@ -215,7 +215,7 @@ def _exchange(raw: Raw, one: tuple[Any, ...], other: tuple[Any, ...]) -> None:
     a[i], b[j] = b[j], a[i]
 
 
-def changes() -> Iterator[Change]:
+def changes() -> Iterator[FileChange]:
     """Every change that does something, in a fixed order."""
     for path, group, unit in numbers():
         name = ".".join(map(str, path))
@@ -230,12 +230,12 @@ def changes() -> Iterator[Change]:
             after = copy.deepcopy(before)
             _set(after, path, way)
             if after != before:
-                yield Change(f"{name} {how}", group, partial(_set, path=path, how=way))
+                yield FileChange(f"{name} {how}", group, partial(_set, path=path, how=way))
     yield from _exchanges()
     for k in range(4):
-        yield Change(f"receiver.{k}.roll_corrected not", "roll", partial(_exchange_roll, receiver=k))
+        yield FileChange(f"receiver.{k}.roll_corrected not", "roll", partial(_exchange_roll, receiver=k))
     for factor in (0.5, 2.0):
-        yield Change(
+        yield FileChange(
             f"all masses and inertias x {factor}",
             "mass",
             partial(_all_masses, factor=factor),
@@ -243,7 +243,7 @@ def changes() -> Iterator[Change]:
         )
 
 
-def _exchanges() -> Iterator[Change]:
+def _exchanges() -> Iterator[FileChange]:
     pairs: list[tuple[tuple[Any, ...], tuple[Any, ...], str]] = []
     pairs += [
         (("receiver", i, "name"), ("receiver", j, "name"), "names") for i in range(4) for j in range(i + 1, 4)
@@ -270,7 +270,7 @@ def _exchanges() -> Iterator[Change]:
         after = copy.deepcopy(before)
         _exchange(after, one, other)
         if after != before:
-            yield Change(name, group, partial(_exchange, one=one, other=other))
+            yield FileChange(name, group, partial(_exchange, one=one, other=other))
 
 
 def _exchange_roll(raw: Raw, receiver: int) -> None:
@@ -287,7 +287,7 @@ def _all_masses(raw: Raw, factor: float) -> None:
 # The drives.
 
 
-class Heard(Decoder):
+class ReplayedDecoder(Decoder):
     """What a decoder made of a drive, told again: for changes that decoding does not depend on."""
 
     def __init__(self, machine: Machine, told: list[list[Measurement]]) -> None:
@@ -310,7 +310,7 @@ def driven(name: str) -> tuple[list[Frame], list[list[Measurement]], dict[str, f
 
 
 @dataclass
-class Seen:
+class SeenFlags:
     """What came of one drive with one file."""
 
     given: dict[str, list[tuple[float, tuple[float, ...]]]]  # method -> (s, error over sd of each, or nan)
@@ -320,13 +320,13 @@ class Seen:
     first_s: float = math.nan
 
 
-def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen:
+def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> SeenFlags:
     """Raises MachineError."""
     machine = parse_machine(text_of(raw))
     frames, told, truth = driven(name)
     state = fold.initial(machine)
     if raw["wheel_angle"] == packaged()["wheel_angle"] and not _decoded_otherwise(raw):
-        state.decoder = Heard(machine, told)
+        state.decoder = ReplayedDecoder(machine, told)
     out: list[Publication] = []
     for frame in frames:
         out += fitted_at_once(state, frame.t_ns)
@@ -334,7 +334,7 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
         fold.ask(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    seen = Seen({}, [f.text for f in state.consistency.findings.values() if f.said], {})
+    seen = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.said], {})
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
         if isinstance(value, Event) and value.kind == CONTRADICTION and not seen.first:
@@ -371,11 +371,11 @@ def _off(estimate: Estimate, logs: list[float]) -> list[float | None]:
 
 
 @cache
-def right(name: str) -> Seen:
+def right(name: str) -> SeenFlags:
     return drive(name, packaged())
 
 
-def outcome(name: str, change: Change) -> dict[str, Any]:
+def outcome(name: str, change: FileChange) -> dict[str, Any]:
     """One line of the table."""
     raw = packaged()
     change.apply(raw)
@@ -405,7 +405,7 @@ def outcome(name: str, change: Change) -> dict[str, Any]:
     return line | {"outcome": "right" if further <= 1.0 else "beyond 1 sd"}
 
 
-def _worst(seen: Seen, base: Seen) -> tuple[float, float, float]:
+def _worst(seen: SeenFlags, base: SeenFlags) -> tuple[float, float, float]:
     """(largest error at the end, how much further off than with the right file, s with a wrong one out)."""
     worst = further = 0.0
     wrong: set[int] = set()

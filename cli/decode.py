@@ -17,7 +17,7 @@ from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.any_log import open_log
-from tilth.replay.readers.log import Log, LogError, Record
+from tilth.replay.readers.log import LogError, OpenLog, Record
 from tilth.replay.readers.rig import bus_names, machine_in, on_buses_of
 from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.can_id import BROADCAST
@@ -45,7 +45,7 @@ class _Decoding:
     before: Counter[str] = field(default_factory=Counter)  # of decoder.rejected, when the decoder was taken
     unread: Counter[Unread] = field(default_factory=Counter)  # frames that were not decoded
 
-    def take_up(self, log: Log, stored: Snapshot) -> None:
+    def take_up(self, log: OpenLog, stored: Snapshot) -> None:
         """Know what the daemon knew when it stored its state: who has which address."""
         if stored.machine_sha256 != self.sha256:
             return
@@ -140,11 +140,13 @@ def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
         return None, ""  # without one all that needs none is decoded
 
 
-def _records(log: Log, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:
+def _records(log: OpenLog, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:
     return log.records if machine is None else on_buses_of(machine, log, buses, _say)
 
 
-def _decode(log: Log, records: Iterable[Record], decoding: _Decoding, line: Callable[[Message], str]) -> None:
+def _decode(
+    log: OpenLog, records: Iterable[Record], decoding: _Decoding, line: Callable[[Message], str]
+) -> None:
     write = sys.stdout.write
     count = decoding.count
     for record in records:
@@ -220,7 +222,7 @@ def _time(t_ns: int) -> str:
     return f"{date:%Y-%m-%d %H:%M:%S}.{fraction // 1000:06d}"
 
 
-def _tell_end(log: Log, count: Counter[str]) -> None:
+def _tell_end(log: OpenLog, count: Counter[str]) -> None:
     for reason, number in log.skipped.items():
         count[f"rejected {reason}"] += number
     if log.truncated:

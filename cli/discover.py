@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tilth.cli import WrongUse, duration
-from tilth.replay.discover import Findings, Source, Survey, listen
+from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import LogError
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None and args.out.exists():
         raise WrongUse(f"{args.out}: exists; it is not overwritten, give another name")
     buses = parse_buses(args.bus)
-    survey = Survey()
+    survey = BusSurvey()
     status = 0
     try:
         for frame in _logged(args.logs) if args.logs else _heard(buses, args.seconds):
@@ -166,7 +166,7 @@ def as_json(findings: Findings, text: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _source_as_json(source: Source) -> dict[str, Any]:
+def _source_as_json(source: BusDevice) -> dict[str, Any]:
     lag = source.turn_rate_lag
     return {
         "bus": source.bus,
@@ -185,7 +185,7 @@ def _source_as_json(source: Source) -> dict[str, Any]:
     }
 
 
-def _name(source: Source) -> str | None:
+def _name(source: BusDevice) -> str | None:
     return None if source.name is None else f"{source.name:016X}"
 
 
@@ -203,7 +203,7 @@ def _show(findings: Findings) -> None:
     print()
 
 
-def _device(source: Source) -> str:
+def _device(source: BusDevice) -> str:
     words = []
     if source.manufacturer is not None:
         words.append(source.manufacturer_name or f"manufacturer {source.manufacturer}")
@@ -214,7 +214,7 @@ def _device(source: Source) -> str:
     return ", ".join(words)
 
 
-def _messages(source: Source) -> str:
+def _messages(source: BusDevice) -> str:
     often = sorted(source.messages, key=lambda message: message.per_s, reverse=True)
     words = []
     for m in often[:MESSAGES_SHOWN]:

@@ -58,7 +58,7 @@ class _Refusals:
 def run(args: argparse.Namespace) -> int:
     check_address(args)
     try:
-        from tilth.monitor.foxglove_server import Server
+        from tilth.monitor.foxglove_server import FoxgloveServer
     except ModuleNotFoundError as error:
         if error.name != "foxglove":
             raise
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise WrongUse(str(error)) from None
     try:
-        server = Server(args.host, args.port, args.allow_origin, _Refusals())
+        server = FoxgloveServer(args.host, args.port, args.allow_origin, _Refusals())
     except OSError as error:
         session.close()
         why = error.strerror or str(error)

@@ -11,7 +11,7 @@ from tilth.cli.zenoh_options import add_daemon
 from tilth.client import Client, Staleness
 from tilth.client.latest import judge
 from tilth.client.link import base_key, living, open_session
-from tilth.client.mavlink import Sender
+from tilth.client.mavlink import MavlinkSender
 from tilth.schemas.mavlink import udp_address
 
 EVERY_S = 1.0  # as often as an estimate comes, and a heartbeat must
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise WrongUse(str(error)) from None
     try:
-        sender = Sender(to, args.system, args.component)
+        sender = MavlinkSender(to, args.system, args.component)
     except OSError as error:
         session.close()
         raise WrongUse(f"--to {args.to}: {error.strerror or error}; correct the host") from None

@@ -5,7 +5,7 @@ import argparse
 from tilth.cli import WrongUse
 from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
 from tilth.monitor.addresses import urls
-from tilth.monitor.daemon_data import Heard
+from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.server import listening_socket, serve
 
 PORT = 8117
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         where = f"cannot serve at {args.host} port {args.port}: {error.strerror or error}"
         raise WrongUse(f"{where}; give another --port or --host") from None
     try:
-        heard = Heard(args.connect, args.config, args.prefix, args.machine, args.replay)
+        heard = DaemonData(args.connect, args.config, args.prefix, args.machine, args.replay)
     except ValueError as error:
         listener.close()
         raise WrongUse(str(error)) from None

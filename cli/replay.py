@@ -15,13 +15,13 @@ from rich.table import Table
 
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.unread import who
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.replay.compare import Comparison
 from tilth.replay.estimates_json import estimates_and_nuisances
-from tilth.replay.offline import Outputs, Pace, Summary, replay
+from tilth.replay.offline import Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.replay.readers.rig import bus_names, machine_in
@@ -113,7 +113,7 @@ def _buses(args: argparse.Namespace, machine: Machine) -> dict[str, str]:
 
 def _outputs(
     stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str, comparison: Comparison | None
-) -> Outputs:
+) -> ReplayOutputs:
     """Open what the results go to; the stack closes it."""
     writer = publish = progress = None
     if args.out is not None:
@@ -126,12 +126,12 @@ def _outputs(
     if sys.stderr.isatty() and not args.json:
         progress = _progress(stack, args.logs)
     pace = None if args.rate is None else Pace(args.rate)
-    return Outputs(writer, publish, comparison, pace, progress)
+    return ReplayOutputs(writer, publish, comparison, pace, progress)
 
 
 def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
     try:
-        writer = LogWriter(args.out, machine, text, Run(REPLAY, 1, _first_ns(args.logs)))
+        writer = LogWriter(args.out, machine, text, RunPart(REPLAY, 1, _first_ns(args.logs)))
     except FileExistsError:
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
     except OSError as error:
@@ -175,7 +175,7 @@ def _progress(stack: ExitStack, logs: Sequence[Path]) -> Callable[[int], None]:
     return lambda done: bar.update(task, completed=done)
 
 
-def _as_json(summary: Summary, comparison: Comparison | None) -> dict[str, object]:
+def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str, object]:
     answer: dict[str, object] = {
         "frames": summary.frames,
         "measurements": summary.measurements,
@@ -205,7 +205,7 @@ def _sender(origin: Origin, messages: int) -> dict[str, object]:
     }
 
 
-def _show(summary: Summary, comparison: Comparison | None) -> None:
+def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
     console = Console()
     recommended = summary.estimates.get("recommended")
     for method, estimate in summary.estimates.items():

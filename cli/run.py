@@ -10,8 +10,9 @@ from pathlib import Path
 from types import FrameType
 
 from tilth.cli import WrongUse, duration
-from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.daemon import run_daemon
 from tilth.logger.machine_file import read_machine
+from tilth.logger.run_summary import RunSummary
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
 from tilth.logger.zenoh.session import refusal
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if summary.recorded == summary.frames > 0 and not (summary.lost or summary.faults) else 1
 
 
-def _last_words(summary: Summary) -> str:
+def _last_words(summary: RunSummary) -> str:
     files = " ".join(str(path) for path in summary.log_files)
     words = [f"{summary.frames} frames, {summary.measurements} measurements, {summary.poses} poses"]
     if summary.lost:

@@ -21,7 +21,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
-from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, Source, files_of, simulate_to
+from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.tractor import drive
 
 
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _on_buses(args: argparse.Namespace, source: Source) -> int:
+def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
     """1 where it was not sent, or not to its end."""
     import_can()
     from tilth.cli.discover import parse_buses
@@ -116,7 +116,7 @@ def _say(text: str) -> None:
     print(f"tilth simulate: {text}", file=sys.stderr)
 
 
-def _source(args: argparse.Namespace) -> Source:
+def _source(args: argparse.Namespace) -> SimulationInput:
     """What is asked for. Raises WrongUse, MachineError."""
     try:
         text = args.scenario.read_text(encoding="utf-8")
@@ -136,7 +136,7 @@ def _source(args: argparse.Namespace) -> Source:
         raise WrongUse(f"--seed {seed}: give a whole number from 0 up")
     if not (math.isfinite(seconds) and 0 < seconds <= 86_400):
         raise WrongUse(f"--seconds {seconds:g}: give a number above zero, a day at most")
-    return Source(machine, machine_text, scenario, text, seed, seconds)
+    return SimulationInput(machine, machine_text, scenario, text, seed, seconds)
 
 
 def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str]:
@@ -164,7 +164,7 @@ def _progress(stack: ExitStack, seconds: float) -> Callable[[str, float], None]:
     return lambda what, at_s: bar.update(tasks[what], completed=at_s)
 
 
-def _tell(source: Source, simulated: Simulated, as_json: bool) -> None:
+def _tell(source: SimulationInput, simulated: Simulated, as_json: bool) -> None:
     log, described, table = simulated.files
     if as_json:
         told = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}

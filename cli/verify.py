@@ -8,7 +8,7 @@ from typing import Any
 
 from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
-from tilth.replay.survey import Heard, Survey, survey
+from tilth.replay.survey import Coverage, RunSurvey, survey
 
 GAPS_SHOWN = 3
 STEPPED = "clock_stepped"  # a fault that the steps themselves tell
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(one.good for one in found) else 1
 
 
-def _lines(one: Survey) -> list[str]:
+def _lines(one: RunSurvey) -> list[str]:
     size = sum(path.stat().st_size for path in one.files) / 1e6
     name = one.files[0].name.rpartition("_")[0] or one.files[0].name
     if not one.run:
@@ -66,7 +66,7 @@ def _lines(one: Survey) -> list[str]:
     return lines
 
 
-def _told(one: Survey) -> str:
+def _told(one: RunSurvey) -> str:
     told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
     if one.first_ns < DATED_NS:
         known = one.first_ns + one.utc_minus_ns >= DATED_NS
@@ -75,7 +75,7 @@ def _told(one: Survey) -> str:
     return told + moved
 
 
-def _words(one: Survey, heard: Heard) -> str:
+def _words(one: RunSurvey, heard: Coverage) -> str:
     if not heard.count:
         return "never heard"
     text = f"{heard.count:>9} at {heard.per_s:.1f}/s, "
@@ -94,11 +94,11 @@ def _name(topic: str) -> str:
     return topic.rpartition("/")[2].replace("_", " ")
 
 
-def _utc(one: Survey, t_ns: int) -> str:
+def _utc(one: RunSurvey, t_ns: int) -> str:
     return utc_text(t_ns + one.utc_minus_ns)
 
 
-def _plain(one: Survey) -> dict[str, Any]:
+def _plain(one: RunSurvey) -> dict[str, Any]:
     plain: dict[str, Any] = {each.name: getattr(one, each.name) for each in fields(one)}
     plain["files"] = [str(path) for path in one.files]
     plain["heard"] = {topic: _plain_heard(heard) for topic, heard in one.heard.items()}
@@ -109,6 +109,6 @@ def _plain(one: Survey) -> dict[str, Any]:
     return plain | {"began": began, "duration_s": one.duration_s, "good": one.good}
 
 
-def _plain_heard(heard: Heard) -> dict[str, Any]:
+def _plain_heard(heard: Coverage) -> dict[str, Any]:
     """`gaps`: [t_ns, s] of each."""
     return asdict(heard) | {"longest_gap_s": max((length for _, length in heard.gaps), default=0.0)}

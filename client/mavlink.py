@@ -41,7 +41,7 @@ def _rows(latest: Latest) -> list[tuple[float, float, float, float]]:
     return rows
 
 
-class Sender:
+class MavlinkSender:
     """Sends to one peer, and hears nothing."""
 
     def __init__(self, to: UdpAddress, system: int, component: int) -> None:

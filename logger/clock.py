@@ -79,7 +79,7 @@ class Clock:
         self.bad_stamps += not NEWEST_NS <= age_ns < 0
         return t_ns
 
-    def told(self, rx_ns: int, utc_ns: int) -> None:
+    def add_gnss_time(self, rx_ns: int, utc_ns: int) -> None:
         """A receiver said at rx_ns that it was utc_ns."""
         self._gnss_ahead.append(utc_ns - rx_ns)
 

@@ -35,7 +35,7 @@ class Unkept(Exception):
     """There is no place for compiled kernels; one sentence that says what to set."""
 
 
-class Stopped(BaseException):
+class CompilingStopped(BaseException):
     """Who is told wants no compiling. No Exception: those make a kernel go on interpreted."""
 
 
@@ -53,11 +53,11 @@ def load(machine: Machine) -> bool:
     """Take what was kept on disk; False as soon as something would have to be compiled."""
 
     def stop(code: CodeType) -> None:
-        raise Stopped
+        raise CompilingStopped
 
     try:
         _call(machine, stop, lambda code: None)
-    except Stopped:
+    except CompilingStopped:
         return False
     return True
 

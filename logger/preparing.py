@@ -73,7 +73,7 @@ class Preparing:
         try:
             if not compiling.load(self._machine):
                 self._compile()
-        except compiling.Stopped:
+        except compiling.CompilingStopped:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own
             what = f"{type(error).__name__}: {error}"
@@ -135,7 +135,7 @@ class Preparing:
 
     def _told(self, share: float) -> None:
         if self._closing:
-            raise compiling.Stopped
+            raise compiling.CompilingStopped
         if share == 0.0:
             self._began_s = time.monotonic()
         self._done = share

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from tilth.logger.can.buses import NOT_YET, Source
+from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -23,29 +23,29 @@ _WHEEL_PROBLEMS: Mapping[str, str] = {
 _GOOD_FIXES = ("rtk_fixed", "precise", "simulated", "")
 
 
-def bus_status(source: Source, t_ns: int) -> pb.BusStatus:
+def bus_status(bus: LiveBus, t_ns: int) -> pb.BusStatus:
     status = pb.BusStatus(
-        name=source.name,
-        state=source.state,
-        frames=source.frames,
-        frames_per_s=source.frames_per_s,
-        reopened=max(source.opened - 1, 0),
-        error_frames=source.tally.error_frames,
-        lost_frames=source.lost,
-        reason=source.problem,
-        stamp=source.stamp,
-        controller=source.tally.health.state,
-        errors=[pb.Count(reason=name, count=n) for name, n in source.tally.health.counts.items()],
-        failures=source.failures,
-        silences=source.silences,
-        load=min(source.frames_per_s * FRAME_BITS / source.config.bitrate, 1.0),
+        name=bus.name,
+        state=bus.state,
+        frames=bus.traffic.frames,
+        frames_per_s=bus.traffic.frames_per_s,
+        reopened=max(bus.connection.opened - 1, 0),
+        error_frames=bus.tally.error_frames,
+        lost_frames=bus.traffic.lost,
+        reason=bus.problem,
+        stamp=bus.traffic.stamp,
+        controller=bus.tally.health.state,
+        errors=[pb.Count(reason=name, count=n) for name, n in bus.tally.health.counts.items()],
+        failures=bus.outages.failures,
+        silences=bus.outages.silences,
+        load=min(bus.traffic.frames_per_s * FRAME_BITS / bus.config.bitrate, 1.0),
     )
-    if source.state != "open":
-        status.silent_s = (t_ns - source.heard_ns) * 1e-9
+    if bus.state is not BusState.OPEN:
+        status.silent_s = (t_ns - bus.traffic.last_ns) * 1e-9
     return status
 
 
-def tell_of_log(status: pb.Status, recording: Recording) -> None:
+def log_status(status: pb.Status, recording: Recording) -> None:
     """Whether it is written, where, and how long there is room."""
     status.recording = recording.recording or recording.resting
     status.resting = recording.resting
@@ -57,12 +57,12 @@ def tell_of_log(status: pb.Status, recording: Recording) -> None:
 
 
 def rejected(
-    of_fold: Mapping[str, int], sources: Iterable[Source], other: Mapping[str, int]
+    of_fold: Mapping[str, int], buses: Iterable[LiveBus], other: Mapping[str, int]
 ) -> dict[str, int]:
     """Reasons and counts of every layer."""
     counts = dict(of_fold)
-    for source in sources:
-        tally = source.tally
+    for bus in buses:
+        tally = bus.tally
         for reason, count in (
             ("remote", tally.remote_frames),
             ("can_fd", tally.fd_frames),
@@ -80,13 +80,13 @@ def health_of(status: pb.Status) -> str:
     return "degraded" if status.problems else "good"
 
 
-def problems_of(status: pb.Status, recording: Recording, zenoh: str) -> list[str]:
+def problems_of(status: pb.Status, buses: Iterable[LiveBus], recording: Recording, zenoh: str) -> list[str]:
     """What a person should do something about, worst first. zenoh: what is wrong with it, "" if nothing."""
     young = status.uptime_s < YOUNG_S
     found = [recording.problem] if recording.problem else []
-    for bus in status.buses:
-        if bus.reason and not (young and bus.reason == NOT_YET):
-            found.append(f"bus {bus.name} {bus.state}: {bus.reason}")
+    for bus in buses:
+        if bus.problem and not (young and bus.untried):
+            found.append(f"bus {bus.name} {bus.state}: {bus.problem}")
     found += [] if young else _sensor_problems(status)
     if zenoh:
         found.append(f"zenoh: {zenoh}")

@@ -28,14 +28,14 @@ GONE_S: Final = 10.0  # then another daemon may be followed
 MARK_S: Final = 5.0  # longest wait until a mark is in the log
 
 
-class Mark(NamedTuple):
+class MarkAnswer(NamedTuple):
     """What became of one: in the log, or why not."""
 
     noted: bool
     text: str
 
 
-class Heard:
+class DaemonData:
     """Follows one machine of those that live at an endpoint. `now_s` of time.monotonic throughout."""
 
     def __init__(self, endpoint: str, config: Path | None, prefix: str, machine: str, replay: bool) -> None:
@@ -100,16 +100,18 @@ class Heard:
         told = [self._plain("event", data, encoding) for data, encoding, _ in events]
         return messages, [event for event in told if event is not None]
 
-    def mark(self, text: str) -> Mark:
+    def mark(self, text: str) -> MarkAnswer:
         """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
         if not self.base:
-            return Mark(False, "no daemon has been heard yet: the mark is not in the log")
+            return MarkAnswer(False, "no daemon has been heard yet: the mark is not in the log")
         for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
             if reply.ok is not None:
-                return Mark(True, "in the log")
+                return MarkAnswer(True, "in the log")
             told = reply.err.payload.to_bytes() if reply.err is not None else b""
-            return Mark(False, told[:200].decode(errors="replace") or "the daemon refused it")
-        return Mark(False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records")
+            return MarkAnswer(False, told[:200].decode(errors="replace") or "the daemon refused it")
+        return MarkAnswer(
+            False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records"
+        )
 
     def close(self) -> None:
         self._session.close()

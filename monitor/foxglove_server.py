@@ -31,7 +31,7 @@ DESKTOP: Final = ("file://",)  # viewers with a window of their own; no page of 
 LATEST_NS: Final = 1 << 63
 
 
-class Server:
+class FoxgloveServer:
     """Serves until it is stopped. What it is sent by viewers it does not listen to."""
 
     def __init__(

@@ -24,7 +24,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from tilth.monitor.daemon_data import Heard, Mark
+from tilth.monitor.daemon_data import DaemonData, MarkAnswer
 from tilth.monitor.origin import refusal
 from tilth.monitor.view import View
 
@@ -142,7 +142,7 @@ class Guard:
             await answer(scope, receive, headed)
 
 
-def application(heard: Heard, view: View) -> ASGIApp:
+def application(heard: DaemonData, view: View) -> ASGIApp:
     viewers = Viewers(view)
     folder = resources.files("tilth.monitor") / "page"
 
@@ -156,7 +156,7 @@ def application(heard: Heard, view: View) -> ASGIApp:
         try:
             asked = await _asked(request)
         except ValueError as error:
-            return _answer(Mark(False, str(error)), 400)
+            return _answer(MarkAnswer(False, str(error)), 400)
         return _answer(await run_in_threadpool(heard.mark, asked), 200)
 
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
@@ -172,7 +172,7 @@ def _file(path: str, data: bytes, kind: str) -> Route:
     return Route(path, answer)
 
 
-def _answer(mark: Mark, status: int) -> Response:
+def _answer(mark: MarkAnswer, status: int) -> Response:
     return JSONResponse({"noted": mark.noted, "text": mark.text}, status)
 
 
@@ -211,7 +211,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(heard: Heard, endpoint: str, listener: socket.socket) -> None:
+def serve(heard: DaemonData, endpoint: str, listener: socket.socket) -> None:
     """Until SIGINT or SIGTERM: both are how it is meant to end."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # A stream that is refused with an answer of its own is no fault, as this server believes.

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
 
 from tilth.client.received import LONGEST as LONGEST_TEXT
-from tilth.monitor.daemon_data import Heard
+from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.history import History
 from tilth.monitor.words import priors, row, shown
 from tilth.schemas.invocation import command
@@ -43,7 +43,7 @@ class Turn(NamedTuple):
 class View:
     """One thread calls it; times are those of time.monotonic."""
 
-    def __init__(self, heard: Heard, endpoint: str) -> None:
+    def __init__(self, heard: DaemonData, endpoint: str) -> None:
         self._heard = heard
         self._endpoint = endpoint
         self._version = own_version()

@@ -38,7 +38,7 @@ class SentMessage:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class BusDevice:
     """Who sends from one address."""
 
     bus: str
@@ -69,11 +69,11 @@ class Findings:
     frames: int
     seconds: float
     buses: tuple[str, ...]
-    sources: tuple[Source, ...]
+    sources: tuple[BusDevice, ...]
     wheel_angles: tuple[WheelCandidate, ...]  # the likeliest first
 
     @property
-    def receivers(self) -> tuple[Source, ...]:
+    def receivers(self) -> tuple[BusDevice, ...]:
         return tuple(source for source in self.sources if source.sends_positions)
 
 
@@ -123,7 +123,7 @@ def listen(
         buses.close()
 
 
-class Survey:
+class BusSurvey:
     """`take` every frame in its order, then ask for `findings`."""
 
     def __init__(self) -> None:
@@ -211,7 +211,7 @@ class Survey:
                 yield best
 
 
-def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] | None) -> Source:
+def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] | None) -> BusDevice:
     parts = name_parts(speaker.name) if speaker.name is not None else {}
     manufacturer = parts.get("manufacturer")
     messages = tuple(
@@ -220,7 +220,7 @@ def _source(bus: str, source: int, speaker: _Speaker, lag: tuple[float, float] |
             speaker.messages.items(), key=lambda item: (item[0][0], item[0][1] or 0)
         )
     )
-    return Source(
+    return BusDevice(
         bus,
         source,
         speaker.name,

@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import Metadata
 
-from tilth.logger.log.mcap_file import DAMAGE, Place, body_of, is_finished, unpacked, walk
+from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
 from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.survey import messages_in
@@ -101,11 +101,11 @@ def _metadata(found: Glance, record: Metadata) -> None:
 
 
 @dataclass(slots=True)
-class _Chunks:
+class _ChunkPlaces:
     """The chunks of a file without index, and which of them hold what."""
 
     file: BinaryIO
-    places: list[Place] = field(default_factory=list)
+    places: list[RecordPlace] = field(default_factory=list)
     counts: defaultdict[int, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
     topics: dict[int, str] = field(default_factory=dict)  # of the channels met so far
 
@@ -123,7 +123,7 @@ class _Chunks:
 
 def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
     """As far as it is whole; what is damaged is passed over, for `tilth verify` says it."""
-    chunks = _Chunks(file)
+    chunks = _ChunkPlaces(file)
     times: list[int] = []
     for place in walk(file, size):
         try:
@@ -138,7 +138,7 @@ def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
     return found
 
 
-def _take(chunks: _Chunks, place: Place, found: Glance, times: list[int]) -> None:
+def _take(chunks: _ChunkPlaces, place: RecordPlace, found: Glance, times: list[int]) -> None:
     file = chunks.file
     if place.opcode == Opcode.CHUNK:
         file.seek(place.body)
@@ -154,7 +154,7 @@ def _take(chunks: _Chunks, place: Place, found: Glance, times: list[int]) -> Non
         _metadata(found, Metadata.read(ReadDataStream(file)))
 
 
-def _look_into(chunks: _Chunks, found: Glance) -> None:
+def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     """Open the few chunks that define channels or hold what is wanted of them."""
     for number, row in chunks.counts.items():
         if any(id not in chunks.topics for id in row):

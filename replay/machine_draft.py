@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from tilth.replay.discover import Findings, Source
+from tilth.replay.discover import BusDevice, Findings
 from tilth.replay.turn_rates import in_words
 from tilth.replay.wheel_search import WheelCandidate
 from tilth.schemas.flow import Mount
@@ -92,7 +92,7 @@ def _receivers(findings: Findings) -> Iterator[str]:
         yield _receiver(None)
 
 
-def _receiver(source: Source | None) -> str:
+def _receiver(source: BusDevice | None) -> str:
     lines = ["[[receiver]]" + (f"  # {_who(source)}, heard from address {source.source}" if source else "")]
     lines.append(f"mount = {FILL_IN}: one of " + ", ".join(f'"{mount}"' for mount in Mount))
     if source is None:
@@ -114,7 +114,7 @@ def _receiver(source: Source | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _who(source: Source) -> str:
+def _who(source: BusDevice) -> str:
     if source.manufacturer is None:
         return "maker unknown"
     return source.manufacturer_name or f"manufacturer {source.manufacturer}"

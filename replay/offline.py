@@ -17,7 +17,7 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers.any_log import open_log, place
-from tilth.replay.readers.log import EmptyLog, Log, Logged, Place
+from tilth.replay.readers.log import EmptyLog, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
 from tilth.schemas.channels import FIT_TOPIC, READY_TOPIC, payload
 from tilth.schemas.flow import Estimate, Event, Frame, Origin, Pose, Publication
@@ -43,7 +43,7 @@ class Flagged:
 
 
 @dataclass(slots=True)
-class Summary:
+class ReplaySummary:
     """What a replay did."""
 
     frames: int = 0
@@ -61,7 +61,7 @@ class Summary:
 
 
 @dataclass(frozen=True, slots=True)
-class Outputs:
+class ReplayOutputs:
     """Where frames and results go besides the summary; None: nowhere."""
 
     writer: LogWriter | None = None
@@ -104,9 +104,9 @@ def replay(
     machine_text: str,
     *,
     buses: Mapping[str, str] | None = None,
-    outputs: Outputs | None = None,
+    outputs: ReplayOutputs | None = None,
     say: Say = lambda text: None,
-) -> Summary:
+) -> ReplaySummary:
     """Feed logs, in the order given, through the fold.
 
     Parts of a run go on from one another, and so do logs that others wrote, which tell of no run. A log of
@@ -117,7 +117,7 @@ def replay(
     should know.
     Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
     """
-    run = _Run(machine, machine_text, outputs or Outputs(), say)
+    run = _Run(machine, machine_text, outputs or ReplayOutputs(), say)
     empty: EmptyLog | None = None
     try:
         for path in paths:
@@ -138,8 +138,8 @@ def replay(
 class _Run:
     """The fold and what has come of it so far."""
 
-    def __init__(self, machine: Machine, machine_text: str, outputs: Outputs, say: Say) -> None:
-        self.summary = Summary()
+    def __init__(self, machine: Machine, machine_text: str, outputs: ReplayOutputs, say: Say) -> None:
+        self.summary = ReplaySummary()
         self._machine = machine
         self._sha256 = machine_sha256(machine, machine_text)
         self._outputs = outputs
@@ -147,7 +147,7 @@ class _Run:
         self._read_bytes = 0
         self._told_other = False
         self._waited = 0  # frames for which the estimators were not ready
-        self._place: Place | None = None  # of the last log
+        self._place: RunPlace | None = None  # of the last log
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
         self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
@@ -167,7 +167,7 @@ class _Run:
             self._read_bytes += log.size
         self._ended(log)
 
-    def _follow(self, log: Log) -> None:
+    def _follow(self, log: OpenLog) -> None:
         """See whether a log goes on where the one before it ended, and say so where it does not."""
         last, self._place = self._place, place(log)
         self.fitter.own = self._place.run != ("", "")
@@ -178,7 +178,7 @@ class _Run:
         if told:
             self._say(f"{log.path}: {told}")
 
-    def _records(self, log: Log, buses: Mapping[str, str]) -> None:
+    def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
         pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
         summary = self.summary
         time, before_ns = LogTime(), summary.duration_ns
@@ -217,7 +217,7 @@ class _Run:
         self.fitter.tell(told.method, told.asked_ns, told.adopted, told.awaited)
         self._put([(p, payload(p)) for p in self._fold.decided(told.t_ns)])
 
-    def _ready(self, log: Log, record: Logged) -> None:
+    def _ready(self, log: OpenLog, record: Logged) -> None:
         """From here on the estimators take part, or do not, as they did live."""
         told = Ready.FromString(record.data)
         if told.ready and not self._fold.ready and self._waited:
@@ -261,7 +261,7 @@ class _Run:
         fold = GuardedFold(self._machine, fitter=self.fitter)
         self._go_on_with(fold, t_ns, fold.renew())
 
-    def _snapshot(self, log: Log, stored: Snapshot) -> None:
+    def _snapshot(self, log: OpenLog, stored: Snapshot) -> None:
         """Go on from a stored state, as the daemon did that stored it."""
         if stored.machine_sha256 != self._sha256:
             if not self._told_other:
@@ -316,7 +316,7 @@ class _Run:
         self._origins |= {(origin.bus, origin.source): origin for origin in told}
         return Counter({(origin.bus, origin.source): number for origin, number in told.items()})
 
-    def _ended(self, log: Log) -> None:
+    def _ended(self, log: OpenLog) -> None:
         for reason, count in log.skipped.items():
             self._counts["rejected", reason] += count
         if self._outputs.comparison is not None:

@@ -29,7 +29,7 @@ YOUNG_S: Final = 3.0  # a daemon's first status: what it counts was counted in t
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Coverage:
     """A bus or a sensor in a run: frames or positions or angles; gaps at the run's begin and end included."""
 
     count: int
@@ -38,7 +38,7 @@ class Heard:
 
 
 @dataclass(slots=True)
-class Survey:
+class RunSurvey:
     """A run, or the part of it that was given."""
 
     run: str = ""
@@ -50,7 +50,7 @@ class Survey:
     last_ns: int = 0
     utc_minus_ns: int = 0  # what gives UTC, added to the log's times
     by_gnss: bool = False  # whether receivers have confirmed it
-    heard: dict[str, Heard] = field(default_factory=dict)  # by topic
+    heard: dict[str, Coverage] = field(default_factory=dict)  # by topic
     faults: Counter[str] = field(
         default_factory=Counter
     )  # dropped frames by bus, and what the daemon counted
@@ -83,9 +83,9 @@ class _Reading:
     ended: str = ""  # why the last file did
 
 
-def survey(paths: Iterable[Path]) -> list[Survey]:
+def survey(paths: Iterable[Path]) -> list[RunSurvey]:
     """Every byte read and checked; a Survey of each run, in the order given. Raises OSError."""
-    runs: dict[str, tuple[Survey, _Reading]] = {}
+    runs: dict[str, tuple[RunSurvey, _Reading]] = {}
     for path in paths:
         metadata, clocks, damage = dict[str, Mapping[str, str]](), list[Mapping[str, str]](), Counter[str]()
         one, reading = None, _Reading()
@@ -172,11 +172,11 @@ def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tupl
 
 
 def _run_of(
-    runs: dict[str, tuple[Survey, _Reading]], path: Path, metadata: Mapping[str, Mapping[str, str]]
-) -> tuple[Survey, _Reading]:
+    runs: dict[str, tuple[RunSurvey, _Reading]], path: Path, metadata: Mapping[str, Mapping[str, str]]
+) -> tuple[RunSurvey, _Reading]:
     """The run that a file belongs to, and the file its next part."""
     told = metadata.get("run", {})
-    one, reading = runs.setdefault(told.get("id", str(path)), (Survey(), _Reading()))
+    one, reading = runs.setdefault(told.get("id", str(path)), (RunSurvey(), _Reading()))
     one.run, one.note = told.get("id", ""), told.get("note", "")
     one.machine = metadata.get("machine", {}).get("name", "")
     part = _number(told.get("part"))
@@ -191,7 +191,7 @@ def _run_of(
     return one, reading
 
 
-def _take(one: Survey, reading: _Reading, topic: str, t_ns: int, data: bytes) -> None:
+def _take(one: RunSurvey, reading: _Reading, topic: str, t_ns: int, data: bytes) -> None:
     if t_ns < one.last_ns:
         one.backwards += 1
     one.first_ns = one.first_ns or t_ns
@@ -204,7 +204,7 @@ def _take(one: Survey, reading: _Reading, topic: str, t_ns: int, data: bytes) ->
         one.events.append(pb.Event.FromString(data))
 
 
-def _conclude(one: Survey, reading: _Reading) -> None:
+def _conclude(one: RunSurvey, reading: _Reading) -> None:
     buses = [times for topic, times in reading.times.items() if topic.startswith(CAN_TOPIC)]
     first_ns = min((times[0] for times in buses), default=one.first_ns)
     last_ns = max((times[-1] for times in buses), default=one.last_ns)
@@ -213,8 +213,8 @@ def _conclude(one: Survey, reading: _Reading) -> None:
     for status in reading.statuses[:1]:
         for mount in (receiver.mount for receiver in status.receivers):
             if f"{GNSS}{mount}" not in one.heard:
-                one.heard[f"{GNSS}{mount}"] = Heard(0, 0.0, ())
-        one.heard.setdefault(WHEEL, Heard(0, 0.0, ()))
+                one.heard[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
+        one.heard.setdefault(WHEEL, Coverage(0, 0.0, ()))
     if reading.statuses:
         one.faults = _counted(reading.statuses[-1])
         if reading.statuses[0].uptime_s > YOUNG_S:
@@ -229,7 +229,7 @@ def _conclude(one: Survey, reading: _Reading) -> None:
             one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
-def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:
+def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
     """times: with the run's first and last instant before and after them."""
     apart = np.diff(times) * 1e-9
     usual = float(np.median(apart[1:-1])) if apart.size > 2 else 0.0
@@ -237,7 +237,7 @@ def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Heard:
     gaps = sorted(((int(times[i]), float(apart[i])) for i in where), key=lambda gap: -gap[1])
     span_s = float(times[-1] - times[0]) * 1e-9
     count = times.size - 2
-    return Heard(count, count / span_s if span_s > 0 else 0.0, tuple(gaps))
+    return Coverage(count, count / span_s if span_s > 0 else 0.0, tuple(gaps))
 
 
 def _counted(status: pb.Status) -> Counter[str]:
@@ -246,7 +246,7 @@ def _counted(status: pb.Status) -> Counter[str]:
     return +counts
 
 
-def _clocks(one: Survey, clocks: list[Mapping[str, str]]) -> None:
+def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
     ahead = None
     for told in clocks:
         before, ahead = ahead, _number(told.get("realtime_ns")) - _number(told.get("t_ns"))

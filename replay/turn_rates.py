@@ -15,7 +15,7 @@ HEADING_SD: Final = math.radians(0.5)  # until the data tell it
 
 
 @dataclass(slots=True)
-class _Sender:
+class _TurnRateSender:
     origin: Origin
     lag: Lag = field(default_factory=Lag)
     heading: float = 0.0  # rad, where the interval began
@@ -27,14 +27,14 @@ class TurnRates:
     """`take` every message in its order, then ask who is `smoothed`."""
 
     def __init__(self) -> None:
-        self._senders: dict[tuple[str, int], _Sender] = {}
+        self._senders: dict[tuple[str, int], _TurnRateSender] = {}
 
     def take(self, message: Message) -> None:
         heading, rate = message.values.get("heading_rad"), message.values.get("yaw_rate_radps")
         if heading is None and rate is None:
             return
         origin = message.origin
-        sender = self._senders.setdefault((origin.bus, origin.source), _Sender(origin))
+        sender = self._senders.setdefault((origin.bus, origin.source), _TurnRateSender(origin))
         sender.origin = origin
         if rate is not None:
             _turn(sender, message.rx_ns, float(rate))
@@ -63,7 +63,7 @@ def in_words(lag: tuple[float, float]) -> str:
     )
 
 
-def _turn(sender: _Sender, rx_ns: int, rate: float) -> None:
+def _turn(sender: _TurnRateSender, rx_ns: int, rate: float) -> None:
     lag = sender.lag
     apart_ns = rx_ns - sender.rate_ns
     if not 0 <= apart_ns <= LONGEST_NS:
@@ -74,7 +74,7 @@ def _turn(sender: _Sender, rx_ns: int, rate: float) -> None:
     lag.rate, sender.rate_ns = rate, rx_ns
 
 
-def _face(sender: _Sender, rx_ns: int, heading: float) -> None:
+def _face(sender: _TurnRateSender, rx_ns: int, heading: float) -> None:
     lag = sender.lag
     since_ns = rx_ns - sender.rate_ns
     if not sender.rate_ns or not 0 <= since_ns <= LONGEST_NS:

@@ -18,7 +18,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.measures import Head, Made, makers_of
 from tilth.schemas.messages import PGNS, Pgn, row
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembled, Assembler, frames_in_fast, split_fast
-from tilth.schemas.wheel_angle import RUDDER, Sensor, compile_sensor
+from tilth.schemas.wheel_angle import RUDDER, WheelAngleSensor, compile_sensor
 
 REASONS: dict[str, str] = {
     "not_available": "the message says that it has no value",
@@ -68,7 +68,7 @@ class _Route:
     sender: Sender
     read: Callable[["_Route", Frame], _Arrival | None] | None
     row: Pgn | None  # None: depends on who sends, or on the announcement
-    sensor: Sensor | None
+    sensor: WheelAngleSensor | None
 
 
 class Decoder:
@@ -123,7 +123,7 @@ class Decoder:
             told.append(self._tell(route, arrival))
         return told
 
-    def _tell_wheel(self, route: _Route, sensor: Sensor, frame: Frame) -> Message:
+    def _tell_wheel(self, route: _Route, sensor: WheelAngleSensor, frame: Frame) -> Message:
         angle = sensor.read(frame.data)
         reason = angle if isinstance(angle, str) else None
         if reason is not None:
@@ -319,7 +319,9 @@ class Decoder:
         if reason == "unknown_source":
             sender.unknown += 1
 
-    def _measure_wheel(self, route: _Route, sensor: Sensor, frame: Frame, found: list[Measurement]) -> None:
+    def _measure_wheel(
+        self, route: _Route, sensor: WheelAngleSensor, frame: Frame, found: list[Measurement]
+    ) -> None:
         angle = sensor.read(frame.data)
         if isinstance(angle, str):
             count(self.rejected, angle)

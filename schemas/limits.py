@@ -14,7 +14,7 @@ TINY: Final = 0.025  # of what is usual at most: nobody meant less
 LOOSE: Final = 0.5  # an sd beyond this share of the largest that is allowed is rare
 
 
-class Limits(NamedTuple):
+class KeyLimits(NamedTuple):
     """Of one key, in the unit of the machine file."""
 
     low: float
@@ -40,45 +40,45 @@ class Doubt:
     refused: bool
 
 
-def _spread(largest: float, unit: str, least: float = 0.0) -> Limits:
+def _spread(largest: float, unit: str, least: float = 0.0) -> KeyLimits:
     """Of an sd that may be 0: exactly known. Between 0 and `least` nobody can survey it."""
-    return Limits(0.0, largest, (0.0, LOOSE * largest), unit, least)
+    return KeyLimits(0.0, largest, (0.0, LOOSE * largest), unit, least)
 
 
-LIMITS: Final[Mapping[str, Limits]] = {
-    "tractor.a": Limits(0.3, 5.0, (0.5, 3.5), "m"),
-    "tractor.b": Limits(0.3, 5.0, (0.3, 3.5), "m"),
-    "tractor.c": Limits(0.1, 8.0, (0.5, 5.0), "m"),
-    "tractor.mass": Limits(500.0, 40e3, (1e3, 32e3), "kg"),
-    "tractor.yaw_inertia": Limits(100.0, 500e3, (300.0, 300e3), "kg m^2"),
-    "tractor.cg_height": Limits(0.3, 2.0, (0.5, 1.6), "m"),
+LIMITS: Final[Mapping[str, KeyLimits]] = {
+    "tractor.a": KeyLimits(0.3, 5.0, (0.5, 3.5), "m"),
+    "tractor.b": KeyLimits(0.3, 5.0, (0.3, 3.5), "m"),
+    "tractor.c": KeyLimits(0.1, 8.0, (0.5, 5.0), "m"),
+    "tractor.mass": KeyLimits(500.0, 40e3, (1e3, 32e3), "kg"),
+    "tractor.yaw_inertia": KeyLimits(100.0, 500e3, (300.0, 300e3), "kg m^2"),
+    "tractor.cg_height": KeyLimits(0.3, 2.0, (0.5, 1.6), "m"),
     "tractor.cg_sd": _spread(1.0, "m", 1e-3),
     "tractor.pair_yaw_sd": _spread(10.0, "deg", 0.01),
-    "tractor.kingpin_distance": Limits(0.5, 4.0, (0.8, 3.0), "m"),
-    "implement.d": Limits(0.5, 15.0, (1.0, 10.0), "m"),
-    "implement.e": Limits(-2.0, 5.0, (0.0, 3.0), "m"),
+    "tractor.kingpin_distance": KeyLimits(0.5, 4.0, (0.8, 3.0), "m"),
+    "implement.d": KeyLimits(0.5, 15.0, (1.0, 10.0), "m"),
+    "implement.e": KeyLimits(-2.0, 5.0, (0.0, 3.0), "m"),
     "implement.e.sd": _spread(2.0, "m"),
-    "implement.mass": Limits(100.0, 60e3, (200.0, 40e3), "kg"),
-    "implement.yaw_inertia": Limits(50.0, 1e6, (100.0, 400e3), "kg m^2"),
-    "implement.cg_height": Limits(0.3, 4.0, (0.4, 2.5), "m"),
+    "implement.mass": KeyLimits(100.0, 60e3, (200.0, 40e3), "kg"),
+    "implement.yaw_inertia": KeyLimits(50.0, 1e6, (100.0, 400e3), "kg m^2"),
+    "implement.cg_height": KeyLimits(0.3, 4.0, (0.4, 2.5), "m"),
     "implement.cg_sd": _spread(1.0, "m", 1e-3),
     "implement.pair_yaw_sd": _spread(10.0, "deg", 0.01),
-    "tyres.cornering_stiffness": Limits(5e3, 3e6, (10e3, 2e6), "N/rad"),
-    "tyres.relaxation_length": Limits(0.05, 5.0, (0.2, 3.0), "m"),
-    "tyres.log_sd": Limits(0.005, 3.0, (0.1, 1.5), "1"),
+    "tyres.cornering_stiffness": KeyLimits(5e3, 3e6, (10e3, 2e6), "N/rad"),
+    "tyres.relaxation_length": KeyLimits(0.05, 5.0, (0.2, 3.0), "m"),
+    "tyres.log_sd": KeyLimits(0.005, 3.0, (0.1, 1.5), "1"),
     "receiver.survey_sd": _spread(1.0, "m", 1e-3),
-    "receiver.position_sd": Limits(5e-4, 3.0, (0.003, 0.15), "m"),
-    "receiver.velocity_sd": Limits(2e-3, 2.5, (0.005, 0.5), "m/s"),
-    "receiver.yaw_rate_sd": Limits(0.01, 10.0, (0.02, 3.0), "deg/s"),
-    "receiver.heading_sd": Limits(0.01, 20.0, (0.02, 5.0), "deg"),
-    "receiver.roll_sd": Limits(0.01, 20.0, (0.02, 5.0), "deg"),
-    "receiver.latency": Limits(0.0, 2.0, (0.0, 0.6), "s"),
+    "receiver.position_sd": KeyLimits(5e-4, 3.0, (0.003, 0.15), "m"),
+    "receiver.velocity_sd": KeyLimits(2e-3, 2.5, (0.005, 0.5), "m/s"),
+    "receiver.yaw_rate_sd": KeyLimits(0.01, 10.0, (0.02, 3.0), "deg/s"),
+    "receiver.heading_sd": KeyLimits(0.01, 20.0, (0.02, 5.0), "deg"),
+    "receiver.roll_sd": KeyLimits(0.01, 20.0, (0.02, 5.0), "deg"),
+    "receiver.latency": KeyLimits(0.0, 2.0, (0.0, 0.6), "s"),
     "receiver.latency.sd": _spread(1.0, "s"),
-    "wheel_angle.zero": Limits(-360.0, 360.0, (-15.0, 15.0), "deg"),
+    "wheel_angle.zero": KeyLimits(-360.0, 360.0, (-15.0, 15.0), "deg"),
     "wheel_angle.zero.sd": _spread(20.0, "deg"),
-    "wheel_angle.gain": Limits(0.5, 2.0, (0.7, 1.4), "1"),
-    "wheel_angle.sd": Limits(5e-4, 10.0, (0.003, 2.0), "deg"),
-    "wheel_angle.delay": Limits(0.0, 2.0, (0.0, 0.3), "s"),
+    "wheel_angle.gain": KeyLimits(0.5, 2.0, (0.7, 1.4), "1"),
+    "wheel_angle.sd": KeyLimits(5e-4, 10.0, (0.003, 2.0), "deg"),
+    "wheel_angle.delay": KeyLimits(0.0, 2.0, (0.0, 0.3), "s"),
 }
 """By section and key; what is not here is judged with others, by `plausible`. `.sd` is that of a quantity; of
 one that is not here the sd may be as large as the value."""
@@ -119,7 +119,7 @@ def judged(name: str, key: str, value: float) -> Doubt | None:
     return None if fine else doubt_of(name, value, row)
 
 
-def doubt_of(name: str, value: float, row: Limits) -> Doubt:
+def doubt_of(name: str, value: float, row: KeyLimits) -> Doubt:
     """Of a value that is not usual."""
     refused = row.impossible(value)
     said = f"{name} = {shown(value, row.unit)}: "

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from tilth.schemas.axle_loads import axle_loads
-from tilth.schemas.limits import LIMITS, Doubt, Limits, doubt_of, judged, meant, shown, spread_judged
+from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, shown, spread_judged
 from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
 
@@ -178,13 +178,13 @@ def _receivers(machine: Machine) -> Iterator[Doubt]:
     reach = {  # of each body, for forward, right and up: what is possible and what is usual
         "tractor": (
             _place(-tractor.c.value, 3.0, 0.5, tractor.a.value, 4.0, 1.5),
-            Limits(-4.0, 4.0, (-1.6, 1.6), "m"),
-            Limits(0.3, 7.0, (1.0, 4.5), "m"),
+            KeyLimits(-4.0, 4.0, (-1.6, 1.6), "m"),
+            KeyLimits(0.3, 7.0, (1.0, 4.5), "m"),
         ),
         "implement": (
             _place(-implement.e.value, 15.0, 6.0, implement.d.value, 1.0, 0.5),
-            Limits(-20.0, 20.0, (-4.0, 4.0), "m"),
-            Limits(0.1, 10.0, (0.3, 6.0), "m"),
+            KeyLimits(-20.0, 20.0, (-4.0, 4.0), "m"),
+            KeyLimits(0.1, 10.0, (0.3, 6.0), "m"),
         ),
     }
     for receiver in machine.receiver:
@@ -200,10 +200,10 @@ def _receivers(machine: Machine) -> Iterator[Doubt]:
 
 def _place(
     back: float, behind: float, usually_behind: float, front: float, ahead: float, usually_ahead: float
-) -> Limits:
+) -> KeyLimits:
     """Along a body from `back` to `front`, and so much further behind and ahead, m."""
     usual = (round(back - usually_behind, 3), round(front + usually_ahead, 3))
-    return Limits(round(back - behind, 3), round(front + ahead, 3), usual, "m")
+    return KeyLimits(round(back - behind, 3), round(front + ahead, 3), usual, "m")
 
 
 def _order(pair: list[Receiver]) -> Iterator[Doubt]:

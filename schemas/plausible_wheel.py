@@ -6,7 +6,7 @@ from typing import Final
 
 from tilth.schemas.limits import Doubt, meant
 from tilth.schemas.machine import Machine, MachineError, WheelAngle
-from tilth.schemas.wheel_angle import Sensor, compile_sensor
+from tilth.schemas.wheel_angle import WheelAngleSensor, compile_sensor
 
 FRAME: Final = 8  # bytes of classic CAN
 LAST_STANDARD: Final = 0x7FF
@@ -64,7 +64,7 @@ def _linkage(lookup: list[tuple[float, float]]) -> Iterator[Doubt]:
         )
 
 
-def _reach(sensor: Sensor, given: WheelAngle) -> Iterator[Doubt]:
+def _reach(sensor: WheelAngleSensor, given: WheelAngle) -> Iterator[Doubt]:
     """Which angles the field can tell at all, from its lowest to its highest raw value."""
     reached = _angles(sensor, sensor.scale)
     name = "wheel_angle.scale" if given.dbc is None else "wheel_angle: scale with that of the signal"
@@ -90,7 +90,7 @@ def _coarse(scale: float, reached: tuple[float, float]) -> bool:
     return abs(scale) > COARSEST or (abs(scale) > COARSE and reached[1] - reached[0] > FARTHEST)
 
 
-def _meant(sensor: Sensor) -> str:
+def _meant(sensor: WheelAngleSensor) -> str:
     def likely(scale: float) -> bool:
         reached = _angles(sensor, scale)
         if reached is None or scale < 0 or _coarse(scale, reached):
@@ -100,14 +100,14 @@ def _meant(sensor: Sensor) -> str:
     return "" if sensor.lookup else meant(sensor.scale, "deg/bit", likely)
 
 
-def _readings(sensor: Sensor, scale: float) -> tuple[float, float]:
+def _readings(sensor: WheelAngleSensor, scale: float) -> tuple[float, float]:
     """At the lowest and the highest raw value, degrees before sign and lookup."""
     half = 1 << sensor.bits.bits - 1
     low, high = (-half, half - 1) if sensor.bits.signed else (0, 2 * half - 1)
     return low * scale + sensor.offset, high * scale + sensor.offset
 
 
-def _angles(sensor: Sensor, scale: float) -> tuple[float, float] | None:
+def _angles(sensor: WheelAngleSensor, scale: float) -> tuple[float, float] | None:
     """(lowest, highest) angle, degrees; None where no reading is in the lookup."""
     low, high = sorted(_readings(sensor, scale))
     if sensor.lookup:
@@ -120,7 +120,7 @@ def _angles(sensor: Sensor, scale: float) -> tuple[float, float] | None:
     return min(ends), max(ends)
 
 
-def _looked_up(sensor: Sensor, reading: float) -> float:
+def _looked_up(sensor: WheelAngleSensor, reading: float) -> float:
     for (x0, y0), (x1, y1) in pairwise(sensor.lookup):
         if reading <= x1:
             return y0 + (y1 - y0) * (reading - x0) / (x1 - x0)

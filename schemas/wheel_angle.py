@@ -52,7 +52,7 @@ class Bits:
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
+class WheelAngleSensor:
     """A wheel-angle sensor, compiled from the machine file."""
 
     bus: str
@@ -121,7 +121,7 @@ class Sensor:
         return data if self.instance is None else bytes([self.instance]) + data[1:]
 
 
-def compile_sensor(machine: Machine) -> Sensor:
+def compile_sensor(machine: Machine) -> WheelAngleSensor:
     """The sensor of a machine file. Raises MachineError where its DBC file does not give the signal."""
     given = machine.wheel_angle
     if given.pgn is not None:
@@ -139,9 +139,9 @@ def compile_sensor(machine: Machine) -> Sensor:
 
 def _sensor(
     machine: Machine, can_id: int, mask: int, extended: bool, bits: Bits, scale: float, offset: float
-) -> Sensor:
+) -> WheelAngleSensor:
     given = machine.wheel_angle
-    return Sensor(
+    return WheelAngleSensor(
         given.bus,
         can_id & mask,
         mask,
@@ -185,7 +185,7 @@ def _bits(big_endian: bool, first: int, bits: int, signed: bool) -> Bits:
     return Bits(size, True, 8 * size - from_top - bits, bits, signed)
 
 
-def _of_rudder(machine: Machine, given: WheelAngle) -> Sensor:
+def _of_rudder(machine: Machine, given: WheelAngle) -> WheelAngleSensor:
     assert given.source is not None  # the machine file demands it
     table = row(RUDDER)
     field = next(field for field in table.fields if field.key == "wheel_angle_rad")
@@ -196,7 +196,7 @@ def _of_rudder(machine: Machine, given: WheelAngle) -> Sensor:
     return replace(sensor, no_data=(field.limit(table.family), top), instance=given.instance)
 
 
-def _of_dbc(machine: Machine, given: WheelAngle) -> Sensor:
+def _of_dbc(machine: Machine, given: WheelAngle) -> WheelAngleSensor:
     # Imported here: half a second that only machines with a DBC file pay.
     import cantools
 
@@ -223,7 +223,7 @@ def _of_dbc(machine: Machine, given: WheelAngle) -> Sensor:
     return _of_signal(machine, given, *found[0])
 
 
-def _of_signal(machine: Machine, given: WheelAngle, message: Any, signal: Any) -> Sensor:
+def _of_signal(machine: Machine, given: WheelAngle, message: Any, signal: Any) -> WheelAngleSensor:
     if signal.multiplexer_ids or signal.is_float:
         plain = [s.name for s in message.signals if not s.multiplexer_ids and not s.is_float]
         kind = "multiplexed" if signal.multiplexer_ids else "a floating-point number"

@@ -22,8 +22,9 @@ from typing import Any, Final, Literal, Self
 from rich.table import Table
 
 from tilth.logger import compiling
-from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display, NoDisplay
+from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
@@ -53,7 +54,7 @@ class Demo:
 
     seed: int
     truth: Mapping[str, float]  # PARAMETERS, N/rad and m
-    summary: Summary
+    summary: RunSummary
     frames_sent: int
 
     @property
@@ -62,7 +63,7 @@ class Demo:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TruthAndEstimate:
     """One parameter: truth beside estimate."""
 
     name: str
@@ -240,12 +241,12 @@ class Player:
         return json.loads(line) if line else None
 
 
-def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[Comparison]:
+def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[TruthAndEstimate]:
     """One row for each of PARAMETERS."""
     rows = []
     for i, name in enumerate(PARAMETERS):
         parameter = estimate.parameters[i] if estimate is not None else None
-        rows.append(Comparison(name, truth[name], parameter, _interval(estimate, i)))
+        rows.append(TruthAndEstimate(name, truth[name], parameter, _interval(estimate, i)))
     return rows
 
 
@@ -300,7 +301,7 @@ _COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
 )
 
 
-def _cells(row: Comparison) -> tuple[str, ...]:
+def _cells(row: TruthAndEstimate) -> tuple[str, ...]:
     unit, scale, digits = ("kN/rad", 1e-3, 0) if row.name.startswith("C_") else ("m", 1.0, 2)
     start = (f"{row.name}, {unit}", f"{row.truth * scale:.{digits}f}")
     status = "unestimated" if row.estimate is None else row.estimate.status.name.lower()

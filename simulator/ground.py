@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import Rig
 from tilth.schemas.flow import PARAMETERS
-from tilth.simulator.scenario import Change, Ground, Soil
+from tilth.simulator.scenario import Ground, Soil, SoilChange
 
 Array = NDArray[np.float64]
 
@@ -103,11 +103,11 @@ def terrain(ground: Ground, roll_deg: tuple[float, float], rig: Rig, rng: np.ran
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class SoilField:
     """The six soil-tyre parameters over time and place."""
 
     theta: Array  # (6,), without changes and patches
-    changes: tuple[Change, ...]
+    changes: tuple[SoilChange, ...]
     patches: tuple[Waves, Array] | None  # along unit vectors, shape (WAVES, 2)
     rig: Rig
 
@@ -140,7 +140,7 @@ def axles_of(rig: Rig, states: Array) -> Array:
     return np.stack([centre + rig.a * ahead_t, centre - rig.b * ahead_t, cart], axis=-2)
 
 
-def share(change: Change, t: Array | float, axles: Array) -> Array:
+def share(change: SoilChange, t: Array | float, axles: Array) -> Array:
     """How much of a change there is at each axle, 0 to 1, shape (..., 3). axles: (..., 3, 2)."""
     if change.at_s is not None:
         beyond = np.broadcast_to(np.subtract(t, change.at_s)[..., None], axles.shape[:-1])
@@ -153,7 +153,7 @@ def share(change: Change, t: Array | float, axles: Array) -> Array:
     return np.asarray(np.clip(beyond / change.over, 0.0, 1.0))
 
 
-def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator) -> Field:
+def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator) -> SoilField:
     """The soil of a scenario; `parameters`: the six before any change."""
     patches = None
     if soil.patch_log_sd > 0.0:
@@ -161,11 +161,11 @@ def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.
         wave, angle = waves(rng, soil.patch_log_sd, band), rng.uniform(0.0, np.pi, WAVES)
         patches = wave, np.column_stack([np.cos(angle), np.sin(angle)])
     theta = np.array([parameters[name] for name in PARAMETERS])
-    return Field(theta, soil.changes, patches, rig)
+    return SoilField(theta, soil.changes, patches, rig)
 
 
 def crossings(
-    changes: tuple[Change, ...], rig: Rig, time: Array, states: Array
+    changes: tuple[SoilChange, ...], rig: Rig, time: Array, states: Array
 ) -> Iterator[tuple[int, str, float, float]]:
     """(number of the change from 1, axle, when it begins there, when it is whole), s, for those that come.
 

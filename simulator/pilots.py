@@ -22,7 +22,7 @@ from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.regulator import gain_on, regulator
 from tilth.simulator import noise
 from tilth.simulator.noise import gauss_markov, generator
-from tilth.simulator.scenario import STEP_S, Fieldwork, Manoeuvre, Row, Scenario, Turns
+from tilth.simulator.scenario import STEP_S, DrivenManoeuvre, Fieldwork, RowSteering, Scenario, Turns
 
 Array = NDArray[np.float64]
 
@@ -59,13 +59,13 @@ def driver_of(scenario: Scenario, rig: Rig, time: Array, seed: int) -> Driver:
     """The driver of a scenario. rig: what a pilot believes of the machine. time: (n,), s, STEP_S apart."""
     speed = speeds(scenario, time, generator(seed, noise.SPEED))
     steering = scenario.steering
-    if isinstance(steering, (Row, Fieldwork)):
+    if isinstance(steering, (RowSteering, Fieldwork)):
         return pilot(scenario, steering, rig, speed, generator(seed, noise.BELIEF))
-    return Plan(wheel_angles(scenario, time, generator(seed, noise.STEERING)), speed)
+    return DrivePlan(wheel_angles(scenario, time, generator(seed, noise.STEERING)), speed)
 
 
 @dataclass(slots=True)
-class Plan:
+class DrivePlan:
     """Wheel angles and speeds that were settled before."""
 
     wheel_angle: Array  # rad, (n,)
@@ -95,12 +95,12 @@ def demo_steering(turns: Turns, rng: np.random.Generator) -> list[tuple[float, f
 def wheel_angles(scenario: Scenario, time: Array, rng: np.random.Generator) -> Array:
     """Targets of the scenario, reached at a limited rate: rad, shape (n,)."""
     steering, rate = scenario.steering, scenario.steering_rate_degps
-    if isinstance(steering, Manoeuvre):
+    if isinstance(steering, DrivenManoeuvre):
         wanted = manoeuvre_named(steering.kind).wheel_angle(time, math.radians(steering.amplitude_deg), rng)
         return _limited(wanted, math.radians(rate) * STEP_S)
-    assert not isinstance(steering, (Row, Fieldwork))  # a pilot's
+    assert not isinstance(steering, (RowSteering, Fieldwork))  # a pilot's
     segments = demo_steering(steering, rng) if isinstance(steering, Turns) else steering
-    line = Line(0.0)
+    line = PiecewiseLine(0.0)
     for duration, target in cycle(segments):
         if line.end > time[-1]:
             break
@@ -116,7 +116,7 @@ def wheel_angles(scenario: Scenario, time: Array, rng: np.random.Generator) -> A
 def speeds(scenario: Scenario, time: Array, rng: np.random.Generator) -> Array:
     """Speed to hold, m/s, shape (n,): as asked for, and wandering unless the rig stands."""
     rows = scenario.speed if isinstance(scenario.speed, tuple) else ((math.inf, scenario.speed),)
-    line = Line(rows[0][1])
+    line = PiecewiseLine(rows[0][1])
     for duration, target in cycle(rows):
         if line.end > time[-1]:
             break
@@ -126,7 +126,7 @@ def speeds(scenario: Scenario, time: Array, rng: np.random.Generator) -> Array:
     return np.asarray(wanted + np.minimum(np.abs(wanted), 1.0) * wander)
 
 
-class Line:
+class PiecewiseLine:
     """A function of time made of straight pieces."""
 
     def __init__(self, value: float) -> None:
@@ -260,12 +260,12 @@ class Pilot:
 
 
 def pilot(
-    scenario: Scenario, work: Row | Fieldwork, rig: Rig, speed: Array, rng: np.random.Generator
+    scenario: Scenario, work: RowSteering | Fieldwork, rig: Rig, speed: Array, rng: np.random.Generator
 ) -> Pilot:
     """A pilot for a scenario; his gains are the dissertation's weights on the relaxation-length model."""
-    rows = Fieldwork() if isinstance(work, Row) else work
+    rows = Fieldwork() if isinstance(work, RowSteering) else work
     length, first, heading_deg = rows.length, 0.0, 0.0
-    if isinstance(work, Row):
+    if isinstance(work, RowSteering):
         length, first, heading_deg = math.inf, work.offset, work.heading_deg
     return Pilot(
         work=rows,

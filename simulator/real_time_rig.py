@@ -16,7 +16,7 @@ from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import STEP_S, Scenario, from_json
-from tilth.simulator.socketcand_server import START_DELAY_NS, TICK_S, Server, open_server
+from tilth.simulator.socketcand_server import START_DELAY_NS, TICK_S, SocketcandServer, open_server
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.steering import REFUSALS
 from tilth.simulator.tractor import COMPILED_FROM, Setting, drive
@@ -27,7 +27,7 @@ TELL_S: Final = 0.1
 Tell = Callable[[dict[str, Any]], None]
 
 
-class Stopped(Exception):
+class RunStopped(Exception):
     """Somebody wants the run to end."""
 
 
@@ -35,7 +35,7 @@ class Stopped(Exception):
 class RealTime:
     """The exchange of a LiveDriver: waits until it is time, and lets the bus have what has been sent."""
 
-    server: Server
+    server: SocketcandServer
     clock: Clock
     start_ns: int
     bus: str
@@ -52,7 +52,7 @@ class RealTime:
         while True:
             left = (due_ns - self.clock.t_ns()) * 1e-9
             if self.server.serve(min(max(left, 0.0), TICK_S), self.orders):
-                raise Stopped
+                raise RunStopped
             if left <= 0.0:
                 break
         self.server.send(frames)
@@ -82,7 +82,7 @@ class RealTime:
 
 
 def drive_live(
-    server: Server,
+    server: SocketcandServer,
     machine: Machine,
     seed: int,
     seconds: float,
@@ -103,7 +103,7 @@ def drive_live(
     try:
         scenario = replace(scenario, utc_start_ns=start_ns, clock_offset_s=0.0)
         drive(machine, seed, seconds, scenario, driven_by=driver)
-    except Stopped:
+    except RunStopped:
         stopped = True
     tell({"sent": wires.sent, "late": wires.late, "stopped": stopped, **wires.commands()})
 

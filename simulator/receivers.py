@@ -19,7 +19,7 @@ from tilth.schemas.machine import Machine, Receiver
 from tilth.simulator import noise as streams
 from tilth.simulator.noise import Array, gauss_markov, generator
 from tilth.simulator.scenario import STEP_S, Scenario
-from tilth.simulator.tractor import Setting, Track, Truth, leaning, rate
+from tilth.simulator.tractor import BodyTrack, Setting, Truth, leaning, rate
 
 ORIGIN_DEG: Final = (42.0267, -93.6465)
 """Latitude and longitude of the truth's x = y = 0."""
@@ -224,7 +224,7 @@ def _place(machine: Machine, truth: Truth, mount: Mount) -> tuple[float, float]:
     return float(placed[0] + moved[0]), float(placed[1] + moved[1])
 
 
-def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved_m: Array) -> Track:
+def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved_m: Array) -> BodyTrack:
     """Where the receiver reports itself to be at its epochs; the velocities are those to north and east.
 
     A roll-corrected receiver reports the point on the ground below its antenna.
@@ -243,7 +243,7 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     u = body.forward_velocity[k] - r * aside - above * rate(back)[k]
     v = body.lateral_velocity[k] + r * ahead + above * rate(side)[k]
     cosine, sine = np.cos(psi), np.sin(psi)
-    return Track(
+    return BodyTrack(
         body.x[k] + ahead * cosine - aside * sine,
         body.y[k] + ahead * sine + aside * cosine,
         psi,

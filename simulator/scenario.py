@@ -63,7 +63,7 @@ class Turns:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
-class Manoeuvre:
+class DrivenManoeuvre:
     """A row of estimator.manoeuvres, the wheels no faster than they can turn."""
 
     kind: Literal["step", "steps", "chirp", "random"]
@@ -71,7 +71,7 @@ class Manoeuvre:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
-class Row:
+class RowSteering:
     """Automatic steering along a row that runs north from the start."""
 
     kind: Literal["row"] = "row"
@@ -119,8 +119,8 @@ def _kind(raw: Any) -> str | None:
 Steering = Annotated[
     Annotated[Segments, Tag("segments")]
     | Annotated[Turns, Tag("turns")]
-    | Annotated[Manoeuvre, Tag("manoeuvre")]
-    | Annotated[Row, Tag("row")]
+    | Annotated[DrivenManoeuvre, Tag("manoeuvre")]
+    | Annotated[RowSteering, Tag("row")]
     | Annotated[Fieldwork, Tag("field")],
     Discriminator(_kind, custom_error_type="kind", custom_error_message=_SAY_KIND),
 ]
@@ -145,7 +145,7 @@ class Ground:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
-class Change:
+class SoilChange:
     """Other soil from a time on, or beyond a line. A parameter is multiplied by its factor there."""
 
     at_s: NotNegative | None = None
@@ -174,7 +174,7 @@ class Soil:
     )
     rolling: Annotated[float, Field(ge=0, le=0.5)] = 0.02  # resistance over load; on firm soil 0.06
     parameters: Mapping[Parameter, Positive] | None = None  # N/rad, m: instead of what is drawn
-    changes: tuple[Change, ...] = ()
+    changes: tuple[SoilChange, ...] = ()
     patch_log_sd: Annotated[float, Field(ge=0, le=1)] = 0.0  # stiffness here and there, natural logarithm
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
 
@@ -183,7 +183,7 @@ class Soil:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
-class Survey:
+class SurveyErrors:
     """How far the machine file is from the truth; drawn once for a run."""
 
     cg_sd: Annotated[float, Field(ge=0, le=0.2)] = 0.01  # m, of either CG, along each axis
@@ -202,7 +202,7 @@ class Wheel:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
-class Link:
+class ReceiverLink:
     """How the receivers' reports come through."""
 
     jitter: Annotated[float, Field(ge=0, le=0.2)] = 0.0015  # s, mean of what is added to the latency
@@ -251,9 +251,9 @@ class Scenario:
     )  # of tractor and implement, right side down
     ground: Ground = Ground()
     soil: Soil = Soil()
-    survey: Survey = Survey()
+    survey: SurveyErrors = SurveyErrors()
     wheel: Wheel = Wheel()
-    link: Link = Link()
+    link: ReceiverLink = ReceiverLink()
     noise: NotNegative = 1.0  # factor on every noise and drawn error of the sensors and the survey
     latency_s: Mapping[Mount, NotNegative] | None = None  # instead of what is drawn
     faults: tuple[Fault, ...] = ()
@@ -267,7 +267,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         slowest = min(row[1] for row in self.speed) if isinstance(self.speed, tuple) else self.speed
-        if slowest < 0 and isinstance(self.steering, (Row, Fieldwork)):
+        if slowest < 0 and isinstance(self.steering, (RowSteering, Fieldwork)):
             raise ValueError(f"speed = {slowest:g}: automatic steering does not drive in reverse")
 
 

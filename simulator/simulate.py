@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
-from tilth.logger.log.mcap_log import LogWriter, Run, software
+from tilth.logger.log.mcap_log import LogWriter, RunPart, software
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
 from tilth.simulator.ground import AXLES, crossings
@@ -63,7 +63,7 @@ class Candump:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SimulationInput:
     """What a run is simulated from, with the texts that go into its files."""
 
     machine: Machine
@@ -83,16 +83,16 @@ class Simulated:
     files: tuple[Path, Path, Path]  # log, truth as JSON, truth as CSV
 
 
-def _mcap(path: Path, source: Source) -> Writer:
+def _mcap(path: Path, source: SimulationInput) -> Writer:
     start_ns = source.scenario.utc_start_ns
-    run = Run(f"simulated-{source.seed}", 1, start_ns)
+    run = RunPart(f"simulated-{source.seed}", 1, start_ns)
     writer = LogWriter(path, source.machine, source.machine_text, run)
     told = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
     writer.metadata("simulated", told)
     return writer
 
 
-def _candump(path: Path, source: Source) -> Writer:
+def _candump(path: Path, source: SimulationInput) -> Writer:
     return Candump(path)
 
 
@@ -105,7 +105,9 @@ def files_of(log: Path) -> tuple[Path, Path, Path]:
     return log, log.with_name(log.name + ".truth.json"), log.with_name(log.name + ".truth.csv")
 
 
-def simulate_to(source: Source, log: Path, progress: Progress = lambda what, seconds: None) -> Simulated:
+def simulate_to(
+    source: SimulationInput, log: Path, progress: Progress = lambda what, seconds: None
+) -> Simulated:
     """Drive a scenario and write its three files; the same source gives the same bytes.
 
     Raises OSError, FileExistsError before anything is written; ValueError where the machine is none that can
@@ -185,7 +187,7 @@ COLUMNS: Final = (
 """Of LOG.truth.csv, after t_ns: the log's clock, as Frame.t_ns and Pose.t_ns."""
 
 
-def _write_truth(source: Source, truth: Truth, files: tuple[Path, Path, Path]) -> None:
+def _write_truth(source: SimulationInput, truth: Truth, files: tuple[Path, Path, Path]) -> None:
     log, described, table = files
     text = json.dumps(_description(source, truth, log, table), indent=1, ensure_ascii=False)
     with described.open("x", encoding="utf-8") as stream:
@@ -199,7 +201,7 @@ def _write_truth(source: Source, truth: Truth, files: tuple[Path, Path, Path]) -
             stream.write(row % (t_ns_at(at_s), *numbers))
 
 
-def _description(source: Source, truth: Truth, log: Path, table: Path) -> dict[str, Any]:
+def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) -> dict[str, Any]:
     """All of LOG.truth.json."""
     return {
         "purpose": source.scenario.purpose,

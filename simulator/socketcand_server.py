@@ -31,7 +31,7 @@ START_DELAY_NS: Final = 300_000_000  # in which the first ten seconds of traffic
 
 
 @dataclass(slots=True)
-class Client:
+class SocketcandClient:
     connection: socket.socket
     received: bytes = b""
     listens_from: float | None = None  # monotonic s
@@ -44,15 +44,15 @@ class Sending:
     can_id: int
     extended: bool
     data: bytes
-    by: Client
+    by: SocketcandClient
 
 
 @dataclass(slots=True)
-class Server:
+class SocketcandServer:
     """Clients of one bus. All calls come from one thread."""
 
     listener: socket.socket
-    clients: list[Client] = field(default_factory=list)
+    clients: list[SocketcandClient] = field(default_factory=list)
     heard: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
     refused: int = 0  # words of clients that are no frame
 
@@ -69,18 +69,18 @@ class Server:
             connection, _ = self.listener.accept()
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.settimeout(SEND_TIMEOUT_S)
-            client = Client(connection)
+            client = SocketcandClient(connection)
             self.clients.append(client)
             self._say(client, b"< hi >")
         for client in [client for client in self.clients if client.connection in ready]:
             self._hear(client)
         return orders in ready
 
-    def listening(self) -> list[Client]:
+    def listening(self) -> list[SocketcandClient]:
         now = time.monotonic()
         return [c for c in self.clients if c.listens_from is not None and c.listens_from <= now]
 
-    def send(self, frames: list[Frame], by: Client | None = None) -> None:
+    def send(self, frames: list[Frame], by: SocketcandClient | None = None) -> None:
         """Send frames to every client that listens, but to the one that sent them; one that has gone, or
         stands still, is dropped."""
         if frames:
@@ -94,7 +94,7 @@ class Server:
             self._drop(client)
         self.listener.close()
 
-    def _hear(self, client: Client) -> None:
+    def _hear(self, client: SocketcandClient) -> None:
         try:
             received = client.connection.recv(4096)
         except OSError:
@@ -115,7 +115,7 @@ class Server:
             if words[:1] == [b"rawmode"]:
                 client.listens_from = time.monotonic() + SETTLE_S
 
-    def _take(self, client: Client, words: list[bytes]) -> None:
+    def _take(self, client: SocketcandClient, words: list[bytes]) -> None:
         """A frame in socketcand's words: identifier, length, and its bytes, all but the length in
         hexadecimal."""
         try:
@@ -132,21 +132,21 @@ class Server:
         else:
             self.refused += 1
 
-    def _say(self, client: Client, text: bytes) -> None:
+    def _say(self, client: SocketcandClient, text: bytes) -> None:
         try:
             client.connection.sendall(text)
         except OSError:
             self._drop(client)
 
-    def _drop(self, client: Client) -> None:
+    def _drop(self, client: SocketcandClient) -> None:
         if client in self.clients:
             client.connection.close()
             self.clients.remove(client)
 
 
-def open_server(port: int = 0) -> Server:
+def open_server(port: int = 0) -> SocketcandServer:
     """A server on 127.0.0.1; port 0: any free one."""
-    return Server(socket.create_server(("127.0.0.1", port)))
+    return SocketcandServer(socket.create_server(("127.0.0.1", port)))
 
 
 def _told(frame: Frame) -> bytes:
@@ -156,7 +156,7 @@ def _told(frame: Frame) -> bytes:
     return text.encode("ascii")
 
 
-def play(server: Server, frames: Iterator[Frame], clock: Clock, orders: BinaryIO) -> int:
+def play(server: SocketcandServer, frames: Iterator[Frame], clock: Clock, orders: BinaryIO) -> int:
     """Send each frame when its t_ns has come, until there are no more or an order comes; returns how many."""
     sent = 0
     due: list[Frame] = []
@@ -185,7 +185,7 @@ def main() -> None:
             continue
 
 
-def _play_truth(server: Server, machine: Machine, truth: Truth, orders: BinaryIO) -> int:
+def _play_truth(server: SocketcandServer, machine: Machine, truth: Truth, orders: BinaryIO) -> int:
     """Play from the moment that somebody listens; how many frames."""
     while not server.listening():
         if server.serve(0.02, orders):

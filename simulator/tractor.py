@@ -18,7 +18,7 @@ from tilth.estimator.models.parameters import GEOMETRY, Rig, checked, rig_of
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 from tilth.simulator import noise
-from tilth.simulator.ground import Field, Terrain, field, terrain
+from tilth.simulator.ground import SoilField, Terrain, field, terrain
 from tilth.simulator.noise import generator, within
 from tilth.simulator.pilots import HOLD, Driver, driver_of
 from tilth.simulator.scenario import STEP_S as STEP_S
@@ -39,7 +39,7 @@ DRIVEN: Final = [INPUTS.index(name) for name in ("gravity_t", "gravity_i", "driv
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class BodyTrack:
     """One body's CG over time, arrays of shape (n,), named as in schemas.flow.BodyPose.
 
     The CG sways with roll and pitch about the ground below it, which is what the model moves.
@@ -66,8 +66,8 @@ class Truth:
     nuisances: dict[str, float]  # SI; see `_nuisances`
     time: Array  # s of UTC since scenario.utc_start_ns, shape (n,), STEP_S apart
     wheel_angle: Array  # rad, mean road-wheel angle of the front axle, shape (n,)
-    tractor: Track
-    implement: Track
+    tractor: BodyTrack
+    implement: BodyTrack
     rig: Rig  # all that the model was given
     soil: Array  # PARAMETERS under each axle, shape (n, 6)
     states: Array  # of the nonlinear model, its STATES, shape (n, 13): CGs on the ground, not swaying
@@ -85,7 +85,7 @@ class Setting:
     rig: Rig
     time: Array  # (n,)
     land: Terrain
-    soil: Field
+    soil: SoilField
 
     def truth(self, time: Array, way: float, states: Array, soil: Array) -> Truth:
         """Of a stretch of the run. time: (m,), s; way: m driven before it; states: (m, 13); soil: (m, 6)."""
@@ -212,7 +212,7 @@ def _integrate(
     rig: Rig,
     driver: Driver,
     land: Terrain,
-    soil: Field,
+    soil: SoilField,
     time: Array,
     progress: Callable[[float], None] | None,
 ) -> tuple[Array, Array]:
@@ -244,7 +244,7 @@ def _interpreted() -> Callable[..., Any]:
     return nonlinear.integrate.plain()
 
 
-def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[Track, Track]:
+def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[BodyTrack, BodyTrack]:
     """Both bodies from the model's states; way: m that were driven before."""
     u = states[:, AT["u"]]
     ways = way + np.concatenate([[0.0], np.cumsum(u[:-1] * STEP_S)])
@@ -261,13 +261,13 @@ def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[Track, 
     return one, other
 
 
-def _swaying(motion: Array, psi: Array, r: Array, height: float, roll: Array, land: Terrain) -> Track:
+def _swaying(motion: Array, psi: Array, r: Array, height: float, roll: Array, land: Terrain) -> BodyTrack:
     """The CG `height` above the ground point that moves as `motion`: x, y, u, v, shape (n, 4)."""
     pitch = np.broadcast_to(land.pitch(psi), psi.shape)
     back, side = leaning(roll, pitch)
     ahead, aside = -height * back, height * side
     cosine, sine = np.cos(psi), np.sin(psi)
-    return Track(
+    return BodyTrack(
         motion[:, 0] + ahead * cosine - aside * sine,
         motion[:, 1] + ahead * sine + aside * cosine,
         psi,

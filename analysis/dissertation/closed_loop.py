@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tilth.analysis.dissertation.compared import Line, claim, figures, number, pole, table
+from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
 from tilth.analysis.rig_report import LINEAR, MEASURED
 from tilth.estimator.models import linear_analysis as linear
 from tilth.estimator.models import nonlinear
@@ -46,7 +46,7 @@ def as_printed(rig: Rig = RIG, grip: float = GRIP) -> Rig:
     )  # fmt: skip
 
 
-class Run(NamedTuple):
+class ClosedLoopRun(NamedTuple):
     """A run from beside the line: time (n,), states (n, 13)."""
 
     time: Array
@@ -64,7 +64,7 @@ def run(
     heading: float = HEADING,
     seconds: float = SECONDS,
     period: float = PERIOD_S,
-) -> Run:
+) -> ClosedLoopRun:
     """The line y = 0 is to be followed at SPEED. gain: (13,), of the command on the plant's states.
 
     Ends early where steering or articulation passes 90°: there is nothing to see beyond.
@@ -80,7 +80,7 @@ def run(
             break
     states = np.array(seen)
     time: Array = np.arange(len(states), dtype=np.float64) * period
-    return Run(time, states)
+    return ClosedLoopRun(time, states)
 
 
 def settled(time: Array, error: Array, band: float) -> float:
@@ -101,7 +101,7 @@ class Figures(NamedTuple):
     steering: float
 
 
-def read_off(made: Run, band: float = BAND) -> Figures:
+def read_off(made: ClosedLoopRun, band: float = BAND) -> Figures:
     """band: share of the start within which an error has settled."""
     y, psi_t, psi_i = made.of("y_t"), made.of("psi_t"), made.of("psi_i")
     settling = [settled(made.time, e, band * abs(e[0])) for e in (y, psi_t, psi_i)]
@@ -157,11 +157,11 @@ def wired_poles(wiring: Wiring, speed: float, plant: str = "relaxation") -> Comp
     return eigenvalues(closed_loop(sys, wired(wiring, speed, sys.states)))
 
 
-def wired_run(wiring: Wiring, heading: float = HEADING) -> Run:
+def wired_run(wiring: Wiring, heading: float = HEADING) -> ClosedLoopRun:
     return run(as_printed(), wired(wiring, SPEED, NAMES), wiring.driven_by, heading=heading)
 
 
-def invalid_from(made: Run) -> float:
+def invalid_from(made: ClosedLoopRun) -> float:
     """When the wheel angle passes VALID, s; infinite where it does not."""
     beyond = np.flatnonzero(np.abs(made.of("delta")) > VALID)
     return float(made.time[beyond[0]]) if len(beyond) else math.inf
@@ -180,7 +180,7 @@ def _real(name: str, actuator: Actuator | None) -> list[float]:
     return [dominant(design(name, u, actuator).poles).real for u in SPEEDS]
 
 
-def regulator_lines() -> list[Line]:
+def regulator_lines() -> list[ComparedFigure]:
     """Sections 5.2.3 and 5.3.2, figure 5.7."""
     kinematic, dynamic = _real("kinematic", None), _real("dynamic", BOSSERD)
     coarse = RANGE[::4].tolist()
@@ -207,7 +207,7 @@ def regulator_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def settling_lines() -> list[Line]:
+def settling_lines() -> list[ComparedFigure]:
     """Sections 5.3.2 and 5.4, figure 5.8."""
     distance, ratio = settling_distances(), damping_ratios()
     later = RANGE >= 2.5
@@ -255,7 +255,7 @@ def _ranks() -> tuple[int, int, int]:
     return *ranks, len(sys.a)
 
 
-def unstable_lines() -> list[Line]:
+def unstable_lines() -> list[ComparedFigure]:
     """Section 5.4, figure 5.9 a."""
     first = WIRINGS[0]
     passes = [invalid_from(wired_run(first, heading)) for heading in (HEADING, -HEADING)]
@@ -271,7 +271,7 @@ def unstable_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def run_lines() -> list[Line]:
+def run_lines() -> list[ComparedFigure]:
     """Section 5.4, figures 5.9 b and 5.10."""
     whole = run(as_printed(), relaxation_gain(), BOSSERD)
     found, strict = read_off(whole), read_off(whole, 0.02)
@@ -300,7 +300,7 @@ def run_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def longest_above(made: Run, name: str, level: float) -> float:
+def longest_above(made: ClosedLoopRun, name: str, level: float) -> float:
     """Longest stretch, s, over which the size of a state is above a level."""
     longest = count = 0
     for above in np.abs(made.of(name)) > level:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 SLACK = 1e-9  # of a comparison, so that a tie in print is no difference
 
 
-class Line(NamedTuple):
+class ComparedFigure(NamedTuple):
     """One figure of the dissertation. `why` says what is behind a difference, or what agreement hangs on."""
 
     where: str  # section, figure or equation
@@ -27,7 +27,7 @@ def figures(
     digits: int,
     within: float | None = None,
     why: str = "",
-) -> Line:
+) -> ComparedFigure:
     """A line of numbers, the printed ones with so many decimals.
 
     They agree within half a unit of the last printed place, or `within` where the print says "about".
@@ -35,7 +35,7 @@ def figures(
     room = 0.5 * 10.0**-digits if within is None else within
     agrees = all(abs(p - o) <= room + SLACK for p, o in zip(printed, ours, strict=True))
     about = "" if within is None else "about "
-    return Line(
+    return ComparedFigure(
         where,
         what,
         about + ", ".join(number(value, digits) for value in printed),
@@ -46,9 +46,9 @@ def figures(
     )
 
 
-def claim(where: str, what: str, printed: str, ours: str, holds: bool, why: str = "") -> Line:
+def claim(where: str, what: str, printed: str, ours: str, holds: bool, why: str = "") -> ComparedFigure:
     """A line that is no list of numbers."""
-    return Line(where, what, printed, ours, holds, why)
+    return ComparedFigure(where, what, printed, ours, holds, why)
 
 
 def number(value: float, digits: int) -> str:
@@ -69,7 +69,7 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (headings, rule, *rows))
 
 
-def compared(lines: Iterable[Line]) -> str:
+def compared(lines: Iterable[ComparedFigure]) -> str:
     """The lines as a table in Markdown."""
     head = ("where", "figure", "printed", "ours", "verdict")
     rows = [
@@ -78,7 +78,7 @@ def compared(lines: Iterable[Line]) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, ("---",) * len(head), *rows))
 
 
-def verdict(line: Line) -> str:
+def verdict(line: ComparedFigure) -> str:
     """In words. A difference has a reason: raises ValueError where it has none."""
     if not line.agrees and not line.why:
         raise ValueError(

@@ -11,7 +11,7 @@ from matplotlib.ticker import MultipleLocator
 
 from tilth.analysis import plots
 from tilth.analysis.dissertation import closed_loop, open_loop
-from tilth.analysis.dissertation.closed_loop import HEADING, OFFSET, WIRINGS, Run
+from tilth.analysis.dissertation.closed_loop import HEADING, OFFSET, WIRINGS, ClosedLoopRun
 from tilth.analysis.rig_report import LINEAR
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.linear_analysis import Complex, system
@@ -153,7 +153,7 @@ def tracking_errors() -> Figure:
     return figure
 
 
-def _valid_part(panel: Axes, made: Run, colour: str, label: str) -> None:
+def _valid_part(panel: Axes, made: ClosedLoopRun, colour: str, label: str) -> None:
     """The error while the model is valid, a cross where steering passes 35°, dotted beyond."""
     end = closed_loop.invalid_from(made)
     valid = made.time <= end

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tilth.analysis import plots
-from tilth.analysis.dissertation.compared import Line, claim, figures, number, pole, table
+from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
 from tilth.analysis.rig_report import LINEAR
 from tilth.estimator.models import linear_analysis as linear
 from tilth.estimator.models import nonlinear
@@ -38,7 +38,7 @@ def pairs(name: str, speed: float) -> Complex:
     return poles[poles.imag > 0]
 
 
-def eigenvalue_lines() -> list[Line]:
+def eigenvalue_lines() -> list[ComparedFigure]:
     """Section 5.3.1 and figure 5.3, kinematic and dynamic."""
     kinematic, dynamic = moving("kinematic", 4.5), moving("dynamic", 4.5)
     slow = [
@@ -66,7 +66,7 @@ def eigenvalue_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def relaxation_lines() -> list[Line]:
+def relaxation_lines() -> list[ComparedFigure]:
     """Section 5.3.1 and figure 5.3, relaxation."""
     least = [float(linear.damping(pairs("relaxation", u)).min()) for u in SPEEDS]
     crawl = float(moving("relaxation", 0.05).real.max())
@@ -142,7 +142,7 @@ def radius(speed: float, planar: bool) -> float:
     return float(math.sqrt(rest + centre_x**2 + centre_y**2))
 
 
-def steady_lines() -> list[Line]:
+def steady_lines() -> list[ComparedFigure]:
     """Sections 3.2 and 3.6, figures 3.6 and 3.7."""
     last = {model.name: [_last_yaw(model.name, u) for u in SPEEDS] for model in LINEAR}
     closed = [math.degrees(steady_yaw("dynamic", u) * STEP_ANGLE) for u in SPEEDS]
@@ -210,7 +210,7 @@ def lag(name: str, speed: float, body: str) -> Array:
     return np.asarray(np.degrees(np.unwrap(np.angle(response(name, speed, OMEGA)[:, BODIES[body]]))))
 
 
-def gain_lines() -> list[Line]:
+def gain_lines() -> list[ComparedFigure]:
     """Section 5.3.1, figures 5.4 to 5.6: low frequencies, kinematic and dynamic."""
     dc = {u: {m.name: 20 * math.log10(steady_yaw(m.name, u)) for m in LINEAR} for u in (*FIELD_SPEEDS, 7.5)}
     ends: Array = np.array([0.05, 0.6])
@@ -240,7 +240,7 @@ def gain_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def resonance_lines() -> list[Line]:
+def resonance_lines() -> list[ComparedFigure]:
     """Section 5.3.1, figures 5.4 to 5.6: relaxation."""
     peaks, other = [peak(u) for u in FIELD_SPEEDS], [peak(u, TABLE_7_2)[0] for u in FIELD_SPEEDS]
     heights = [height for _, height in peaks]
@@ -266,7 +266,7 @@ def resonance_lines() -> list[Line]:
     ]  # fmt: skip
 
 
-def agreement_lines() -> list[Line]:
+def agreement_lines() -> list[ComparedFigure]:
     """Abstract and section 5.5: where the models agree and where they part."""
     names = [model.name for model in LINEAR]
     low = [spread(u, 0.2, body, names) for u in FIELD_SPEEDS for body in BODIES]

@@ -9,7 +9,7 @@ from string import Template
 
 from tilth.analysis import plots
 from tilth.analysis.dissertation import closed_loop, errata, open_loop
-from tilth.analysis.dissertation.compared import Line, compared, number
+from tilth.analysis.dissertation.compared import ComparedFigure, compared, number
 from tilth.analysis.dissertation.figures import DRAWINGS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -142,7 +142,7 @@ $errata
 """)
 
 
-def sections() -> dict[str, list[Line]]:
+def sections() -> dict[str, list[ComparedFigure]]:
     """The lines of each section that compares figures."""
     return {
         "steady": open_loop.steady_lines(),

@@ -12,7 +12,7 @@ from tilth.estimator.pose.geometry import Vector, rotate, wrap
 
 
 @dataclass(frozen=True, slots=True)
-class Antenna:
+class ReportedPoint:
     """What one receiver contributes at one instant."""
 
     at: Vector  # reported point, m
@@ -33,7 +33,7 @@ class Baseline:
     speed_along: float  # speed of the pair along the baseline, m/s
 
 
-def baseline(front: Antenna, rear: Antenna, sd_tilt: float) -> Baseline:
+def baseline(front: ReportedPoint, rear: ReportedPoint, sd_tilt: float) -> Baseline:
     """Heading from two positions of one body.
 
     sd_tilt: how far roll and pitch, as uncertain as they are, may shift the two points against each other, m.
@@ -58,7 +58,7 @@ def baseline(front: Antenna, rear: Antenna, sd_tilt: float) -> Baseline:
     )
 
 
-def centre(antennas: Sequence[Antenna], heading: float, sd_heading: float) -> tuple[Vector, float]:
+def centre(antennas: Sequence[ReportedPoint], heading: float, sd_heading: float) -> tuple[Vector, float]:
     """((north, east) of the CG, sd per axis), m: the antennas less their levers, weighted by variance."""
     variances = [_variance(antenna) for antenna in antennas]
     total = sum(1 / variance for variance in variances)
@@ -85,13 +85,13 @@ def centre(antennas: Sequence[Antenna], heading: float, sd_heading: float) -> tu
     return (north, east), math.sqrt(max(variance, min(antenna.sd**2 for antenna in antennas)))
 
 
-def _variance(antenna: Antenna) -> float:
+def _variance(antenna: ReportedPoint) -> float:
     speed = math.hypot(*antenna.velocity) if antenna.velocity else 0.0
     return antenna.sd**2 + (speed * antenna.sd_time) ** 2
 
 
 def centre_velocity(
-    antennas: Sequence[Antenna], heading: float, yaw_rate: float, sd_yaw_rate: float
+    antennas: Sequence[ReportedPoint], heading: float, yaw_rate: float, sd_yaw_rate: float
 ) -> tuple[float, float, float] | None:
     """(forward u, lateral v, sd per axis) of the CG, m/s, in the body's axes; None without velocities.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
-from tilth.estimator.pose.body import Antenna, Baseline, baseline, centre, centre_velocity
+from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, centre, centre_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.schemas.flow import BodyPose, FixType, Mount, Pose
@@ -52,7 +52,7 @@ class _Body:
     index: int  # 0 tractor, 1 implement
     roll: tuple[float, float] | None
     yaw_rate: tuple[float, float] | None
-    antennas: dict[int, Antenna]
+    antennas: dict[int, ReportedPoint]
     heading: float | None = None
     sd_heading: float = 0.0
     cg: Vector | None = None
@@ -128,7 +128,7 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
         partner = BODIES[index][0] + BODIES[index][1] - i
         sd_time = state.latency.sd_difference(i, partner, speed) / math.sqrt(2)
         velocity, sd_velocity = moving if moving else (None, 0.0)
-        body.antennas[i] = Antenna(point, sd, arm, velocity, sd_velocity, sd_time)
+        body.antennas[i] = ReportedPoint(point, sd, arm, velocity, sd_velocity, sd_time)
     return body
 
 
@@ -250,7 +250,9 @@ def _carried_on(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] |
     return carried, previous[2] + GYRO_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
 
 
-def _by_hitch(state: Aligner, body: _Body, other: _Body, antenna: Antenna) -> tuple[float, float] | None:
+def _by_hitch(
+    state: Aligner, body: _Body, other: _Body, antenna: ReportedPoint
+) -> tuple[float, float] | None:
     """(heading, sd) from the direction in which this antenna sees the hitch."""
     c, d = state.machine.tractor.c.value, state.machine.implement.d.value
     own, others = (-c, d) if body.index == 0 else (d, -c)

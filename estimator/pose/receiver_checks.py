@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.body import Antenna, baseline
+from tilth.estimator.pose.body import ReportedPoint, baseline
 from tilth.estimator.pose.geometry import rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, judge, regress, settled, time_constant
@@ -184,7 +184,7 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
         found = track.position_at(t_ns + aligner.latency.excess_ns(index)) if track.usable() else None
         if found is None or found[2]:
             return None
-        antennas.append((index, Antenna(found[0], found[1], receiver.position[:2], None, 0.0, 0.0)))
+        antennas.append((index, ReportedPoint(found[0], found[1], receiver.position[:2], None, 0.0, 0.0)))
     if len(antennas) != 2:
         return None
     front, rear = (antenna for _, antenna in sorted(antennas, key=itemgetter(0)))

@@ -31,7 +31,7 @@ EARLY_S: Final = 0.05  # a pose of later than now is of another clock
 
 
 @dataclass(slots=True)
-class Turns:
+class ControlLoop:
     """The loop, one call for each period."""
 
     wires: Wires
@@ -84,7 +84,7 @@ def run(
     work = Work(told.rows, told.length, told.spacing, told.radius)
     controller = Controller(plan(work, heard.rig), heard.rig, (told.origin[0], told.origin[1]), LIMITS)
     wires.command_on(open_bus())
-    turns = Turns(wires, controller, told.gains == "adapting")
+    turns = ControlLoop(wires, controller, told.gains == "adapting")
     next_turn = next_word = time.monotonic()
     while not (stop() or controller.follower.done):
         turns.turn()

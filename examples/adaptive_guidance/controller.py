@@ -13,7 +13,7 @@ from typing import Final
 
 from pyproj import Transformer
 
-from tilth.adaptive_guidance.follower import Body, Follower, Seen
+from tilth.adaptive_guidance.follower import BodyState, Follower, Seen
 from tilth.adaptive_guidance.plan import Plan
 from tilth.client import Cautious, InForce, Latest, Limits, Staleness
 from tilth.estimator.models.parameters import Rig
@@ -75,13 +75,13 @@ class Controller:
         """Frames that let go of the steering."""
         return _frames({"commanded_curvature_per_m": 0.0, "command_status": "not_intended"})
 
-    def _body(self, body: BodyPose) -> Body | None:
+    def _body(self, body: BodyPose) -> BodyState | None:
         x, y, heading = body.x, body.y, body.heading
         v, r = body.lateral_velocity, body.yaw_rate
         if x is None or y is None or heading is None or v is None or r is None:
             return None
         north, east = self._shift
-        return Body(x + north, y + east, heading, v, r, body.roll or 0.0)
+        return BodyState(x + north, y + east, heading, v, r, body.roll or 0.0)
 
 
 def _frames(words: dict[str, Word]) -> list[tuple[int, bytes]]:

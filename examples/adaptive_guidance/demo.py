@@ -32,7 +32,7 @@ from tilth.adaptive_guidance.study import (
     PARTS,
     SETTLED_S,
     SPEED,
-    Driven,
+    DrivenPath,
     draw,
     driven,
     middle,
@@ -42,8 +42,9 @@ from tilth.adaptive_guidance.study import (
 )
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger import compiling
-from tilth.logger.daemon import Summary, run_daemon
+from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display
+from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.demo import SIMULATED, DemoError, on_loopback
@@ -64,9 +65,9 @@ _NUMBERS: Final = re.compile(r"[\d.]+")
 class Guided:
     """What the demo gave."""
 
-    summary: Summary
-    fixed: Driven
-    adapting: Driven
+    summary: RunSummary
+    fixed: DrivenPath
+    adapting: DrivenPath
     commands: dict[str, Any]  # what became of them, as the tractor tells it
     figure: Path | None
 
@@ -124,13 +125,13 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
 
     def told(share: float) -> None:
         if stop():
-            raise compiling.Stopped
+            raise compiling.CompilingStopped
         if share == 0.0:
             say(compiling.TEXT)
 
     try:
         compiling.prepare(packaged(), told)
-    except compiling.Stopped:
+    except compiling.CompilingStopped:
         raise DemoError("stopped before it began") from None
 
 
@@ -220,7 +221,7 @@ class _Watching:
     controller: _Process
     line: Plan
     middle: float
-    fixed: Driven
+    fixed: DrivenPath
     events: deque[tuple[str, str]]  # kind, text
     end: dict[str, Any] = field(default_factory=dict)  # the tractor's last words
     _rows: list[tuple[float, float, int, bool]] = field(default_factory=list)
@@ -247,10 +248,10 @@ class _Watching:
         self._hear_controller()
         return False  # once more round: what was sent last is still to be read
 
-    def driven(self) -> Driven:
+    def driven(self) -> DrivenPath:
         columns = list(zip(*self._rows, strict=True)) or [(), (), (), ()]
         time, error, row, after = columns
-        return Driven(np.array(time), np.array(error), np.array(row, np.int64), np.array(after, bool), [])
+        return DrivenPath(np.array(time), np.array(error), np.array(row, np.int64), np.array(after, bool), [])
 
     def _take(self, at_s: float, x: float, y: float) -> None:
         error, sample = self._along.error(x, y)

@@ -34,7 +34,7 @@ POSE_OLD_S: Final = 1.0  # without a pose for longer there is nothing to steer b
 REACH_M: Final = 4.0  # the plan is searched this far ahead of, and behind, where the rig was
 
 
-class Body(NamedTuple):
+class BodyState(NamedTuple):
     """Of one CG: m in the plan's frame, rad, m/s, rad/s."""
 
     x: float
@@ -49,8 +49,8 @@ class Seen(NamedTuple):
     """What a pose says; `at` in s on the clock of the caller."""
 
     at: float
-    tractor: Body
-    implement: Body
+    tractor: BodyState
+    implement: BodyState
     speed: float
     wheel_angle: float
 
@@ -148,7 +148,7 @@ class Follower:
             rig = self.rig._replace(**dict(zip(PARAMETERS, self.theta.tolist(), strict=True)))
             self._design = design(rig, speed)
 
-    def _project(self, body: Body) -> float:
+    def _project(self, body: BodyState) -> float:
         """Sample of the plan, with its fraction, where the tractor's CG is neither ahead nor behind."""
         plan, reach = self.plan.tractor, round(REACH_M / STEP)
         first = max(0, round(self.station) - reach)

@@ -55,7 +55,7 @@ class NoFits:
 
 
 @dataclass(slots=True)
-class Heard:
+class RunTrace:
     """What one run leaves behind besides the truth."""
 
     estimates: Told = field(default_factory=list)
@@ -75,7 +75,7 @@ class Loop:
     truth: Callable[[float], Array]  # parameters at a time, as far as they are to be known, (6,)
     zero_ns: int  # of the run, on the frames' clock
     told: Told  # instead of what the fold says
-    heard: Heard = field(default_factory=Heard)
+    heard: RunTrace = field(default_factory=RunTrace)
     _next: float = FIRST_S
     _last: tuple[float, Estimate] | None = None
 
@@ -112,7 +112,7 @@ def run(
     limits: Limits = LIMITS,
     known: Collection[str] = PARAMETERS,
     told: Told | None = None,
-) -> tuple[Plan, Truth, Heard]:
+) -> tuple[Plan, Truth, RunTrace]:
     """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
 
     known: what of the parameters who knows does know; he takes the rest for nominal. told: what is said to

@@ -24,7 +24,7 @@ from tilth.analysis import plots
 from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import STEP_S, Change, Ground, Scenario, Soil
+from tilth.simulator.scenario import STEP_S, Ground, Scenario, Soil, SoilChange
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ MODES: Final = ("fixed", "adapting", "knowing")
 COLOURS: Final = {"fixed": "#c0392b", "adapting": "#2471a3", "knowing": "#7f8c8d"}
 
 
-class Driven(NamedTuple):
+class DrivenPath(NamedTuple):
     """One run: the implement's error over time."""
 
     time: Array  # s, (n,)
@@ -64,7 +64,7 @@ def packaged() -> Machine:
 def scenario_of(machine: Machine, work: Work) -> Scenario:
     """Nominal soil, from half of the field on softer; ground that rolls and pushes."""
     nominal = dict(zip(PARAMETERS, rig_of(machine).theta.tolist(), strict=True))
-    soft = Change(
+    soft = SoilChange(
         north=0.0, east=middle(work), towards_deg=90.0, C_af=SOFTER, C_ar=SOFTER, C_ai=SOFTER
     )  # fmt: skip
     soil = Soil(parameters=nominal, changes=(soft,))  # type: ignore[arg-type]
@@ -76,17 +76,17 @@ def middle(work: Work) -> float:
     return (work.rows - 1) / 2 * work.spacing
 
 
-def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> Driven:
+def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> DrivenPath:
     """options: of lockstep.run. Raises RuntimeError where a run did not come to its end."""
     line, truth, heard = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
     if heard.refused or heard.ended != "the plan is done":
         raise RuntimeError(f"the steering refused {heard.refused}; the run ended: {heard.ended}")
     error, at = cross_track(line, truth)
     east = truth.implement.y[::EVERY]
-    return Driven(truth.time[::EVERY], error, line.row[at], east > middle(work), heard.estimates)
+    return DrivenPath(truth.time[::EVERY], error, line.row[at], east > middle(work), heard.estimates)
 
 
-def rms(runs: Iterable[Driven], after: bool, turn: bool) -> float:
+def rms(runs: Iterable[DrivenPath], after: bool, turn: bool) -> float:
     """Of all samples of runs, m; not a number where there are none."""
     squares = [
         r.error[(r.time > SETTLED_S) & (r.after == after) & ((r.row < 0) == turn)] ** 2 for r in runs
@@ -140,7 +140,9 @@ def main() -> None:
     if told.part == "doubt":
         _doubt_table(machine)
         return
-    runs: dict[str, list[Driven]] = {mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]}
+    runs: dict[str, list[DrivenPath]] = {
+        mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]
+    }
     _say("| RMS of the implement's error, cm | rows before | turns before | rows after | turns after |")
     _say("|---|---|---|---|---|")
     for name in MODES[::2]:
@@ -160,7 +162,7 @@ def main() -> None:
         draw({mode: runs[mode][0] for mode in MODES}, told.figure)
 
 
-def _wrong_table(machine: Machine, runs: dict[str, list[Driven]]) -> None:
+def _wrong_table(machine: Machine, runs: dict[str, list[DrivenPath]]) -> None:
     heard, fixed = runs["adapting"][0].estimates, [runs["fixed"][0]]
     changed = learned_s(heard, machine)
     _say(f"\nEstimates off by {WRONG_SD:g} sd, seed {SEEDS[0]}; error over that with nominal gains:\n")
@@ -188,7 +190,7 @@ def _doubt_table(machine: Machine) -> None:
         _line(name, [driven(machine, s, mode, work, limits=limits) for s in SEEDS])
 
 
-def _line(name: str, runs: list[Driven]) -> None:
+def _line(name: str, runs: list[DrivenPath]) -> None:
     _say(f"| {name} | " + " | ".join(f"{100 * rms(runs, *part):.1f}" for part in PARTS) + " |")
 
 
@@ -197,7 +199,7 @@ def _say(text: str) -> None:
     sys.stdout.flush()
 
 
-def draw(runs: dict[str, Driven], path: Path) -> None:
+def draw(runs: dict[str, DrivenPath], path: Path) -> None:
     """The implement's error over time, one line for each controller; turns are shaded."""
     with plots.look():
         figure = Figure(figsize=(10.0, 3.6), layout="constrained")

@@ -75,7 +75,7 @@ class Health:
         for row in errors_of(can_id, data):
             self.count(t_ns, row)
 
-    def told(self, t_ns: int, state: str) -> None:
+    def set_state(self, t_ns: int, state: str) -> None:
         """Who knows was asked: what it says of the controller's state goes over what was heard."""
         row = _OF_STATE.get(state)
         if row is not None and state != self.state:

@@ -26,7 +26,7 @@ _WAIT_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class CanLink:
     """bitrate: bit/s, 0 where none is set. state: as in can_errors.STATES. restart_ms: 0 for never."""
 
     bitrate: int
@@ -34,7 +34,7 @@ class Link:
     restart_ms: int
 
 
-def ask(interface: str) -> Link | None:
+def ask(interface: str) -> CanLink | None:
     """None where the kernel does not say: no CAN controller (vcan has none), no such interface."""
     answer = _answer(interface)
     return None if answer is None else parse(answer)
@@ -61,13 +61,13 @@ def _answer(interface: str) -> bytes | None:
         return None
 
 
-def parse(answer: bytes) -> Link | None:
+def parse(answer: bytes) -> CanLink | None:
     """The link of a RTM_NEWLINK message, None where that tells of no CAN controller."""
     found = dict(_attributes(_info(answer).get(_INFO_DATA, b"")))
     numbers = {kind: int.from_bytes(found[kind][:4], sys.byteorder) for kind in found}
     if _STATE not in numbers:
         return None
-    return Link(numbers.get(_BITTIMING, 0), numbers[_STATE], numbers.get(_RESTART_MS, 0))
+    return CanLink(numbers.get(_BITTIMING, 0), numbers[_STATE], numbers.get(_RESTART_MS, 0))
 
 
 def _info(answer: bytes) -> dict[int, bytes]:

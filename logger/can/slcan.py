@@ -126,7 +126,7 @@ class SlcanPort:
         health = self._tally.health
         for name in {name for mask, name in _FLAGS if flags & mask}:
             health.count(t_ns, _ROWS[name])
-        health.told(t_ns, next((state for mask, state in _STATE_FLAGS if flags & mask), "active"))
+        health.set_state(t_ns, next((state for mask, state in _STATE_FLAGS if flags & mask), "active"))
 
 
 def is_plain(config: Bus) -> bool:

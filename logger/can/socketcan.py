@@ -116,7 +116,7 @@ class SocketCanPort:
         link = can_link.ask(str(self._config.channel))
         if link is None:
             return
-        self._tally.health.told(t_ns, STATES[link.state] if link.state < len(STATES) else "")
+        self._tally.health.set_state(t_ns, STATES[link.state] if link.state < len(STATES) else "")
         self.problem = ""
         wanted = self._config.bitrate
         if link.bitrate and link.bitrate != wanted:

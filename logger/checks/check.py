@@ -12,9 +12,10 @@ from pathlib import Path
 from zenoh import ZError
 
 from tilth.logger import compiling
-from tilth.logger.can.buses import Buses, Source
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
 from tilth.logger.clock import Clock
 from tilth.logger.status import LOW_HOURS, hours_left
 from tilth.logger.zenoh.session import refusal, try_session, why
@@ -27,7 +28,7 @@ YEARS = range(2025, 2100)
 NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
-def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
+def check(machine: Machine, folder: Path, seconds: float) -> list[CheckFinding]:
     """Open each bus and listen for so many seconds to who is there; try the disk, the clock and Zenoh.
 
     Raises MachineError where a run could not even begin.
@@ -43,16 +44,16 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[Finding]:
     ]
 
 
-def _configuration(machine: Machine) -> Iterator[Finding]:
+def _configuration(machine: Machine) -> Iterator[CheckFinding]:
     mounts = ", ".join(receiver.mount.value.replace("_", " ") for receiver in machine.receiver)
     text = f"{machine.name}: buses: {', '.join(bus.name for bus in machine.bus)}; receivers: {mounts}"
-    yield Finding("configuration", OK, text)
+    yield CheckFinding("configuration", OK, text)
     for rare in unusual(machine):
-        yield Finding("machine file", WARNING, rare)
+        yield CheckFinding("machine file", WARNING, rare)
 
 
-def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[Finding]:
-    said: list[str] = []  # the sources know it all the same
+def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:
+    said: list[str] = []  # the buses keep it all the same
     buses = Buses(machine.bus, clock, lambda kind, text: said.append(text))
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
@@ -60,31 +61,34 @@ def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[Finding]
         while clock.t_ns() - opened_ns < seconds * 1e9:
             for frame in buses.read(TURN_S):
                 devices.take(frame)
-            if any(source.opening for source in buses.sources) and opened_ns - began_ns < OPEN_S * 1e9:
+            if (
+                any(bus.connection.opening for bus in buses.live_buses)
+                and opened_ns - began_ns < OPEN_S * 1e9
+            ):
                 opened_ns = clock.t_ns()
-        findings = [_bus(source, (clock.t_ns() - opened_ns) * 1e-9) for source in buses.sources]
+        findings = [_bus(bus, (clock.t_ns() - opened_ns) * 1e-9) for bus in buses.live_buses]
     finally:
         buses.close()
     yield from findings
-    if any(source.frames for source in buses.sources):
+    if any(bus.traffic.frames for bus in buses.live_buses):
         yield from devices.findings()
 
 
-def _bus(source: Source, seconds: float) -> Finding:
-    what = f"bus {source.name}"
-    if source.state == "failed":
-        return Finding(what, PROBLEM, source.reason)
-    if source.frames == 0:
+def _bus(bus: LiveBus, seconds: float) -> CheckFinding:
+    what = f"bus {bus.name}"
+    if bus.state is BusState.FAILED:
+        return CheckFinding(what, PROBLEM, bus.reason)
+    if bus.traffic.frames == 0:
         text = f"silent for {seconds:.1f} s; check that its devices are on, the bit rate, the plug"
-        return Finding(what, PROBLEM, source.unusable or text)
-    text = f"{source.frames} frames in {seconds:.1f} s ({source.frames / seconds:.0f}/s)"
-    if source.tally.error_frames:
-        text += f", {source.tally.error_frames} of them error frames; check bitrate, termination and wiring"
-        return Finding(what, PROBLEM, text)
-    return Finding(what, OK, text)
+        return CheckFinding(what, PROBLEM, bus.unusable or text)
+    text = f"{bus.traffic.frames} frames in {seconds:.1f} s ({bus.traffic.frames / seconds:.0f}/s)"
+    if bus.tally.error_frames:
+        text += f", {bus.tally.error_frames} of them error frames; check bitrate, termination and wiring"
+        return CheckFinding(what, PROBLEM, text)
+    return CheckFinding(what, OK, text)
 
 
-def _disk(folder: Path, keep_free: float) -> Iterator[Finding]:
+def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
     """`run` makes the folder; here its nearest existing parent must do."""
     place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
     try:
@@ -96,40 +100,42 @@ def _disk(folder: Path, keep_free: float) -> Iterator[Finding]:
             took_s = time.monotonic() - began
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        yield Finding(
+        yield CheckFinding(
             "log folder", PROBLEM, f"{folder}: not writable ({reason}); give another with --log or log.folder"
         )
         return
-    yield Finding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
+    yield CheckFinding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     free = shutil.disk_usage(place).free
     hours = hours_left(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
     if hours < LOW_HOURS:
-        yield Finding("disk", PROBLEM, f"{text}; make room")
+        yield CheckFinding("disk", PROBLEM, f"{text}; make room")
     else:
-        yield Finding("disk", OK, text)
+        yield CheckFinding("disk", OK, text)
 
 
-def _clock(clock: Clock) -> Iterator[Finding]:
+def _clock(clock: Clock) -> Iterator[CheckFinding]:
     relation = clock.relation()
     year = time.gmtime(relation.realtime_ns // 1_000_000_000).tm_year
     text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(relation.realtime_ns // 1_000_000_000))
     if year not in YEARS:
-        yield Finding(
+        yield CheckFinding(
             "clock", PROBLEM, f"{text} cannot be; set the clock, or the logs get wrong names and dates"
         )
     elif clock.step_ns(relation):
-        yield Finding("clock", PROBLEM, f"{text}, set anew while this check ran; wait until it is right")
+        yield CheckFinding("clock", PROBLEM, f"{text}, set anew while this check ran; wait until it is right")
     else:
-        yield Finding("clock", OK, text)
+        yield CheckFinding("clock", OK, text)
     if not time.get_clock_info("monotonic").monotonic:
-        yield Finding("clock", PROBLEM, "this system has no clock that runs evenly; use another computer")
+        yield CheckFinding(
+            "clock", PROBLEM, "this system has no clock that runs evenly; use another computer"
+        )
     synchronised = _synchronised()
     if synchronised is False:
         note = "not synchronised by NTP: dates in the log are as good as the computer's own clock"
-        yield Finding("time source", NOTE, note)
+        yield CheckFinding("time source", NOTE, note)
     elif synchronised:
-        yield Finding("time source", OK, "synchronised by NTP")
+        yield CheckFinding("time source", OK, "synchronised by NTP")
 
 
 def _synchronised() -> bool | None:
@@ -141,25 +147,29 @@ def _synchronised() -> bool | None:
     return None
 
 
-def _kernels(machine: Machine) -> Iterator[Finding]:
+def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
         folder = compiling.kept_in(machine)
     except compiling.Unkept as why:
-        yield Finding("kernels", PROBLEM, str(why))
+        yield CheckFinding("kernels", PROBLEM, str(why))
     else:
         if folder:
-            yield Finding("kernels", OK, f"compiled once, kept in {folder}")
+            yield CheckFinding("kernels", OK, f"compiled once, kept in {folder}")
 
 
-def _zenoh(machine: Machine) -> Finding:
+def _zenoh(machine: Machine) -> CheckFinding:
     if refused := refusal(machine):
-        return Finding("zenoh", PROBLEM, refused)
+        return CheckFinding("zenoh", PROBLEM, refused)
     try:
         note = try_session(machine)
     except ZError as error:
-        return Finding("zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh")
+        return CheckFinding(
+            "zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh"
+        )
     if note:
-        return Finding("zenoh", NOTE, note)
+        return CheckFinding("zenoh", NOTE, note)
     if machine.zenoh.config is not None:
-        return Finding("zenoh", OK, f"only for this computer and who has a key, by {machine.zenoh.config}")
-    return Finding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")
+        return CheckFinding(
+            "zenoh", OK, f"only for this computer and who has a key, by {machine.zenoh.config}"
+        )
+    return CheckFinding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")

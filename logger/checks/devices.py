@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
 from tilth.schemas.can_id import CanId, split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import manufacturer_name
@@ -27,7 +27,7 @@ _GROUP: Final = 60  # bit of a NAME
 
 
 @dataclass(slots=True)
-class _Sender:
+class _BusAddress:
     """What came from one address of one bus."""
 
     bus: str
@@ -53,7 +53,7 @@ class Devices:
         self._machine = machine
         self._sensor = compile_sensor(machine)
         self._measured, self._told = Decoder(machine), Decoder()
-        self._senders: dict[tuple[str, int], _Sender] = {}
+        self._senders: dict[tuple[str, int], _BusAddress] = {}
         self._identifiers: Counter[tuple[str, int, bool]] = Counter()
         self._used: Counter[Mount] = Counter()  # positions of the machine file's receivers
         self._angles = 0
@@ -88,37 +88,37 @@ class Devices:
                 sender.positions += held
                 sender.empty_positions += not held
 
-    def _sender(self, bus: str, source: int) -> _Sender:
-        return self._senders.setdefault((bus, source), _Sender(bus, source))
+    def _sender(self, bus: str, source: int) -> _BusAddress:
+        return self._senders.setdefault((bus, source), _BusAddress(bus, source))
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self) -> Iterator[CheckFinding]:
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()
         for sender in self._strangers():
             if sender.positions:
                 text = f"{sender} sends positions and is none of the file's receivers"
-                yield Finding("other receiver", NOTE, text)
+                yield CheckFinding("other receiver", NOTE, text)
 
-    def _receiver(self, receiver: Receiver) -> Finding:
+    def _receiver(self, receiver: Receiver) -> CheckFinding:
         what, own = f"receiver {receiver.mount}", receiver.manufacturer
         sender = self._of(receiver)
         if sender is None:
-            return Finding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
+            return CheckFinding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
         if own is not None and receiver.name is None and sender.maker not in (None, own):
             text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {own}"
-            return Finding(what, PROBLEM, f"{text}; correct its manufacturer or source")
+            return CheckFinding(what, PROBLEM, f"{text}; correct its manufacturer or source")
         if self._used[receiver.mount]:
-            return Finding(what, OK, f"{self._used[receiver.mount]} positions")
+            return CheckFinding(what, OK, f"{self._used[receiver.mount]} positions")
         if sender.bus != receiver.bus:
             text = f"{_wanted(receiver)} is heard on {sender.bus}"
-            return Finding(what, PROBLEM, f"{text}; correct its bus")
+            return CheckFinding(what, PROBLEM, f"{text}; correct its bus")
         if sender.positions or sender.empty_positions:
             why = "no fix yet, or its antenna is not connected"
-            return Finding(what, WARNING, f"{sender} sends positions without a value: {why}")
-        return Finding(what, WARNING, f"{sender} sends no positions{self._instead(receiver)}")
+            return CheckFinding(what, WARNING, f"{sender} sends positions without a value: {why}")
+        return CheckFinding(what, WARNING, f"{sender} sends no positions{self._instead(receiver)}")
 
-    def _of(self, receiver: Receiver) -> _Sender | None:
+    def _of(self, receiver: Receiver) -> _BusAddress | None:
         """Who it is, on its own bus if it is there; None: it is not heard."""
         found = [
             sender
@@ -145,7 +145,7 @@ class Devices:
             return f"; positions come from {shown}{hint}"
         return "; nobody else sends positions: is it switched on?"
 
-    def _strangers(self) -> list[_Sender]:
+    def _strangers(self) -> list[_BusAddress]:
         """Senders that are none of the file's receivers."""
         known = {(r.bus, r.source) for r in self._machine.receiver if r.name is None}
         names = {r.name for r in self._machine.receiver if r.name is not None}
@@ -155,22 +155,22 @@ class Devices:
             if place not in known and (sender.name is None or sender.name not in names)
         ]
 
-    def _wheel(self) -> Finding:
+    def _wheel(self) -> CheckFinding:
         what, given = "wheel angle", self._machine.wheel_angle
         if self._angles:
-            return Finding(what, OK, f"{self._angles} angles")
+            return CheckFinding(what, OK, f"{self._angles} angles")
         sensor = self._sensor
         wanted = f"0x{sensor.can_id:X}" if given.pgn is None else f"PGN {RUDDER} from address {given.source}"
         if self._wheel_frames:
             text = f"{self._wheel_frames} frames of {wanted}, none with an angle"
             text += "; check bits, scale, not_available"
-            return Finding(what, WARNING, text)
+            return CheckFinding(what, WARNING, text)
         near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
         alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
         near = alike or near
         shown = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:SHOWN])
         hint = f"; the nearest that are heard: {shown}" if near else "; is the sensor switched on?"
-        return Finding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
+        return CheckFinding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
 
     def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
         _, can_id, extended = key
@@ -201,7 +201,7 @@ def _wanted(receiver: Receiver) -> str:
     return f"NAME {receiver.name:016X}" if receiver.name is not None else f"address {receiver.source}"
 
 
-def _distance(receiver: Receiver, sender: _Sender) -> int:
+def _distance(receiver: Receiver, sender: _BusAddress) -> int:
     """How unlike a sender is: bits of the NAME that differ, or addresses between."""
     if receiver.name is not None:
         return (receiver.name ^ sender.name).bit_count() if sender.name is not None else 64

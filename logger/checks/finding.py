@@ -9,7 +9,7 @@ PROBLEM = "problem"
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckFinding:
     what: str
     state: str  # ok | note | warning | problem
     text: str

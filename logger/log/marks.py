@@ -20,12 +20,12 @@ MOST_WAITING: Final = 16  # not answered yet; a person is slower
 KIND: Final = "mark"  # of the event, and the last part of the key
 
 
-class Refused(Exception):
+class MarkRefused(Exception):
     """Why a text is no mark, in words."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class MarkRequest:
     """`answer` is called once: with the event and "", or with why it is not in the log. It never raises."""
 
     text: str
@@ -37,8 +37,8 @@ class Marks:
 
     def __init__(self) -> None:
         self.refused = 0
-        self._asked: deque[Mark] = deque()
-        self._settled: deque[tuple[Mark, Event, str]] = deque()
+        self._asked: deque[MarkRequest] = deque()
+        self._settled: deque[tuple[MarkRequest, Event, str]] = deque()
         self._at_disk = 0
 
     def take(self, query: zenoh.Query) -> None:
@@ -48,24 +48,24 @@ class Marks:
         try:
             text = text_of(query.payload)
             if len(self._asked) + self._at_disk >= MOST_WAITING:
-                raise Refused("too many marks at a time; try again in a second")
-        except Refused as refusal:
+                raise MarkRefused("too many marks at a time; try again in a second")
+        except MarkRefused as refusal:
             self.refused += 1
             query.reply_err(str(refusal))
             return
-        self._asked.append(Mark(text, _answerer(query)))
+        self._asked.append(MarkRequest(text, _answerer(query)))
 
-    def asked(self) -> Iterator[Mark]:
+    def asked(self) -> Iterator[MarkRequest]:
         """Those to be logged now."""
         while self._asked:
             self._at_disk += 1
             yield self._asked.popleft()
 
-    def settle(self, mark: Mark, event: Event, refusal: str) -> None:
+    def settle(self, mark: MarkRequest, event: Event, refusal: str) -> None:
         """From any thread: it is on the disk, or why not."""
         self._settled.append((mark, event, refusal))
 
-    def settled(self) -> Iterator[tuple[Mark, Event, str]]:
+    def settled(self) -> Iterator[tuple[MarkRequest, Event, str]]:
         """Those to be answered now."""
         while self._settled:
             self._at_disk -= 1
@@ -76,17 +76,17 @@ def text_of(payload: zenoh.ZBytes | None) -> str:
     """The text of a mark. Raises Refused."""
     size = 0 if payload is None else len(payload)
     if payload is None or size == 0:
-        raise Refused("a mark needs a text: send it as the payload of the query, in UTF-8")
+        raise MarkRefused("a mark needs a text: send it as the payload of the query, in UTF-8")
     if size > MOST_BYTES:
-        raise Refused(f"this mark has {size} bytes, {MOST_BYTES} are the most; write less")
+        raise MarkRefused(f"this mark has {size} bytes, {MOST_BYTES} are the most; write less")
     try:
         text = payload.to_bytes().decode().strip()
     except UnicodeDecodeError as error:
-        raise Refused(f"this mark is no UTF-8: {error.reason} at byte {error.start}") from None
+        raise MarkRefused(f"this mark is no UTF-8: {error.reason} at byte {error.start}") from None
     if not text.isprintable():
-        raise Refused("this mark holds control characters; write plain text in one line")
+        raise MarkRefused("this mark holds control characters; write plain text in one line")
     if not text:
-        raise Refused("a mark needs a text, this one is blank")
+        raise MarkRefused("a mark needs a text, this one is blank")
     return text
 
 

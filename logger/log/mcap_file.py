@@ -28,7 +28,7 @@ DAMAGE = (McapError, DecodeError, ZstdError, struct.error, ValueError, RuntimeEr
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RecordPlace:
     """Where a record stands in its file, bytes; `start` is of its opcode, `body` of what it holds."""
 
     opcode: int
@@ -40,7 +40,7 @@ class Place:
         return self.start + HEAD.size
 
 
-def place_at(file: BinaryIO, start: int, size: int) -> Place | None:
+def place_at(file: BinaryIO, start: int, size: int) -> RecordPlace | None:
     """The record that begins at `start` of a file of that size; None where none does that is whole."""
     file.seek(start)
     head = file.read(HEAD.size)
@@ -49,10 +49,10 @@ def place_at(file: BinaryIO, start: int, size: int) -> Place | None:
     opcode, length = HEAD.unpack(head)
     if opcode == 0 or length > size - start - HEAD.size:  # zeros after a power cut; a record cut short
         return None
-    return Place(opcode, start, start + HEAD.size + length)
+    return RecordPlace(opcode, start, start + HEAD.size + length)
 
 
-def walk(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[Place]:
+def walk(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[RecordPlace]:
     """The whole records from `start` on, the footer the last. The file may be moved between two of them."""
     while (place := place_at(file, start, size)) is not None:
         yield place
@@ -61,7 +61,7 @@ def walk(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[Place]:
         start = place.end
 
 
-def body_of(file: BinaryIO, place: Place) -> bytes:
+def body_of(file: BinaryIO, place: RecordPlace) -> bytes:
     file.seek(place.body)
     return file.read(place.end - place.body)
 

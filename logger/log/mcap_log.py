@@ -36,7 +36,7 @@ PACKAGES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunPart:
     """Which run a file belongs to and the place it has there."""
 
     id: str
@@ -73,7 +73,7 @@ class LogWriter:
     """Writes one file. Every method may raise OSError; a file that did so is spoilt beyond its last flush."""
 
     def __init__(
-        self, path: Path, machine: Machine, machine_text: str, run: Run, stream: IO[bytes] | None = None
+        self, path: Path, machine: Machine, machine_text: str, run: RunPart, stream: IO[bytes] | None = None
     ) -> None:
         """stream: takes the bytes instead of a file made here. Raises FileExistsError: a log is never
         overwritten."""

@@ -12,6 +12,7 @@ import io
 import os
 import struct
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -33,7 +34,7 @@ from tilth.logger.log.mcap_file import (
     HEAD,
     MAGIC,
     MESSAGE,
-    Place,
+    RecordPlace,
     body_of,
     is_finished,
     place_at,
@@ -109,6 +110,19 @@ def unfinished(folder: Path) -> list[Path]:
     return found
 
 
+def finish_all(folder: Path, report: Callable[[str, str], None]) -> None:
+    """Finish what earlier runs could not. report: takes kind and text of an event for each file."""
+    for path in unfinished(folder):
+        try:
+            done = finish(path)
+        except FileNotFoundError:  # deleted meanwhile to make room
+            continue
+        except (NoLog, OSError) as error:
+            report("log", f"{path.name} was left unfinished and stays so: {error}")
+        else:
+            report("log", f"{path.name} was left unfinished; finished now: {done.messages} messages")
+
+
 def is_being_written(file: BinaryIO) -> bool:
     """Whether another program holds it for writing, as the recorder does until a file is whole."""
     try:
@@ -159,13 +173,13 @@ def _survey(path: Path, file: BinaryIO, size: int) -> Content:
     return content
 
 
-def _ends_data(file: BinaryIO, place: Place, size: int) -> bool:
+def _ends_data(file: BinaryIO, place: RecordPlace, size: int) -> bool:
     """Whether what follows is the index, whole or not, which is written anew."""
     ends = (place.opcode, place.end - place.body) == (Opcode.DATA_END, 4)
     return ends and _next_chunk(file, place.end, size) == size
 
 
-def _take(content: Content, file: BinaryIO, place: Place) -> bool:
+def _take(content: Content, file: BinaryIO, place: RecordPlace) -> bool:
     """Note what a record tells; False where it is damaged."""
     if place.opcode == UNREADABLE:
         content.covered += place.end - place.start
@@ -194,7 +208,7 @@ def _take(content: Content, file: BinaryIO, place: Place) -> bool:
     return True
 
 
-def _chunk(content: Content, place: Place, body: bytes) -> None:
+def _chunk(content: Content, place: RecordPlace, body: bytes) -> None:
     index: dict[int, list[tuple[int, int]]] = defaultdict(list)
     definitions = []
     data = unpacked(body)
@@ -242,7 +256,7 @@ def _define(content: Content, opcode: int, body: bytes) -> None:
         content.channels[channel.id] = channel
 
 
-def _message_index(content: Content, place: Place, index: MessageIndex) -> None:
+def _message_index(content: Content, place: RecordPlace, index: MessageIndex) -> None:
     """Believed where it is that of the chunk before it, message for message."""
     if not content.chunks:
         raise ValueError("an index before the first chunk")

@@ -7,7 +7,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 LOST_NS = 1_500_000_000  # receivers send positions at 5 to 10 Hz, the slowest once a second
-FIX_NS = 5_000_000_000  # how long a fix type told once is believed
+FIX_NS = 5_000_000_000  # how long a fix type is believed that came once
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class Sensors:
         self._receivers: dict[Mount, _Heard] = {r.mount: _Heard() for r in machine.receiver}
         self._wheel = _Heard()
 
-    def heard(self, measurement: Measurement) -> None:
+    def take(self, measurement: Measurement) -> None:
         if isinstance(measurement, WheelAngle):
             heard = self._wheel
             heard.data_ns = measurement.t_ns

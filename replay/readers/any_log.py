@@ -14,12 +14,12 @@ from typing import BinaryIO, Final, NamedTuple
 from mcap.writer import MCAP0_MAGIC
 
 from tilth.replay.readers import can_logs, captures, ebl, mcap_reader, stream, text
-from tilth.replay.readers.log import EmptyLog, ForeignLog, Log, OtherKind, Place, Record
+from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, OtherKind, Record, RunPlace
 from tilth.schemas.flow import Frame
 
 _SNIFFED = 64 * 1024  # bytes looked at, comments not counted
 
-Reader = Callable[[Log, BinaryIO], Iterator[Record]]
+Reader = Callable[[OpenLog, BinaryIO], Iterator[Record]]
 
 
 def frames(path: Path | str) -> Iterator[Frame]:
@@ -27,7 +27,7 @@ def frames(path: Path | str) -> Iterator[Frame]:
     return (record for record in open_log(path).records if isinstance(record, Frame))
 
 
-def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
+def open_log(path: Path | str, topics: Container[str] = ()) -> OpenLog:
     """A log ready to be read; of Tilth's own logs also the snapshots and the results logged on `topics`.
 
     Raises LogError, here or while its records are read.
@@ -41,7 +41,7 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> Log:
         file = path.open("rb")
     except OSError as error:
         raise ForeignLog(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
-    log = Log(path, "", file, path.stat().st_size, topics=topics)
+    log = OpenLog(path, "", file, path.stat().st_size, topics=topics)
     try:
         log.packed = file.read(len(stream.PACKED)) == stream.PACKED
         kind = _kind(log)
@@ -62,27 +62,27 @@ def readable() -> str:
     return f"tilth reads {', '.join(names[:-1])} and {names[-1]}, packed by gzip too"
 
 
-def metadata(log: Log) -> dict[str, dict[str, str]]:
+def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
     """Metadata records of one of Tilth's own logs; {} of any other. Ask before reading the records."""
     return mcap_reader.metadata(log) if log.form == MCAP else {}
 
 
-def place(log: Log) -> Place:
+def place(log: OpenLog) -> RunPlace:
     """The place of a log in its run. Ask before reading the records."""
     found = metadata(log).get("run", {})
     part = found.get("part", "")
     if not part.isdecimal():
-        return Place()
-    return Place((found.get("id", ""), found.get("started_utc", "")), int(part))
+        return RunPlace()
+    return RunPlace((found.get("id", ""), found.get("started_utc", "")), int(part))
 
 
-def _stream(log: Log) -> BinaryIO:
+def _stream(log: OpenLog) -> BinaryIO:
     """The log's bytes from the first on, unpacked where gzip packed them."""
     log.file.seek(0)
     return stream.unpacked(log) if log.packed else log.file
 
 
-def _closing(log: Log, records: Iterator[Record]) -> Iterator[Record]:
+def _closing(log: OpenLog, records: Iterator[Record]) -> Iterator[Record]:
     with log.file:
         try:
             first = next(records, None)
@@ -106,11 +106,11 @@ class Kind(NamedTuple):
     listed: str = ""  # to a person, if not by its name
 
 
-def _mcap(log: Log, stream: BinaryIO) -> Iterator[Record]:
+def _mcap(log: OpenLog, stream: BinaryIO) -> Iterator[Record]:
     return mcap_reader.records(log)
 
 
-def _lines(log: Log, stream: BinaryIO) -> Iterator[Record]:
+def _lines(log: OpenLog, stream: BinaryIO) -> Iterator[Record]:
     with can_logs.text(log, stream) as lines:
         yield from text.frames(lines, log)
 
@@ -135,7 +135,7 @@ KINDS: Final = (
 _BY_NAME: Final = {kind.name: kind for kind in KINDS}
 
 
-def _kind(log: Log) -> Kind:
+def _kind(log: OpenLog) -> Kind:
     """What kind of log this is."""
     if log.size == 0:
         raise EmptyLog(f"{log.path}: an empty file; no frame is in it")
@@ -153,7 +153,7 @@ def _kind(log: Log) -> Kind:
     return found
 
 
-def _text_kind(log: Log) -> Kind:
+def _text_kind(log: OpenLog) -> Kind:
     """By the first lines of a text that are no comments."""
     lines = stream.without_zeros(log, _stream(log))
     left = _SNIFFED

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
 from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, unpacked
-from tilth.replay.readers.log import ForeignLog, Log
+from tilth.replay.readers.log import ForeignLog, OpenLog
 from tilth.replay.readers.mcap_reader import Channels, framed, from_summary, no_frames
 from tilth.schemas.invocation import command
 
@@ -61,7 +61,7 @@ def read_frames(*paths: Path | str) -> FrameArrays:
 def _parts(path: Path, buses: dict[str, int], skipped: dict[str, int]) -> Iterator[tuple[NDArray[Any], ...]]:
     """The columns of FrameArrays, chunk by chunk."""
     with path.open("rb") as file:
-        log = Log(path, "MCAP", file, path.stat().st_size)
+        log = OpenLog(path, "MCAP", file, path.stat().st_size)
         if not MAGIC.startswith(file.read(len(MAGIC))):
             raise ForeignLog(f"{path}: no MCAP file; `{command('replay')}` reads other logs")
         channels = Channels(log)

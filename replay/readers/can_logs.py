@@ -18,7 +18,7 @@ from functools import lru_cache
 from io import BufferedReader
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from tilth.replay.readers.log import UNREADABLE, ForeignLog, Log, OtherKind, stamp_fault
+from tilth.replay.readers.log import UNREADABLE, ForeignLog, OpenLog, OtherKind, stamp_fault
 from tilth.replay.readers.stream import without_zeros
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import installing
@@ -46,7 +46,7 @@ _NO_FRAME = ("end", "//", ";")  # how lines begin that are no frame and may end 
 Shift = Callable[[], float]
 
 
-def text(log: Log, stream: BinaryIO) -> TextIO:
+def text(log: OpenLog, stream: BinaryIO) -> TextIO:
     return io.TextIOWrapper(without_zeros(log, stream), encoding="utf-8-sig", errors="replace")
 
 
@@ -80,7 +80,7 @@ class _Lines:
     A line from which the reader makes nothing is counted by what `silent` calls it; "" is one that may be so.
     """
 
-    def __init__(self, log: Log, stream: BinaryIO, silent: Callable[[str], str]) -> None:
+    def __init__(self, log: OpenLog, stream: BinaryIO, silent: Callable[[str], str]) -> None:
         self._log = log
         self._lines = text(log, stream)
         self._silent = silent
@@ -122,7 +122,7 @@ class _Lines:
 
 
 def _from_text(
-    log: Log, lines: _Lines, reader: "Iterable[can.Message]", shift: Shift = _no_shift
+    log: OpenLog, lines: _Lines, reader: "Iterable[can.Message]", shift: Shift = _no_shift
 ) -> Iterator[Frame]:
     taken = ""  # the line of the last frame
     count = -1
@@ -150,7 +150,7 @@ def _from_text(
     log.truncated = log.truncated or (lines.cut() and lines.last is not taken)
 
 
-def asc(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def asc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     """Vector's ASC. Its date has no zone: read as UTC, a log gives the same stamps everywhere."""
     import can
 
@@ -181,7 +181,7 @@ def _local_as_utc(start_s: float) -> float:
     return datetime.fromtimestamp(start_s).replace(tzinfo=UTC).timestamp() - start_s if start_s else 0.0
 
 
-def trc(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def trc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     import can
 
     logging.getLogger("can.io.trc").setLevel(logging.ERROR)  # of lines that are counted here
@@ -195,14 +195,14 @@ def _silent_in_trc(line: str) -> str:
     return "other_event" if _TRC_EVENTS.intersection(line.split()[1:4]) else UNREADABLE
 
 
-def csv(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def csv(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     import can
 
     lines = _Lines(log, stream, lambda line: "")
     return _from_text(log, lines, can.CSVReader(cast(TextIO, lines)))
 
 
-def blf(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     """Vector's BLF; one whose header tells more bytes than there are, or none at all, was cut."""
     import can
     from can.io.blf import BLFParseError
@@ -233,7 +233,7 @@ class _Incomplete(logging.Handler):
         self.heard = self.heard or "Incomplete block" in record.getMessage()
 
 
-def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     """ASAM MF4 with CAN bus logging, finished or not; read as far as asammdf finds whole blocks."""
     try:
         import asammdf
@@ -257,7 +257,7 @@ def mf4(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     log.truncated = log.truncated or ear.heard
 
 
-def sqlite(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     import can
 
     try:
@@ -266,7 +266,7 @@ def sqlite(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(f"{log.path}: an SQLite file that python-can did not write") from None
 
 
-def _from_binary(log: Log, reader: "can.MF4Reader | can.SqliteReader") -> Iterator[Frame]:
+def _from_binary(log: OpenLog, reader: "can.MF4Reader | can.SqliteReader") -> Iterator[Frame]:
     """Frames up to the first damage, which is passed on where no frame came before it."""
     some = False
     with reader:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO, Final
 
-from tilth.replay.readers.log import Log, OtherKind, stamp_fault
+from tilth.replay.readers.log import OpenLog, OtherKind, stamp_fault
 from tilth.schemas.flow import Frame
 
 PCAP: Final = {  # how a file begins -> byte order, ns of a unit of its stamps
@@ -32,7 +32,7 @@ _NAME, _RESOLUTION, _OFFSET = 2, 9, 14  # options of an interface
 _BYTE_ORDER: Final = b"\x4d\x3c\x2b\x1a"  # how a section begins that has its least significant byte first
 
 
-def pcap(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     header = stream.read(24)
     order, unit_ns = PCAP[header[:4]]
     if len(header) < 24:
@@ -47,7 +47,7 @@ def pcap(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         yield from _kept(log, _frame(packet, stamp_ns, "can0"))
 
 
-def _records(log: Log, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
+def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
     """(ns, packet) up to the end, or to what is no record: sets log.truncated."""
     record = struct.Struct(order + "IIII")
     while head := stream.read(record.size):
@@ -64,7 +64,7 @@ def _records(log: Log, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[t
         yield seconds * 1_000_000_000 + units * unit_ns, packet
 
 
-def _kept(log: Log, found: Frame | str) -> Iterator[Frame]:
+def _kept(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
     if isinstance(found, Frame):
         yield found
     else:
@@ -99,7 +99,7 @@ class _Interface:
 
 
 @dataclass(slots=True)
-class _Section:
+class _CaptureSection:
     """What a pcapng file has told so far."""
 
     order: str = "<"
@@ -107,8 +107,8 @@ class _Section:
     links: set[int] = field(default_factory=set)  # of the whole file
 
 
-def pcapng(log: Log, stream: BinaryIO) -> Iterator[Frame]:
-    section = _Section()
+def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    section = _CaptureSection()
     while (block := _block(log, stream, section)) is not None:
         kind, body = block
         if kind == _INTERFACE and len(body) >= 8:
@@ -120,7 +120,7 @@ def pcapng(log: Log, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(f"{log.path}: a capture of link type {links}, not of SocketCAN ({SOCKETCAN})")
 
 
-def _block(log: Log, stream: BinaryIO, section: _Section) -> tuple[int, bytes] | None:
+def _block(log: OpenLog, stream: BinaryIO, section: _CaptureSection) -> tuple[int, bytes] | None:
     """The next block's kind and body; None at the end, sets log.truncated where that is not a block's."""
     head = stream.read(8)
     if not head:
@@ -142,7 +142,7 @@ def _block(log: Log, stream: BinaryIO, section: _Section) -> tuple[int, bytes] |
     return kind, head[8:] + rest[:-4]
 
 
-def _add_interface(section: _Section, body: bytes) -> None:
+def _add_interface(section: _CaptureSection, body: bytes) -> None:
     (link,) = struct.unpack_from(section.order + "H", body)
     options = _options(section.order, body)
     name = options.get(_NAME, b"").split(b"\0")[0].decode("utf-8", "replace")
@@ -168,7 +168,7 @@ def _options(order: str, body: bytes) -> dict[int, bytes]:
     return found
 
 
-def _packet(section: _Section, kind: int, body: bytes) -> Frame | str:
+def _packet(section: _CaptureSection, kind: int, body: bytes) -> Frame | str:
     if kind == _SIMPLE_PACKET:
         return "packet_without_time"
     layout = section.order + ("IIIII" if kind == _PACKET_BLOCK else "HHIIII")

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import BinaryIO, Final
 
 from tilth.logger.can.adapter_clock import AdapterClock
-from tilth.replay.readers.log import ForeignLog, Log, stamp_fault
+from tilth.replay.readers.log import ForeignLog, OpenLog, stamp_fault
 from tilth.schemas import can_id
 from tilth.schemas.flow import Frame
 
@@ -36,7 +36,7 @@ Piece = tuple[int | None, bytes]
 """A tag and what it holds, or None and bytes of the gateway's stream."""
 
 
-def ebl(log: Log, stream: BinaryIO) -> Iterator[Frame]:
+def ebl(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     clock = AdapterClock()
     framed = _Messages(log)
     t_ns = 0
@@ -59,14 +59,14 @@ def ebl(log: Log, stream: BinaryIO) -> Iterator[Frame]:
     log.truncated = log.truncated or framed.open
 
 
-def _check_version(log: Log, version: int) -> None:
+def _check_version(log: OpenLog, version: int) -> None:
     if version > _KNOWN:
         raise ForeignLog(
             f"{log.path}: EBL of version {version / 1000:.3f}; up to {_KNOWN / 1000:.3f} is known here"
         )
 
 
-def _pieces(log: Log, stream: BinaryIO) -> Iterator[Piece]:
+def _pieces(log: OpenLog, stream: BinaryIO) -> Iterator[Piece]:
     """Marks and pieces of the stream in their order, without their escapes."""
     mark: bytearray | None = None
     escaped = False  # the last byte was an ESC that is still to be understood
@@ -99,7 +99,7 @@ def _pieces(log: Log, stream: BinaryIO) -> Iterator[Piece]:
 class _Messages:
     """Takes the gateway's stream, gives its messages."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: OpenLog) -> None:
         self._log = log
         self._message: bytearray | None = None
         self._escaped = False

@@ -42,13 +42,13 @@ class Logged:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RunPlace:
     """Which run a log belongs to and the place it has there; nothing is known of logs that others wrote."""
 
     run: tuple[str, str] = ("", "")  # id, start
     part: int = 0  # from 1
 
-    def told_after(self, last: "Place") -> str:
+    def told_after(self, last: "RunPlace") -> str:
         """What a person should know of this log after that one, as the end of a sentence; "": nothing."""
         if self.run != last.run:
             return "another run begins here; counts are of all runs, estimates of the last one alone"
@@ -58,7 +58,7 @@ class Place:
             return f"part {self.part} after part {last.part} of the same run; give each once and in order"
         return ""
 
-    def goes_on_from(self, last: "Place") -> bool:
+    def goes_on_from(self, last: "RunPlace") -> bool:
         """Whether what was learned before this log is of its own past."""
         return self.run == last.run and (self.part > last.part or not self.part)
 
@@ -74,7 +74,7 @@ def stamp_fault(t_ns: int) -> str:
 
 
 @dataclass(slots=True)
-class Log:
+class OpenLog:
     """A log opened for reading; `truncated`, `skipped` and `note` are complete once `records` is used up.
 
     Records come in the order of the file, which is the order in which they were processed, and are never

@@ -16,7 +16,7 @@ from mcap.records import Channel, Metadata, Schema
 
 from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC, SNAPSHOT_TOPIC
-from tilth.replay.readers.log import EmptyLog, ForeignLog, Log, Logged, Record
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged, OpenLog, Record
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
@@ -26,7 +26,7 @@ MACHINE = "machine"  # metadata record: name, toml, dbc, sha256
 class Channels:
     """What each channel of a file carries, and how the records of a chunk become ours."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: OpenLog) -> None:
         self.log = log
         self.schemas: dict[int, str] = {}
         self.buses: dict[int, str] = {}  # channel -> bus
@@ -79,7 +79,7 @@ class Channels:
         return Snapshot.FromString(data) if topic == SNAPSHOT_TOPIC else Logged(topic, t_ns, data)
 
 
-def records(log: Log) -> Iterator[Record]:
+def records(log: OpenLog) -> Iterator[Record]:
     """Frames, snapshots and the results of log.topics, in file order.
 
     A chunk that is damaged is left out and counted; at the end log.truncated says whether the file was cut.
@@ -102,7 +102,7 @@ def records(log: Log) -> Iterator[Record]:
         raise no_frames(log)
 
 
-def metadata(log: Log) -> dict[str, dict[str, str]]:
+def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
     """The first metadata record of each name, as far as the file is whole."""
     found: dict[str, dict[str, str]] = {}
     for _, body in framed(log, {Opcode.METADATA}):
@@ -118,7 +118,7 @@ def metadata(log: Log) -> dict[str, dict[str, str]]:
 _WANTED = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL}
 
 
-def framed(log: Log, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
+def framed(log: OpenLog, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
     """(opcode, body) of the wanted records; sets log.truncated where the file ends without its footer."""
     log.truncated = True
     for place in walk(log.file, log.size):
@@ -150,7 +150,7 @@ def from_summary(channels: Channels, file: BinaryIO) -> bool:
     return len(summary.channels) > 0
 
 
-def no_frames(log: Log) -> EmptyLog | ForeignLog:
+def no_frames(log: OpenLog) -> EmptyLog | ForeignLog:
     if MACHINE in metadata(log):
         return EmptyLog(f"{log.path}: no frame was recorded in it")
     return ForeignLog(

@@ -6,7 +6,7 @@ from itertools import chain, islice
 from pathlib import Path
 
 from tilth.replay.readers.any_log import metadata, open_log
-from tilth.replay.readers.log import EmptyLog, ForeignLog, Log, Record
+from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, Record
 from tilth.replay.readers.mcap_reader import MACHINE
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError, parse_machine
@@ -43,7 +43,7 @@ def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machin
     raise ForeignLog(f"{paths[0]}: no machine file is in this log; give --machine M.toml")
 
 
-def on_buses_of(machine: Machine, log: Log, given: Mapping[str, str], say: Say) -> Iterator[Record]:
+def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: Say) -> Iterator[Record]:
     """Records of a log with the bus names of the machine file.
 
     `given` maps names of the log to names of the machine file. Without it a log with one bus (as far as its

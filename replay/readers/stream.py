@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, BinaryIO, Final
 
-from tilth.replay.readers.log import Log
+from tilth.replay.readers.log import OpenLog
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -19,17 +19,17 @@ _GZIP: Final = 31  # zlib's number for: gzip, with its header
 _ZEROS: Final = re.compile(rb"\0+")
 
 
-def unpacked(log: Log) -> BinaryIO:
+def unpacked(log: OpenLog) -> BinaryIO:
     """What gzip has packed, as far as it is there; log.truncated says that its end is missing."""
     return _stream(_members(log))
 
 
-def without_zeros(log: Log, stream: BinaryIO) -> BinaryIO:
+def without_zeros(log: OpenLog, stream: BinaryIO) -> BinaryIO:
     """A text's bytes: zero bytes at the end are a cut, others make an unreadable line of where they are."""
     return _stream(_text(log, stream))
 
 
-def written(log: Log) -> int:
+def written(log: OpenLog) -> int:
     """How many bytes a power cut has left of what was not packed: a long run of zeros at its end is none."""
     end = log.size
     while end:
@@ -43,13 +43,13 @@ def written(log: Log) -> int:
     return end if log.size - end >= TAIL else log.size
 
 
-def before_zeros(log: Log) -> BinaryIO:
+def before_zeros(log: OpenLog) -> BinaryIO:
     """A binary log's bytes up to the zeros at its end; log.truncated says that there are such."""
     end = written(log)
     return log.file if end == log.size else _stream(_limited(log, end))
 
 
-class _Chunks(io.RawIOBase):
+class _PieceReader(io.RawIOBase):
     """Pieces of bytes, none of them empty, as a file."""
 
     def __init__(self, chunks: Iterator[bytes]) -> None:
@@ -69,10 +69,10 @@ class _Chunks(io.RawIOBase):
 
 
 def _stream(chunks: Iterator[bytes]) -> BinaryIO:
-    return io.BufferedReader(_Chunks(chunks), BUFFER)
+    return io.BufferedReader(_PieceReader(chunks), BUFFER)
 
 
-def _members(log: Log) -> Iterator[bytes]:
+def _members(log: OpenLog) -> Iterator[bytes]:
     """gzip files may follow one another, and zeros may follow the last."""
     member = zlib.decompressobj(_GZIP)
     while piece := log.file.read(CHUNK):
@@ -107,14 +107,14 @@ def _up_to_damage(member: "zlib._Decompress", piece: bytes) -> Iterator[bytes]:
             yield found
 
 
-def _limited(log: Log, left: int) -> Iterator[bytes]:
+def _limited(log: OpenLog, left: int) -> Iterator[bytes]:
     while left and (piece := log.file.read(min(left, BUFFER))):
         left -= len(piece)
         yield piece
     log.truncated = True
 
 
-def _text(log: Log, stream: BinaryIO) -> Iterator[bytes]:
+def _text(log: OpenLog, stream: BinaryIO) -> Iterator[bytes]:
     zeros = False  # came last
     while chunk := stream.read(BUFFER):
         body = chunk.rstrip(b"\0")

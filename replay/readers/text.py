@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from tilth.replay.readers import candump_text as candump
 from tilth.replay.readers import gateway_text as gateway
-from tilth.replay.readers.log import UNREADABLE, Log, stamp_fault
+from tilth.replay.readers.log import UNREADABLE, OpenLog, stamp_fault
 from tilth.replay.readers.text_clock import TextClock
 from tilth.schemas.flow import Frame
 
@@ -44,7 +44,7 @@ def form_of(line: str) -> str | None:
     return next((form.name for form in FORMS if form.name and form.pattern.match(line)), None)
 
 
-def frames(lines: Iterable[str], log: Log) -> Iterator[Frame]:
+def frames(lines: Iterable[str], log: OpenLog) -> Iterator[Frame]:
     """Frames of the lines in their order; what is none is counted in log.skipped.
 
     A last line without its end is the cut unless it is known to be whole: it is left out and log.truncated

@@ -21,7 +21,7 @@ from tilth.analysis.dissertation.closed_loop import (
     wired_poles,
     wired_run,
 )
-from tilth.analysis.dissertation.compared import Line, claim, figures, number, verdict
+from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, verdict
 from tilth.analysis.dissertation.figures import DRAWINGS
 from tilth.analysis.dissertation.page import COMMAND, DOCS, page, sections
 from tilth.estimator.models.actuator import BOSSERD
@@ -117,7 +117,7 @@ def test_what_differs_is_known() -> None:
 
 
 def test_a_difference_needs_a_reason() -> None:
-    assert verdict(Line("1", "x", "1", "2", False, "a slip")) == "**differs**: a slip"
+    assert verdict(ComparedFigure("1", "x", "1", "2", False, "a slip")) == "**differs**: a slip"
     with pytest.raises(ValueError, match="nothing says why"):
         verdict(claim("1", "x", "1", "2", False))
 

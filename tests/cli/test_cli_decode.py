@@ -14,7 +14,7 @@ from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, record
 from loopback import PATIENCE_S
 
 from tilth.cli import main
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Word
@@ -131,7 +131,7 @@ def test_bus_names_are_mapped(answer: Answer, tmp_path: Path) -> None:
 
 def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
     rows: list[Frame] = list(simulate(MACHINE, 1, 3.0))
     for row in rows:
         writer.frame(row)
@@ -169,7 +169,7 @@ def test_a_state_of_another_machine_file_or_version_is_not_taken(answer: Answer,
     assert status == 0 and "another version" not in err
     assert {row["name"] for row in rows_of(out) if row["pgn"] == 129029} == {None}
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 2, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, 0))
     writer.snapshot(rows[0].t_ns, '{"format": "of the year 2040"}')
     writer.frame(rows[0])
     writer.close()

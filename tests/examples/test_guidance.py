@@ -22,7 +22,7 @@ from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.messages import row
 from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import Change, Ground, Scenario, Soil
+from tilth.simulator.scenario import Ground, Scenario, Soil, SoilChange
 
 WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
 
@@ -188,7 +188,7 @@ def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_tur
 ) -> None:
     soil = Soil(
         parameters=dict(zip(PARAMETERS, nominal.theta.tolist(), strict=True)),  # type: ignore[arg-type]
-        changes=(Change(at_s=0.0, C_af=0.6, C_ar=0.6, C_ai=0.6),),
+        changes=(SoilChange(at_s=0.0, C_af=0.6, C_ar=0.6, C_ai=0.6),),
     )
     scenario = Scenario(speed=4.5, soil=soil, ground=Ground(roll_sd_deg=0.5, force_sd=0.01))
     work = replace(WORK, rows=2, length=15.0)

@@ -20,15 +20,15 @@ from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_plain
 from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
-from tilth.simulator.scenario import Manoeuvre, Scenario
+from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
@@ -51,7 +51,7 @@ def without(rows: Iterable[Frame], after_s: float, until_s: float) -> list[Frame
 @cache
 def driven() -> list[Frame]:
     """A drive with a gap of a second; its fit is asked for, decided 3 s later and used."""
-    scenario = Scenario(seconds=END_S, steering=Manoeuvre("random"), other_traffic=False)
+    scenario = Scenario(seconds=END_S, steering=DrivenManoeuvre("random"), other_traffic=False)
     return without(traffic(MACHINE, drive(MACHINE, 3, END_S, scenario)), GAP_S, GAP_S + 1.0)
 
 
@@ -223,7 +223,7 @@ def record(folder: Path, rows: Sequence[Frame], fitter: Pocket, cuts: Callable[[
             if writer is not None:
                 writer.close()
             paths.append(folder / f"r_{len(paths) + 1:03d}.mcap")
-            writer = LogWriter(paths[-1], MACHINE, MACHINE_TEXT, Run("r", len(paths), rows[0].t_ns))
+            writer = LogWriter(paths[-1], MACHINE, MACHINE_TEXT, RunPart("r", len(paths), rows[0].t_ns))
             if snapshot is not None:
                 writer.snapshot(row.t_ns, snapshot)
         writer.frame(row)
@@ -255,7 +255,7 @@ class Once:
 def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
     comparison = Comparison()
     said: list[str] = []
-    replay(paths, MACHINE, MACHINE_TEXT, outputs=Outputs(comparison=comparison), say=said.append)
+    replay(paths, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=said.append)
     assert comparison.compared > 0
     return comparison.difference, said
 
@@ -381,7 +381,7 @@ def test_the_same_run_twice_and_another_with_its_stamps(late: Path, in_time: Pat
 
 def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
     silent = tmp_path / "silent.mcap"
-    writer = LogWriter(silent, MACHINE, MACHINE_TEXT, Run("s", 1, 0))
+    writer = LogWriter(silent, MACHINE, MACHINE_TEXT, RunPart("s", 1, 0))
     for row in driven():
         writer.frame(row)
     writer.close()

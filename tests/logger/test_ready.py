@@ -9,12 +9,12 @@ import pytest
 from circle import demo_machine
 from loopback import rig, until
 
-from tilth.logger import daemon as daemon_module
-from tilth.logger.daemon import Daemon, Summary
+from tilth.logger import live_estimation
+from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
+from tilth.logger.run_summary import RunSummary
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, replay
-from tilth.replay.offline import Summary as Replayed
+from tilth.replay.offline import ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import READY_TOPIC
@@ -68,7 +68,7 @@ class Drive:
         self._talker = talker
         self._folder = folder
         self._sent = 0
-        until(lambda: self.daemon._buses.sources[0].state == "open", self.daemon.turn)
+        until(lambda: self.daemon.parts.buses.live_buses[0].state == "open", self.daemon.turn)
 
     def send(self, frames: list[Frame]) -> None:
         """In real time: what comes at once is of one instant, and gives no pose."""
@@ -81,29 +81,29 @@ class Drive:
                 while time.monotonic_ns() < due_ns:
                     self.daemon.turn(0.005)
         self._sent += len(frames)
-        until(lambda: self.daemon._frames == self._sent, self.daemon.turn)
+        until(lambda: self.daemon.parts.counts.frames == self._sent, self.daemon.turn)
 
     def rotated(self, parts: int) -> None:
         """However fast this computer is, the log has come to so many files."""
         until(lambda: len(list(self._folder.glob("*.mcap"))) >= parts, self.daemon.turn)
 
     def ready(self) -> None:
-        by_hand = self.daemon._preparing
+        by_hand = self.daemon.parts.estimation.preparing
         assert isinstance(by_hand, ByHand)
         by_hand.done()
 
-    def end(self) -> Summary:
+    def end(self) -> RunSummary:
         return self.daemon.close()
 
-    def again(self, paths: tuple[Path, ...]) -> tuple[Replayed, Comparison, list[str]]:
+    def again(self, paths: tuple[Path, ...]) -> tuple[ReplaySummary, Comparison, list[str]]:
         comparison, said = Comparison(), list[str]()
-        outputs = Outputs(comparison=comparison)
+        outputs = ReplayOutputs(comparison=comparison)
         return replay(paths, self.machine, self.text, outputs=outputs, say=said.append), comparison, said
 
 
 @pytest.fixture(autouse=True)
 def by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daemon_module, "Preparing", ByHand)
+    monkeypatch.setattr(live_estimation, "Preparing", ByHand)
 
 
 def marks(paths: tuple[Path, ...]) -> list[tuple[bool, int, set[str]]]:
@@ -156,7 +156,7 @@ def test_a_run_that_ends_before_has_all_frames_and_says_why_there_is_no_estimate
 ) -> None:
     drive = Drive(tmp_path, talker)
     drive.send(SENT[:HALF])
-    by_hand = drive.daemon._preparing
+    by_hand = drive.daemon.parts.estimation.preparing
     summary = drive.end()
     assert isinstance(by_hand, ByHand) and by_hand.closed
     replayed, comparison, said = drive.again(summary.log_files)
@@ -184,7 +184,7 @@ def test_ready_while_ignition_is_off_the_next_run_is_estimated_from_its_first_fr
 ) -> None:
     drive = Drive(tmp_path, talker, "ignition_off_s = 1.0")
     drive.send(SENT[:HALF])
-    until(lambda: drive.daemon._recording.resting, drive.daemon.turn)
+    until(lambda: drive.daemon.parts.outlets.recording.resting, drive.daemon.turn)
     drive.ready()
     drive.daemon.turn()
     drive.send(SENT[HALF:])

@@ -25,7 +25,7 @@ from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Event, Frame, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -272,12 +272,12 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
 ) -> None:
     first, told = a_run(tmp_path, keep=True)
     assert told.events == []
-    teach(first._fold.state, Clock().t_ns())
+    teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
     second, told = a_run(tmp_path, second_rig, keep=True)
     assert [text[:38] for text in told.of_warm_start()] == ["steady_state, tracker, pem go on from "]
-    assert second._fold.state.estimators["pem"].fits == 3
+    assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)
     logs = second.close().log_files  # two where the receivers tell the time early enough
@@ -285,29 +285,29 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
     comparison = Comparison()
-    summary = replay(logs, machine, text, outputs=Outputs(comparison=comparison))
+    summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
 
 
 def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: can.BusABC) -> None:
     first, _ = a_run(tmp_path, keep=True)
-    teach(first._fold.state, Clock().t_ns())
+    teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
     fresh, told = a_run(tmp_path, keep=True, fresh=True)
-    assert told.events == [] and fresh._fold.state.estimators["pem"].fits == 0
+    assert told.events == [] and fresh.parts.estimation.fold.state.estimators["pem"].fits == 0
     fresh.close()
     path = next(tmp_path.glob("*.warm.json"))  # still that of the first: the fresh run learned nothing
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "sections": {**plain["sections"], "implement": "another"}}))
     other, told = a_run(tmp_path, keep=True)
     assert ["[implement] of the machine file changed" in text for text in told.of_warm_start()] == [True]
-    assert other._fold.state.estimators["pem"].fits == 0
+    assert other.parts.estimation.fold.state.estimators["pem"].fits == 0
     other.close()
 
 
 def test_without_keeping_there_is_no_file(tmp_path: Path, talker: can.BusABC) -> None:
     daemon, _ = a_run(tmp_path)
-    teach(daemon._fold.state, Clock().t_ns())
+    teach(daemon.parts.estimation.fold.state, Clock().t_ns())
     daemon.close()
     assert list(tmp_path.glob("*.warm*")) == []

@@ -33,7 +33,7 @@ from tilth.schemas.invocation import installing
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
-from tilth.monitor.foxglove_server import Server
+from tilth.monitor.foxglove_server import FoxgloveServer
 from tilth.monitor.gate import hidden_host
 
 BASE = "tilth/jd7930-parker500"
@@ -196,7 +196,7 @@ def test_the_server_behind_is_on_no_address_that_a_page_could_guess() -> None:
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[tuple[int, list[str]]]:
     refused: list[str] = []
-    server = Server(
+    server = FoxgloveServer(
         "127.0.0.1", 0, ["https://viewer.example"], lambda refusal, origin: refused.append(origin)
     )
     yield server.port, refused
@@ -230,7 +230,7 @@ def asked(port: int, headers: list[str]) -> int:
     ],
 )
 def test_what_is_no_message_is_refused(
-    serving: tuple[Server, zenoh.Session], topic: str, data: bytes, encoding: str, told: str
+    serving: tuple[FoxgloveServer, zenoh.Session], topic: str, data: bytes, encoding: str, told: str
 ) -> None:
     server, own = serving
     served, refused = server.served, server.refused.total()
@@ -242,10 +242,10 @@ def test_what_is_no_message_is_refused(
 
 
 @pytest.fixture
-def serving() -> Iterator[tuple[Server, zenoh.Session]]:
+def serving() -> Iterator[tuple[FoxgloveServer, zenoh.Session]]:
     """A server that hears its own session."""
     with open_session("tcp/127.0.0.1:1") as own:
-        server = Server("127.0.0.1", 0)
+        server = FoxgloveServer("127.0.0.1", 0)
         server.follow(own, BASE)
         yield server, own
         server.stop()

@@ -26,7 +26,7 @@ from websockets.sync.client import ClientConnection
 
 from tilth.cli import main
 from tilth.monitor.addresses import network_addresses
-from tilth.monitor.daemon_data import Heard
+from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.history import MOST, RECENT_S, History
 from tilth.monitor.json_safe import plain
 from tilth.monitor.origin import refusal
@@ -253,7 +253,7 @@ def test_hostile_payloads_are_counted_and_said(stage: Stage, monitor: Monitor) -
 
 def test_a_first_word_is_waited_for_before_anything_is_said_to_be_wrong() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-    with closing(Heard(endpoint, None, "tilth", "", False)) as heard:
+    with closing(DaemonData(endpoint, None, "tilth", "", False)) as heard:
         view = View(heard, endpoint)
         for now_s in (100.0, 100.0 + WAIT_S - 0.1):
             said = json.loads(view.turn(now_s).text)["new"]

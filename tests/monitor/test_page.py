@@ -24,7 +24,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
 from stage import Monitor, Stage
 
-from tilth.simulator.scenario import Change, Manoeuvre, Scenario, Soil
+from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
 
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = ROOT / "docs/pictures"
@@ -466,8 +466,8 @@ def test_a_change_of_soil(
 
 def test_a_change_of_soil_that_the_tracker_finds(browser: Browser, tmp_path: Path) -> None:
     """All of it real: a tractor drives from firm soil onto soft, and the page says so while it does."""
-    softer = Change(at_s=60.0, C_af=0.6, C_ar=0.6, C_ai=0.6)
-    scenario = Scenario(clock_offset_s=0.0, steering=Manoeuvre("random"), soil=Soil(changes=(softer,)))
+    softer = SoilChange(at_s=60.0, C_af=0.6, C_ar=0.6, C_ai=0.6)
+    scenario = Scenario(clock_offset_s=0.0, steering=DrivenManoeuvre("random"), soil=Soil(changes=(softer,)))
     with (
         closing(FieldRig(tmp_path, 400.0, scenario)) as rig,
         closing(Monitor("--connect", rig.endpoint)) as monitor,

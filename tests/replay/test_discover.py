@@ -13,7 +13,7 @@ from paths import ROOT
 
 from tilth.cli import WrongUse, main
 from tilth.cli.discover import parse_buses
-from tilth.replay.discover import Findings, Survey
+from tilth.replay.discover import BusSurvey, Findings
 from tilth.replay.machine_draft import FILL_IN, draft
 from tilth.replay.wheel_search import WheelCandidate, candidates
 from tilth.schemas.flow import Frame, Mount
@@ -32,7 +32,7 @@ def machine() -> Machine:
 
 
 def _findings(frames: Iterator[Frame]) -> Findings:
-    survey = Survey()
+    survey = BusSurvey()
     for frame in frames:
         survey.take(frame)
     return survey.findings()

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from tilth.estimator.fold import initial, step
 from tilth.estimator.pose.body_frames import body_frames
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.flow import PARAMETERS, BodyPose, Mount, Pose
 from tilth.simulator.traffic import simulate
 
@@ -44,7 +44,7 @@ MACHINE = demo_machine(
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a simulated drive."""
     path = tmp_path_factory.mktemp("foxglove") / "a.mcap"
-    writer, state = LogWriter(path, MACHINE, TEXT, Run("r", 1, START_NS)), initial(MACHINE)
+    writer, state = LogWriter(path, MACHINE, TEXT, RunPart("r", 1, START_NS)), initial(MACHINE)
     for frame in simulate(MACHINE, 1, 12.0):
         writer.frame(frame)
         writer.publications(step(state, frame))

@@ -14,9 +14,9 @@ from tilth.estimator.fold import State, step
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.snapshot import VERSION
 from tilth.logger import guarded_fold
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import IDENTICAL, Comparison
-from tilth.replay.offline import LONGEST_WAIT_S, Outputs, Pace, Summary, replay
+from tilth.replay.offline import LONGEST_WAIT_S, Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.flow import Frame, Publication
@@ -39,9 +39,9 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Live:
 
 def run(
     paths: Sequence[Path], comparison: Comparison | None = None, writer: LogWriter | None = None
-) -> tuple[Summary, list[str]]:
+) -> tuple[ReplaySummary, list[str]]:
     said: list[str] = []
-    outputs = Outputs(writer=writer, comparison=comparison)
+    outputs = ReplayOutputs(writer=writer, comparison=comparison)
     return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=said.append), said
 
 
@@ -80,7 +80,7 @@ def test_the_parts_count_together_what_they_count_alone(live: Live) -> None:
 
 def test_out_holds_frames_and_results_and_replays(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     run(live.parts[1:], writer=writer)
     writer.close()
     third = len(live.rows) - sum(1 for _ in frames(live.parts[0]))
@@ -101,7 +101,7 @@ def test_a_state_of_another_machine_file_is_not_taken(live: Live) -> None:
 
 def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 2, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, 0))
     writer.snapshot(live.rows[0].t_ns, '{"format": "of the year 2040"}')
     for row in live.rows[:3000]:
         writer.frame(row)
@@ -202,7 +202,7 @@ def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
 
 def cut_before_a_pose(live: Live, path: Path) -> Path:
     """The first part as the disk kept it that filled up between a frame and the pose that came of it."""
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, live.rows[0].t_ns))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, live.rows[0].t_ns))
     seen = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):
@@ -234,7 +234,7 @@ ANOTHER = "another run begins here; counts are of all runs, estimates of the las
 
 def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
-    writer = LogWriter(out, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     comparison = Comparison()
     both, said = run([*live.parts, *other.parts], comparison=comparison, writer=writer)
     writer.close()
@@ -251,7 +251,7 @@ def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> N
 
 def test_another_run_cut_before_its_first_frame_leaves_the_estimates(live: Live, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
-    LogWriter(cut, MACHINE, MACHINE_TEXT, Run("later", 1, 0)).abandon()
+    LogWriter(cut, MACHINE, MACHINE_TEXT, RunPart("later", 1, 0)).abandon()
     summary, _ = run([live.parts[0], cut])
     assert summary.truncated
     assert summary.estimates == run(live.parts[:1])[0].estimates
@@ -416,7 +416,7 @@ def test_a_fault_of_the_fold_costs_no_frame(
         guarded_fold, "step", lambda state, frame: failing(state, bad if frame == bad else frame)
     )
     path = tmp_path / "out.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     comparison = Comparison()
     summary, said = run([part], writer=writer, comparison=comparison)
     writer.close()

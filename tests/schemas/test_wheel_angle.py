@@ -11,7 +11,7 @@ from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, encode
 from tilth.schemas.flow import Frame, WheelAngle
 from tilth.schemas.machine import Machine, MachineError, parse_machine
-from tilth.schemas.wheel_angle import Sensor, compile_sensor
+from tilth.schemas.wheel_angle import WheelAngleSensor, compile_sensor
 
 TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
 DANFOSS = 0x18FF0B15
@@ -46,7 +46,7 @@ def machine(keys: str, tractor: str = "", dbc_text: str | None = None) -> Machin
     return parse_machine(f'{head}\n[wheel_angle]\nbus = "can0"\n{keys}\n{tail}', dbc_text, plausible=False)
 
 
-def sensor(keys: str, tractor: str = "", dbc_text: str | None = None) -> Sensor:
+def sensor(keys: str, tractor: str = "", dbc_text: str | None = None) -> WheelAngleSensor:
     return compile_sensor(machine(keys, tractor, dbc_text))
 
 

@@ -24,7 +24,7 @@ from loopback import PATIENCE_S
 from tilth.cli import main
 from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
-from tilth.logger.daemon import Summary
+from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -40,7 +40,7 @@ from tilth.simulator.demo import (
 )
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.simulate import PACKAGED
-from tilth.simulator.socketcand_server import Server, open_server, play
+from tilth.simulator.socketcand_server import SocketcandServer, open_server, play
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
@@ -255,7 +255,7 @@ def test_the_interval_is_log_normal(machine: Machine, true: float, log_sd: float
 
 
 def test_lost_frames_and_a_run_without_estimates_are_told(machine: Machine) -> None:
-    summary = Summary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
+    summary = RunSummary(0, 1, None, None, 9, 0, 0, {}, {}, (), 9, 0, 0, 0, 0, ())
     demo = Demo(1, draw(machine, 1, Scenario()), summary, 10)
     assert result(demo)["frames_lost"] == 1
     assert result(demo)["duration_s"] == 0.0
@@ -267,7 +267,7 @@ def test_lost_frames_and_a_run_without_estimates_are_told(machine: Machine) -> N
 
 
 @pytest.fixture
-def server() -> Iterator[Server]:
+def server() -> Iterator[SocketcandServer]:
     server = open_server()
     yield server
     server.close()
@@ -283,7 +283,7 @@ def orders() -> Iterator[tuple[BinaryIO, BinaryIO]]:
 
 @contextmanager
 def _playing(
-    server: Server, frames: list[Frame], clients: int, orders: tuple[BinaryIO, BinaryIO]
+    server: SocketcandServer, frames: list[Frame], clients: int, orders: tuple[BinaryIO, BinaryIO]
 ) -> Iterator[list[int]]:
     """Plays in a thread as soon as so many clients listen; gives a list that receives the count sent."""
     sent: list[int] = []
@@ -310,7 +310,7 @@ def _traffic(machine: Machine, seconds: float) -> list[Frame]:
     return list(simulate(machine, 1, seconds, Scenario(utc_start_ns=start_ns, clock_offset_s=0.0)))
 
 
-def _client(server: Server) -> can.BusABC:
+def _client(server: SocketcandServer) -> can.BusABC:
     return can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=server.port)
 
 
@@ -323,7 +323,7 @@ def _heard(bus: can.BusABC, count: int) -> list[can.Message]:
 
 
 def test_every_client_gets_every_frame_in_order(
-    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+    server: SocketcandServer, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
 ) -> None:
     played = _traffic(machine, 0.8)
     with _playing(server, played, 2, orders) as sent, _client(server) as one, _client(server) as other:
@@ -336,7 +336,7 @@ def test_every_client_gets_every_frame_in_order(
 
 
 def test_clients_that_leave_do_no_harm(
-    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+    server: SocketcandServer, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
 ) -> None:
     played = _traffic(machine, 0.7)
     with socket.create_connection(("127.0.0.1", server.port)):
@@ -348,7 +348,7 @@ def test_clients_that_leave_do_no_harm(
 
 
 def test_frames_are_not_sent_before_their_time(
-    server: Server, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
+    server: SocketcandServer, machine: Machine, orders: tuple[BinaryIO, BinaryIO]
 ) -> None:
     played = _traffic(machine, 0.9)
     clock = Clock()

@@ -7,7 +7,7 @@ from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.schemas.flow import PARAMETERS
 from tilth.simulator.ground import Waves, axles_of, crossings, field, share, terrain, waves
-from tilth.simulator.scenario import Change, Ground, Soil
+from tilth.simulator.scenario import Ground, Soil, SoilChange
 
 RIG = TABLE_5_1
 THETA: dict[str, float] = {name: getattr(RIG, name) for name in PARAMETERS}
@@ -91,7 +91,7 @@ def test_axles_are_where_the_geometry_says() -> None:
 
 
 def test_each_axle_crosses_a_line_when_it_gets_there() -> None:
-    change = Change(north=50.0, east=0.0, towards_deg=0.0, C_af=0.5, C_ar=0.6, C_ai=0.7, sigma_i=2.0)
+    change = SoilChange(north=50.0, east=0.0, towards_deg=0.0, C_af=0.5, C_ar=0.6, C_ai=0.7, sigma_i=2.0)
     soil = field(Soil(changes=(change,)), THETA, RIG, rng())
 
     def factors(north: float) -> list[float]:
@@ -106,7 +106,7 @@ def test_each_axle_crosses_a_line_when_it_gets_there() -> None:
 @pytest.mark.parametrize("towards_deg", [0.0, 37.0, 180.0, -90.0])
 def test_a_line_runs_across_its_direction(towards_deg: float) -> None:
     towards = np.radians(towards_deg)
-    change = Change(north=5.0, east=7.0, towards_deg=towards_deg, over=10.0)
+    change = SoilChange(north=5.0, east=7.0, towards_deg=towards_deg, over=10.0)
     ahead, along = np.array([np.cos(towards), np.sin(towards)]), np.array([-np.sin(towards), np.cos(towards)])
     for beyond, wanted in ((-1.0, 0.0), (2.5, 0.25), (11.0, 1.0)):
         place = np.array([5.0, 7.0]) + beyond * ahead + 123.0 * along
@@ -114,7 +114,7 @@ def test_a_line_runs_across_its_direction(towards_deg: float) -> None:
 
 
 def test_a_change_in_time_holds_everywhere_and_takes_its_time() -> None:
-    soil = field(Soil(changes=(Change(at_s=10.0, over=4.0, C_ar=0.25),)), THETA, RIG, rng())
+    soil = field(Soil(changes=(SoilChange(at_s=10.0, over=4.0, C_ar=0.25),)), THETA, RIG, rng())
     states = np.tile(standing(0.0), (4, 1))
     factors = soil.at(np.array([9.9, 10.0, 12.0, 14.5]), states)[:, 1] / RIG.C_ar
     assert factors == pytest.approx([1.0, 1.0, 0.5, 0.25])  # half way of the logarithm
@@ -134,7 +134,11 @@ def test_patches_change_stiffness_with_the_place_only() -> None:
 
 
 def test_crossings_are_told_with_their_axles() -> None:
-    changes = (Change(north=20.0, east=0.0, over=5.0), Change(at_s=4.0), Change(north=900.0, east=0.0))
+    changes = (
+        SoilChange(north=20.0, east=0.0, over=5.0),
+        SoilChange(at_s=4.0),
+        SoilChange(north=900.0, east=0.0),
+    )
     time = np.arange(0.0, 10.01, 0.01)
     states = np.stack([standing(5.0 * t) for t in time])
     told = {

@@ -16,7 +16,7 @@ from paths import ROOT
 from tilth.cli import main
 from tilth.logger.can import can_link
 from tilth.logger.clock import Clock
-from tilth.replay.discover import Survey, listen
+from tilth.replay.discover import BusSurvey, listen
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, Machine, parse_machine
@@ -54,7 +54,7 @@ def sending(port: int, *words: str) -> Iterator[subprocess.Popen[str]]:
 def test_another_process_understands_what_is_sent(machine: Machine) -> None:
     port = free_port()
     bus = Bus(name="can0", interface="udp_multicast", channel=GROUP, options={"port": port, "hop_limit": 0})
-    survey, heard, looks = Survey(), list[Frame](), [0, 0]
+    survey, heard, looks = BusSurvey(), list[Frame](), [0, 0]
 
     def over() -> bool:
         """It has ended, and what it sent has been taken."""

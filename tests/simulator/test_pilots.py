@@ -10,7 +10,7 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.noise import generator
 from tilth.simulator.pilots import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
-from tilth.simulator.scenario import STEP_S, Fieldwork, Ground, Manoeuvre, Row, Scenario, Soil
+from tilth.simulator.scenario import STEP_S, DrivenManoeuvre, Fieldwork, Ground, RowSteering, Scenario, Soil
 from tilth.simulator.tractor import Truth, drive
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
@@ -45,7 +45,7 @@ def test_segments_are_repeated_and_reached_at_a_limited_rate() -> None:
 
 @pytest.mark.parametrize("kind", ["step", "steps", "chirp", "random"])
 def test_manoeuvres_are_those_of_the_table_no_faster_than_wheels_turn(kind: str) -> None:
-    scenario = Scenario(steering=Manoeuvre(kind=kind, amplitude_deg=6.0))  # type: ignore[arg-type]
+    scenario = Scenario(steering=DrivenManoeuvre(kind=kind, amplitude_deg=6.0))  # type: ignore[arg-type]
     degrees = np.degrees(wheel_angles(scenario, _time(30.0), generator(1)))
     assert 5.0 < np.abs(degrees).max() <= 6.0 + 1e-9
     assert degrees[50] == 0.0  # straight before it begins
@@ -74,7 +74,7 @@ def test_the_same_steering_has_another_seed_another_way(machine: Machine) -> Non
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_row_is_reached_from_5_m_and_20_degrees_as_in_the_dissertation(machine: Machine, seed: int) -> None:
     """Within 12 to 14 s, overshooting by some 10 %, on soil that the regulator was not designed for."""
-    row = Row(offset=5.0, heading_deg=-20.0, position_sd=0.0)
+    row = RowSteering(offset=5.0, heading_deg=-20.0, position_sd=0.0)
     truth = drive(machine, seed, 25.0, Scenario(steering=row, soil=FIRM, speed_sd=0.0))
     off = truth.states[:, 1] - 5.0
     assert off[0] == -5.0
@@ -85,14 +85,14 @@ def test_a_row_is_reached_from_5_m_and_20_degrees_as_in_the_dissertation(machine
 
 def test_on_uneven_ground_it_stays_within_decimetres_and_steers(machine: Machine) -> None:
     ground = Ground(slope_deg=3.0, roll_sd_deg=1.0, force_sd=0.02)
-    truth = drive(machine, 1, 60.0, Scenario(steering=Row(), soil=FIRM, ground=ground))
+    truth = drive(machine, 1, 60.0, Scenario(steering=RowSteering(), soil=FIRM, ground=ground))
     assert 0.01 < np.abs(truth.states[500:, 1]).max() < 0.8
     assert 0.02 < np.degrees(truth.wheel_angle[500:].std()) < 3.0
     assert np.degrees(np.abs(truth.states[500:, 9])).max() > 0.3  # it crabs against the slope
 
 
 def test_what_the_pilot_believes_is_where_he_goes(machine: Machine) -> None:
-    blind = Scenario(steering=Row(position_sd=0.2), soil=FIRM, speed_sd=0.0)
+    blind = Scenario(steering=RowSteering(position_sd=0.2), soil=FIRM, speed_sd=0.0)
     off = drive(machine, 1, 200.0, blind).states[1000:, 1]
     assert 0.08 < off.std() < 0.4
 
@@ -150,7 +150,7 @@ def test_the_tightest_turn_uses_the_stop(machine: Machine) -> None:
 
 
 def test_far_off_the_row_the_wheels_meet_their_stop(machine: Machine) -> None:
-    far = Row(offset=30.0, heading_deg=-60.0)
+    far = RowSteering(offset=30.0, heading_deg=-60.0)
     scenario = Scenario(steering=far, soil=FIRM, speed=1.5, steering_limit_deg=20.0)
     degrees = np.degrees(drive(machine, 1, 12.0, scenario).wheel_angle)
     assert 19.0 < degrees.max() < 22.5  # the valve closes at the stop, what moves comes to rest behind it

@@ -16,8 +16,8 @@ from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.receivers import FAULTS
 from tilth.simulator.scenario import (
+    DrivenManoeuvre,
     FaultKind,
-    Manoeuvre,
     Parameter,
     Scenario,
     ScenarioError,
@@ -56,7 +56,7 @@ def test_the_demos_file_is_the_default() -> None:
 def test_names_here_are_those_of_the_tables() -> None:
     assert set(get_args(FaultKind)) == set(FAULTS)
     assert get_args(Parameter) == PARAMETERS
-    kinds = get_args(Manoeuvre.__annotations__["kind"])
+    kinds = get_args(DrivenManoeuvre.__annotations__["kind"])
     assert set(kinds) <= {row.name for row in MANOEUVRES}
 
 

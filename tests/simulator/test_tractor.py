@@ -15,8 +15,18 @@ from tilth.schemas.flow import PARAMETERS, FixType, Mount
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator import tractor
 from tilth.simulator.receivers import ORIGIN_DEG, Report, reports, wheel_readings
-from tilth.simulator.scenario import STEP_S, Fault, FaultKind, Ground, Link, Scenario, Soil, Survey, Wheel
-from tilth.simulator.tractor import Track, Truth, draw, drive
+from tilth.simulator.scenario import (
+    STEP_S,
+    Fault,
+    FaultKind,
+    Ground,
+    ReceiverLink,
+    Scenario,
+    Soil,
+    SurveyErrors,
+    Wheel,
+)
+from tilth.simulator.tractor import BodyTrack, Truth, draw, drive
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 QUIET = Scenario(speed_sd=0.0, noise=0.0, steering=((2.0, 0.0), (12.0, 8.0), (3.0, -5.0)))
@@ -103,14 +113,14 @@ def test_what_is_compiled_and_what_is_interpreted_agree(
     np.testing.assert_allclose(drive(machine, 1, 3.0, rough).states, plain.states, rtol=1e-9, atol=1e-12)
 
 
-def _velocity(track: Track) -> tuple[np.ndarray, np.ndarray]:
+def _velocity(track: BodyTrack) -> tuple[np.ndarray, np.ndarray]:
     """North and east by differences of position, at the middle samples."""
     return (track.x[2:] - track.x[:-2]) / (2 * STEP_S), (track.y[2:] - track.y[:-2]) / (2 * STEP_S)
 
 
 @pytest.mark.parametrize("body", ["tractor", "implement"])
 def test_positions_and_velocities_agree(quiet: Truth, body: str) -> None:
-    track: Track = getattr(quiet, body)
+    track: BodyTrack = getattr(quiet, body)
     north, east = _velocity(track)
     cosine, sine = np.cos(track.heading[1:-1]), np.sin(track.heading[1:-1])
     np.testing.assert_allclose(north * cosine + east * sine, track.forward_velocity[1:-1], atol=2e-3)
@@ -228,7 +238,7 @@ def test_reported_velocity_is_that_of_the_reported_point(machine: Machine, rough
 
 
 def test_survey_errors_are_within_what_the_scenario_says(machine: Machine) -> None:
-    scenario = Scenario(survey=Survey(cg_sd=0.03, lever_sd=0.02, pair_sd_deg=0.3))
+    scenario = Scenario(survey=SurveyErrors(cg_sd=0.03, lever_sd=0.02, pair_sd_deg=0.3))
     told = [tractor.drive(machine, seed, 0.05, scenario) for seed in range(40)]
     for key, sd in (("cg_forward_tractor", 0.03), ("right_implement_rear", 0.02)):
         drawn = np.array([truth.nuisances[key] for truth in told])
@@ -241,14 +251,14 @@ def test_survey_errors_are_within_what_the_scenario_says(machine: Machine) -> No
 
 def test_a_cg_that_is_elsewhere_moves_the_axles_and_the_receivers_with_it(machine: Machine) -> None:
     """The receivers stay where they are on the machine: the same distance from its axles."""
-    off = drive(machine, 3, 2.0, Scenario(survey=Survey(cg_sd=0.05, lever_sd=0.0, pair_sd_deg=0.0)))
+    off = drive(machine, 3, 2.0, Scenario(survey=SurveyErrors(cg_sd=0.05, lever_sd=0.0, pair_sd_deg=0.0)))
     shift = off.nuisances["cg_forward_tractor"]
     assert abs(shift) > 0.005
     nominal = rig_of(machine)
     assert (off.rig.a, off.rig.b, off.rig.c) == pytest.approx(
         (nominal.a - shift, nominal.b + shift, nominal.c + shift)
     )
-    calm = Scenario(survey=Survey(cg_sd=0.05, lever_sd=0.0, pair_sd_deg=0.0), steering=STRAIGHT)
+    calm = Scenario(survey=SurveyErrors(cg_sd=0.05, lever_sd=0.0, pair_sd_deg=0.0), steering=STRAIGHT)
     truth = drive(machine, 3, 2.0, calm)
     receiver = machine.receiver[0]
     rows = reports(machine, truth, receiver, 0.5)
@@ -315,7 +325,7 @@ def test_faults(machine: Machine) -> None:
 def test_reports_drop_out_and_jitter_as_the_link_does(machine: Machine) -> None:
     receiver = machine.receiver[3]
     latency = {receiver.mount: 0.1}
-    scenario = Scenario(steering=STRAIGHT, latency_s=latency, link=Link(jitter=0.02, drop_out=0.2))
+    scenario = Scenario(steering=STRAIGHT, latency_s=latency, link=ReceiverLink(jitter=0.02, drop_out=0.2))
     rows = reports(machine, drive(machine, 1, 100.0, scenario), receiver, 0.5)
     assert np.mean([row.effect.sends for row in rows]) == pytest.approx(0.8, abs=0.05)
     late = np.array([row.sent_s - row.epoch_s for row in rows]) - 0.1
@@ -324,7 +334,7 @@ def test_reports_drop_out_and_jitter_as_the_link_does(machine: Machine) -> None:
 
 
 def test_what_the_machine_file_is_sure_of_is_exact(machine: Machine) -> None:
-    truth = drive(machine, 5, 0.1, Scenario(survey=Survey(cg_sd=0.0)))
+    truth = drive(machine, 5, 0.1, Scenario(survey=SurveyErrors(cg_sd=0.0)))
     nominal = geometry_of(machine)
     assert (truth.geometry != nominal).tolist() == [False] * 6 + [True] + [False] * 2  # the implement's mass
     assert abs(truth.geometry[6] - nominal[6]) <= 1.5 * 200.0

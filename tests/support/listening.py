@@ -6,7 +6,9 @@ import can
 from loopback import GROUP, until
 
 from tilth.logger.can.bus_opening import open_port
-from tilth.logger.can.buses import Buses, Opener, Source
+from tilth.logger.can.buses import Buses
+from tilth.logger.can.live_bus import LiveBus
+from tilth.logger.can.port_threads import Opener
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -38,8 +40,8 @@ class Listening:
         (self.stamps if "stamped by" in text else self.events).append(f"{kind}: {text}")
 
     @property
-    def sources(self) -> list[Source]:
-        return self.buses.sources
+    def live_buses(self) -> list[LiveBus]:
+        return self.buses.live_buses
 
     def turn(self) -> None:
         self.serve()
@@ -52,7 +54,7 @@ class Listening:
         self.until(lambda: len(self.frames) == count)
 
     def settle(self) -> None:
-        self.until(lambda: not any(source.opening for source in self.sources))
+        self.until(lambda: not any(live.connection.opening for live in self.live_buses))
 
     def watch(self, ahead_ns: int = 0) -> None:
         """As if so much time had gone by."""

@@ -11,11 +11,11 @@ import numpy as np
 from paths import ROOT, SHARED
 
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
 from tilth.replay.compare import IDENTICAL
 from tilth.replay.readers.any_log import open_log
-from tilth.replay.readers.log import Log, Logged
+from tilth.replay.readers.log import Logged, OpenLog
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -46,7 +46,9 @@ def some_frames(count: int, seed: int = 7) -> list[Frame]:
 
 def write_mcap(path: Path, rows: list[Frame], chunk_kilobytes: int = 1, finish: bool = True) -> Path:
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
-    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), MACHINE_TEXT, Run("run", 1, START_NS))
+    writer = LogWriter(
+        path, MACHINE.model_copy(update={"log": log}), MACHINE_TEXT, RunPart("run", 1, START_NS)
+    )
     for row in rows:
         writer.frame(row)
     if finish:
@@ -57,7 +59,7 @@ def write_mcap(path: Path, rows: list[Frame], chunk_kilobytes: int = 1, finish: 
     return path
 
 
-def drained(path: Path) -> tuple[list[Frame], Log]:
+def drained(path: Path) -> tuple[list[Frame], OpenLog]:
     log = open_log(path)
     return [record for record in log.records if isinstance(record, Frame)], log
 
@@ -99,7 +101,7 @@ def record(folder: Path, rows: Sequence[Frame], parts: int, run: str = "r") -> L
     each = -(-len(rows) // parts)
     for part in range(parts):
         path = folder / f"{run}_{part + 1:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run(run, part + 1, rows[0].t_ns))
+        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart(run, part + 1, rows[0].t_ns))
         if part:
             writer.snapshot(rows[part * each].t_ns, fold.renew())
         for row in rows[part * each : (part + 1) * each]:
@@ -124,7 +126,7 @@ def results_of(paths: Sequence[Path], topics: frozenset[str] = IDENTICAL) -> dic
 def altered(live: Live, folder: Path, topic: str, count: int, change: str) -> Path:
     """The first part with result number `count` of a topic changed, left out, or there twice."""
     path = folder / "altered.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("r", 1, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
     seen = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):

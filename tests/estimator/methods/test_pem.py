@@ -23,7 +23,7 @@ from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
-from tilth.simulator.scenario import Manoeuvre, Scenario, Soil
+from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
@@ -155,7 +155,9 @@ def machine() -> Machine:
 @cache
 def _driven(seed: int) -> tuple[Record, Array]:
     machine = MACHINE
-    scenario = Scenario(seconds=33.0, steering=Manoeuvre("random"), soil=Soil(grip=0.8), other_traffic=False)
+    scenario = Scenario(
+        seconds=33.0, steering=DrivenManoeuvre("random"), soil=Soil(grip=0.8), other_traffic=False
+    )
     truth = drive(machine, seed, scenario.seconds, scenario)
     state, recording = initial(machine), record_builder.initial(machine)
     stretches: list[Stretch] = []

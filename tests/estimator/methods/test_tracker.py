@@ -22,7 +22,7 @@ from tilth.estimator.models import nonlinear
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
-from tilth.simulator.scenario import Change, Ground, Manoeuvre, Scenario, Soil
+from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
@@ -32,7 +32,9 @@ Given = list[tuple[Pose, Stretch | None]]
 TICKS = 10  # of a stretch
 FIELD = Soil(grip=0.7, rolling=0.06)
 ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
-RANDOM = Scenario(seconds=30.0, steering=Manoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False)
+RANDOM = Scenario(
+    seconds=30.0, steering=DrivenManoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False
+)
 TOLD = likelihood.rigging(MACHINE)
 ACTIVE = np.flatnonzero(np.diag(tracker.initial(MACHINE).covariance) > 0.0)
 KINDS = (
@@ -220,7 +222,7 @@ CHANGED = replace(
     RANDOM,
     seconds=62.0,
     steering=((40.0, None), (5.0, 0.0), (30.0, None)),
-    soil=replace(FIELD, changes=(Change(at_s=42.0, C_af=0.7, C_ar=0.7, C_ai=0.7),)),
+    soil=replace(FIELD, changes=(SoilChange(at_s=42.0, C_af=0.7, C_ar=0.7, C_ai=0.7),)),
 )
 TURNS_AGAIN_S = 45.0
 

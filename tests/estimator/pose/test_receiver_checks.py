@@ -21,7 +21,7 @@ from tilth.estimator.record.record import YAW_RATE, concatenate
 from tilth.estimator.state_json import from_plain, to_plain
 from tilth.estimator.warm_start import Kept
 from tilth.replay.compare import Comparison
-from tilth.replay.offline import Outputs, replay
+from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Event, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
@@ -316,6 +316,6 @@ def test_live_and_replay_find_it_alike(rows: list[Frame], tmp_path: Path) -> Non
     live = record(tmp_path, rows, 3)
     for parts in (live.parts, live.parts[2:]):
         comparison, said = Comparison(), list[str]()
-        replay(parts, MACHINE, MACHINE_TEXT, outputs=Outputs(comparison=comparison), say=said.append)
+        replay(parts, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=said.append)
         assert comparison.compared > 0 and comparison.difference == ""
         assert sum("turn its smoothing off" in text for text in said) == (2 if parts == live.parts else 0)

@@ -39,7 +39,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine
 from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
-from tilth.simulator.scenario import Ground, Scenario, Survey
+from tilth.simulator.scenario import Ground, Scenario, SurveyErrors
 from tilth.simulator.tractor import AT, Truth, drive
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def record(machine: Machine, measurements: list[Measurement]) -> tuple[RecordSta
 @cache
 def driven(ground: Ground = EVEN, noise: float = 0.0) -> Truth:
     scenario = Scenario(
-        noise=noise, ground=ground, survey=Survey(0.0, 0.0, 0.0), clock_offset_s=0.0,
+        noise=noise, ground=ground, survey=SurveyErrors(0.0, 0.0, 0.0), clock_offset_s=0.0,
         latency_s=dict.fromkeys(ALL, 0.1), steering=((3.0, 0.0), (5.0, 7.0), (4.0, -6.0), (3.0, 3.0)),
     )  # fmt: skip
     return drive(KNOWN, 3, SECONDS, scenario)

@@ -12,17 +12,9 @@ from listening import Listening, data_frame, virtual
 from loopback import free_port, until
 
 from tilth.logger.can.bus_opening import open_port, why_not
-from tilth.logger.can.buses import (
-    BACK_OFF_MOST_NS,
-    EMPTY_READS,
-    HANGING,
-    RENEW_NS,
-    SILENT_NS,
-    SLOW,
-    WORKED_NS,
-    Buses,
-)
+from tilth.logger.can.buses import EMPTY_READS, SILENT_NS, SLOW, WORKED_NS, Buses
 from tilth.logger.can.can_errors import BACK_NS
+from tilth.logger.can.live_bus import BACK_OFF_MOST_NS, HANGING, RENEW_NS
 from tilth.logger.can.port import LibraryPort, Port, Tally
 from tilth.logger.clock import Clock
 from tilth.logger.status import bus_status
@@ -35,15 +27,15 @@ pytestmark = pytest.mark.usefixtures("watched_by_hand")
 def test_a_missing_bus_is_said_once_and_tried_again_with_back_off(talker: can.BusABC) -> None:
     missing = Bus(name="gone", interface="socketcan", channel="nosuchcan0")
     listening = Listening(missing, virtual("v"))
-    gone, _ = listening.sources
+    gone, _ = listening.live_buses
     assert gone.state == "failed"
     waits = []
     for _ in range(6):
-        waits.append(round((gone.retry_ns - listening.clock.t_ns()) * 1e-9 + 0.05, 1))
-        listening.watch(ahead_ns=gone.retry_ns - listening.clock.t_ns() - 10_000_000)
-        assert not gone.opening
-        listening.watch(ahead_ns=gone.retry_ns - listening.clock.t_ns())
-        assert gone.opening
+        waits.append(round((gone.connection.back_off.retry_at_ns - listening.clock.t_ns()) * 1e-9 + 0.05, 1))
+        listening.watch(ahead_ns=gone.connection.back_off.retry_at_ns - listening.clock.t_ns() - 10_000_000)
+        assert not gone.connection.opening
+        listening.watch(ahead_ns=gone.connection.back_off.retry_at_ns - listening.clock.t_ns())
+        assert gone.connection.opening
         listening.settle()
     assert waits == pytest.approx([0.5, 1.0, 2.0, 4.0, 5.0, 5.0], abs=0.11)
     talker.send(data_frame())
@@ -55,32 +47,32 @@ def test_a_missing_bus_is_said_once_and_tried_again_with_back_off(talker: can.Bu
 
 def test_silence_is_said_and_ends_with_the_next_frame(talker: can.BusABC) -> None:
     listening = Listening(virtual("v"))
-    (source,) = listening.sources
+    (live,) = listening.live_buses
     listening.watch(ahead_ns=SILENT_NS // 2)
-    assert source.state == "open" and listening.events == []
+    assert live.state == "open" and listening.events == []
     for _ in range(3):
         listening.watch(ahead_ns=SILENT_NS + 1)
-    assert source.state == "silent" and listening.events == [
+    assert live.state == "silent" and listening.events == [
         "bus: v: silent, no frame for 1.5 s (silence 1), 0 until then"
     ]
     talker.send(data_frame())
     listening.until_frames(1)
-    assert source.state == "open" and "heard again" in listening.events[1]
+    assert live.state == "open" and "heard again" in listening.events[1]
     listening.buses.close()
 
 
 def test_a_bus_silent_for_long_is_opened_afresh(talker: can.BusABC) -> None:
     """Some die without an error: a deleted interface reads as silence for ever, also when it is back."""
     listening = Listening(virtual("v"))
-    (source,) = listening.sources
-    first = source.port
+    (live,) = listening.live_buses
+    first = live.connection.port
     listening.watch(ahead_ns=RENEW_NS + 1)
     listening.settle()
-    assert source.port is not first and source.state == "silent" and source.opened == 2
+    assert live.connection.port is not first and live.state == "silent" and live.connection.opened == 2
     listening.watch(ahead_ns=RENEW_NS + 1)  # not again so soon
-    assert not source.opening
+    assert not live.connection.opening
     talker.send(data_frame())
-    listening.until(lambda: source.state == "open")
+    listening.until(lambda: live.state == "open")
     listening.buses.close()
 
 
@@ -133,8 +125,8 @@ def test_a_server_that_dies_and_comes_back(talker: can.BusABC) -> None:
     where: dict[str, str | int | float | bool] = {"host": "127.0.0.1", "port": hub.port}
     config = Bus(name="tcp", interface="socketcand", channel="can0", options=where)
     listening = Listening(config, virtual("v"), serve=hub.serve)
-    tcp, _ = listening.sources
-    assert tcp.state == "open" and tcp.descriptor is not None
+    tcp, _ = listening.live_buses
+    assert tcp.state == "open" and tcp.connection.descriptor is not None
     wanted = 0
     for burst in range(90, 110):  # several in a packet, more than a batch, then nothing that wakes the loop
         for number in range(burst):
@@ -209,35 +201,42 @@ class Hanging:
 def test_an_opening_that_hangs_is_said_and_begun_anew_and_no_other_bus_waits(
     talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    times = {"WATCH_NS": 5, "SLOW_NS": 50, "GIVE_UP_NS": 100, "BACK_OFF_MOST_NS": 10}  # ms
+    times = {
+        "buses.WATCH_NS": 5,
+        "buses.SLOW_NS": 50,
+        "buses.GIVE_UP_NS": 100,
+        "live_bus.BACK_OFF_MOST_NS": 10,
+    }
     for name, milliseconds in times.items():
-        monkeypatch.setattr(f"tilth.logger.can.buses.{name}", milliseconds * 1_000_000)
+        monkeypatch.setattr(f"tilth.logger.can.{name}", milliseconds * 1_000_000)
     hanging = Hanging()
     events: list[str] = []
     configs = [Bus(name="hung", interface="pcan", channel="x"), virtual("v")]
     buses = Buses(configs, Clock(), lambda kind, text: events.append(text), hanging.open)
-    hung, other = buses.sources
+    hung, other = buses.live_buses
     frames: list[Frame] = []
     sent = 0
 
     def turn() -> None:
         nonlocal sent
-        if other.port is not None:
+        if other.connection.port is not None:
             talker.send(data_frame(sent))
             sent += 1
         frames.extend(buses.read(0.02))
 
     until(lambda: hung.problem == SLOW, turn)
-    assert hung.state == "failed" and hung.failures == 1
-    until(lambda: hanging.opened == HANGING and not hung.opening, turn)  # each begun beside those before
+    assert hung.state == "failed" and hung.outages.failures == 1
+    until(
+        lambda: hanging.opened == HANGING and not hung.connection.opening, turn
+    )  # each begun beside those before
     for _ in range(20):
         turn()
     assert hanging.opened == HANGING
     hanging.released.set()  # the driver comes back: what was given up is closed, one more is used
-    until(lambda: hung.port is not None and hanging.closed == HANGING, turn)
+    until(lambda: hung.connection.port is not None and hanging.closed == HANGING, turn)
     until(lambda: len(frames) == sent, lambda: frames.extend(buses.read(0.02)))
     buses.close()
-    assert hung.failures == 1 and hung.opened == 1
+    assert hung.outages.failures == 1 and hung.connection.opened == 1
     assert len([text for text in events if text.startswith(f"hung: {SLOW}")]) == 1
 
 
@@ -259,25 +258,25 @@ def test_a_port_that_hangs_in_closing_stops_nothing(talker: can.BusABC) -> None:
         return Stuck(can.Bus(interface="virtual", channel="tilth-stuck"), config, clock, tally)
 
     listening = Listening(virtual("stuck"), virtual("v"), opener=opener)
-    stuck, _ = listening.sources
+    stuck, _ = listening.live_buses
     listening.until(lambda: stuck.state == "failed")
     talker.send(data_frame())
     listening.until_frames(1)
     listening.watch(ahead_ns=BACK_OFF_MOST_NS)  # tried again although the old one is not closed yet
-    listening.until(lambda: stuck.opened == 2)
+    listening.until(lambda: stuck.connection.opened == 2)
     released.set()
     listening.buses.close()
 
 
 def test_an_error_of_the_driver_heals_and_is_counted(talker: can.BusABC) -> None:
     listening = Listening(virtual("v"))
-    (source,) = listening.sources
+    (live,) = listening.live_buses
     talker.send(data_frame(0))
     listening.until_frames(1)
     for failure in (1, 2):
-        assert isinstance(source.port, LibraryPort)
-        source.port.bus.shutdown()  # reading it raises from now on
-        listening.until(lambda: source.state == "failed")
+        assert isinstance(live.connection.port, LibraryPort)
+        live.connection.port.bus.shutdown()  # reading it raises from now on
+        listening.until(lambda: live.state == "failed")
         listening.watch(ahead_ns=BACK_OFF_MOST_NS)
         listening.settle()
         talker.send(data_frame(failure))
@@ -285,7 +284,7 @@ def test_an_error_of_the_driver_heals_and_is_counted(talker: can.BusABC) -> None
         assert listening.events[-1].startswith("bus: v: works again after")
         assert listening.events[-1].endswith(f"(failure {failure}, opening {failure + 1})")
         assert f"it is tried again (failure {failure}, {failure} frames until then)" in listening.events[-2]
-    assert source.failures == 2 and source.problem == ""
+    assert live.outages.failures == 2 and live.problem == ""
     listening.buses.close()
 
 
@@ -295,24 +294,24 @@ def test_a_failure_shorter_than_a_status_period_is_an_event_and_a_count_in_every
 ) -> None:
     """Also where nobody sends in between, so that no frame tells that the bus works again."""
     listening = Listening(virtual("v"))
-    (source,) = listening.sources
+    (live,) = listening.live_buses
     talker.send(data_frame())
     listening.until_frames(1)
     for failure in (1, 2, 3):
         said = len([text for text in listening.events if "it is tried again" in text])
-        before = bus_status(source, listening.clock.t_ns())
+        before = bus_status(live, listening.clock.t_ns())
         assert (before.state, before.failures) == ("open", failure - 1) and said == failure - 1
-        assert isinstance(source.port, LibraryPort)
-        source.port.bus.shutdown()  # reading it raises from now on
-        listening.until(lambda: source.state == "failed")
-        listening.watch(ahead_ns=source.retry_ns - listening.clock.t_ns())
+        assert isinstance(live.connection.port, LibraryPort)
+        live.connection.port.bus.shutdown()  # reading it raises from now on
+        listening.until(lambda: live.state == "failed")
+        listening.watch(ahead_ns=live.connection.back_off.retry_at_ns - listening.clock.t_ns())
         listening.settle()
         if frames_between:
             talker.send(data_frame(failure))
             listening.until_frames(1 + failure)
         else:
             listening.watch(ahead_ns=WORKED_NS)
-        after = bus_status(source, listening.clock.t_ns())  # the next: all is well, and yet it is told
+        after = bus_status(live, listening.clock.t_ns())  # the next: all is well, and yet it is told
         assert (after.state, after.failures, after.reason) == ("open", failure, "")
         assert f"(failure {failure}, " in [text for text in listening.events if "tried again" in text][-1]
     listening.buses.close()
@@ -329,10 +328,10 @@ def test_one_that_opens_and_fails_at_once_again_and_again_is_one_failure_said_on
         return Failing(can.Bus(interface="virtual", channel="tilth-failing"), config, clock, tally)
 
     listening = Listening(virtual("failing"), opener=opener)
-    (source,) = listening.sources
+    (live,) = listening.live_buses
     for opened in (1, 2, 3, 4):
-        listening.until(lambda: source.state == "failed" and not source.opening)
-        assert (source.opened, source.failures, len(listening.events)) == (opened, 1, 1)
+        listening.until(lambda: live.state == "failed" and not live.connection.opening)
+        assert (live.connection.opened, live.outages.failures, len(listening.events)) == (opened, 1, 1)
         listening.watch(ahead_ns=BACK_OFF_MOST_NS)
         listening.settle()
     listening.buses.close()
@@ -340,18 +339,18 @@ def test_one_that_opens_and_fails_at_once_again_and_again_is_one_failure_said_on
 
 def test_bus_off_is_said_shown_and_over_when_frames_come(talker: can.BusABC) -> None:
     listening = Listening(virtual("v"))
-    (source,) = listening.sources
+    (live,) = listening.live_buses
     bus_off = can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8))
     talker.send(bus_off)
     listening.until_frames(1)
     listening.watch()
-    status = bus_status(source, listening.clock.t_ns())
+    status = bus_status(live, listening.clock.t_ns())
     assert (status.controller, status.error_frames) == ("bus_off", 1) and "bus-off" in status.reason
     assert [(one.reason, one.count) for one in status.errors] == [("bus_off", 1)]
     talker.send(data_frame())
     listening.until_frames(2)
     listening.watch(ahead_ns=2 * BACK_NS)
-    status = bus_status(source, listening.clock.t_ns())
+    status = bus_status(live, listening.clock.t_ns())
     assert status.controller == "active" and status.reason == ""
     assert [event.split(",")[0] for event in listening.events] == [
         "bus: v: bus-off", "bus: v: the controller is error-active again (1 times"

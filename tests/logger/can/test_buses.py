@@ -42,7 +42,7 @@ def test_two_buses_give_every_frame_in_order_with_its_stamps(sender: Sender) -> 
     assert sorted(listening.stamps) == [
         f"bus: {name}: its frames are stamped by the kernel, on arrival" for name in ("can0", "can1")
     ]
-    assert listening.events == [] and [source.lost for source in listening.sources] == [0, 0]
+    assert listening.events == [] and [live.traffic.lost for live in listening.live_buses] == [0, 0]
 
 
 def test_what_waited_for_a_busy_loop_keeps_its_stamp(
@@ -80,9 +80,9 @@ def test_a_stream_that_was_not_read_for_a_while_has_lost_nothing() -> None:
 def test_what_the_kernel_drops_is_counted(sender: Sender) -> None:
     port = free_port()
     listening = Listening(udp("can0", port))
-    (source,) = listening.sources
-    assert source.descriptor is not None
-    with socket.socket(fileno=source.descriptor) as handle:
+    (live,) = listening.live_buses
+    assert live.connection.descriptor is not None
+    with socket.socket(fileno=live.connection.descriptor) as handle:
         handle.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         handle.detach()
     sender.begin([port], [(0, frame, 0.0) for frame in numbered(500)])
@@ -90,9 +90,10 @@ def test_what_the_kernel_drops_is_counted(sender: Sender) -> None:
     while listening.buses.read(0.0):
         continue
     listening.watch(ahead_ns=ASK_NS)
-    assert source.lost > 0 and source.frames + source.lost == 500
+    lost = live.traffic.lost
+    assert lost > 0 and live.traffic.frames + lost == 500
     assert listening.events == [
-        f"bus: can0: {source.lost} frames lost in the kernel, the computer was busy ({source.lost} in all)"
+        f"bus: can0: {lost} frames lost in the kernel, the computer was busy ({lost} in all)"
     ]
     listening.buses.close()
 
@@ -121,30 +122,30 @@ def test_error_remote_and_fd_frames(talker: can.BusABC) -> None:
     error, good = listening.frames
     assert error.error and error.can_id == 0x204 and not error.extended and error.data == b"\x00\x01"
     assert not good.error and good.extended
-    (source,) = listening.sources
-    tally = source.tally
-    assert (tally.error_frames, tally.remote_frames, tally.fd_frames, source.frames) == (1, 1, 1, 2)
+    (live,) = listening.live_buses
+    tally = live.tally
+    assert (tally.error_frames, tally.remote_frames, tally.fd_frames, live.traffic.frames) == (1, 1, 1, 2)
     listening.buses.close()
 
 
 def test_a_bus_with_can_fd_frames_only_is_alive_and_said_to_be_so() -> None:
     port = free_port()
     listening = Listening(udp("fd", port))
-    (source,) = listening.sources
-    assert source.descriptor is not None
+    (live,) = listening.live_buses
+    assert live.connection.descriptor is not None
     with can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0) as other:
         for number in range(EMPTY_READS + 50):
             other.send(can.Message(arbitration_id=0x124, is_fd=True, data=bytes(12)))
-            listening.until(lambda: source.tally.fd_frames > number)  # noqa: B023  # called at once
-        assert source.state == "open" and source.reason == "" and listening.events == []
-        source.usable_ns -= SILENT_NS
+            listening.until(lambda: live.tally.fd_frames > number)  # noqa: B023  # called at once
+        assert live.state == "open" and live.reason == "" and listening.events == []
+        live.traffic.usable_ns -= SILENT_NS
         other.send(can.Message(arbitration_id=0x124, is_fd=True, data=bytes(12)))
-        listening.until(lambda: source.reason != "")
-        assert source.state == "open" and source.reason.startswith("only CAN FD frames")
-        assert listening.events == [f"bus: fd: {source.reason}"]
+        listening.until(lambda: live.reason != "")
+        assert live.state == "open" and live.reason.startswith("only CAN FD frames")
+        assert listening.events == [f"bus: fd: {live.reason}"]
         other.send(data_frame())
         listening.until_frames(1)
-    assert source.reason == "" and source.frames == 1 and source.opened == 1
+    assert live.reason == "" and live.traffic.frames == 1 and live.connection.opened == 1
     listening.buses.close()
 
 

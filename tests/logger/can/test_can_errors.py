@@ -74,10 +74,10 @@ def test_a_controller_nobody_can_ask_has_recovered_when_frames_come_without_erro
 def test_who_knows_is_believed() -> None:
     health = Health()
     for number, state in enumerate(STATES[:4]):
-        health.told(number * S, state)
+        health.set_state(number * S, state)
         assert health.state == state
-    health.told(5 * S, "stopped")  # the interface is down: that is told otherwise
+    health.set_state(5 * S, "stopped")  # the interface is down: that is told otherwise
     assert health.state == "bus_off"
-    health.told(6 * S, "active")
-    health.told(7 * S, "active")
+    health.set_state(6 * S, "active")
+    health.set_state(7 * S, "active")
     assert health.counts == {"warning": 1, "passive": 1, "bus_off": 1, "recovered": 1}

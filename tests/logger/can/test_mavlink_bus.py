@@ -126,31 +126,36 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
     events: list[str] = []
     frames: list[Frame] = []
     buses = Buses([config], Clock(), lambda kind, text: events.append(text), open_port)
-    (source,) = buses.sources
+    (live,) = buses.live_buses
 
     def turn() -> None:
         frames.extend(buses.read(0.02))
 
-    until(lambda: source.port is not None, turn)
+    until(lambda: live.connection.port is not None, turn)
     way = Way(port, lambda count: count > 100 and count % 11 == 0)
     words = [sys.executable, "-c", AUTOPILOT, str(way.port)]
     autopilot = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     until(lambda: autopilot.poll() is not None, turn)
     asked, others = map(int, autopilot.communicate()[0].split())
-    assert source.port is not None
+    assert live.connection.port is not None
     wanted = [frame for i, frame in enumerate(numbered(COUNT)) if i not in way.dropped]
     until(lambda: len(frames) == len(wanted), turn)
     assert [(f.can_id, f.extended, f.data) for f in frames] == [
         (f.can_id, f.extended, f.data) for f in wanted
     ]
     assert all(0 <= frame.t_ns - frame.rx_ns < 1_000_000_000 for frame in frames)
-    assert source.stamp == KERNEL
-    until(lambda: source.port is not None and source.port.lost() >= len(way.dropped) - 1, turn)
-    assert len(way.dropped) > 50 and len(way.dropped) - source.port.lost() in (0, 1)  # the last may be one
+    assert live.traffic.stamp == KERNEL
+    until(
+        lambda: live.connection.port is not None and live.connection.port.lost() >= len(way.dropped) - 1, turn
+    )
+    assert len(way.dropped) > 50 and len(way.dropped) - live.connection.port.lost() in (
+        0,
+        1,
+    )  # the last may be one
     assert asked >= 2 and others == 0  # asked again and again, and nothing else
     buses.watch(Clock().t_ns() + 2_000_000_000)
     assert any("messages of the autopilot lost on the way" in text for text in events)
-    assert source.lost == source.port.lost()
+    assert live.traffic.lost == live.connection.port.lost()
     buses.close()
     way.close()
 

@@ -167,8 +167,8 @@ def test_a_full_bus_comes_through_without_loss(adapter: Adapter) -> None:
     seconds, clock = 1.5, Clock()
     events: list[str] = []
     buses = Buses([adapter.config()], clock, lambda kind, text: events.append(text))
-    (source,) = buses.sources
-    until(lambda: source.port is not None, lambda: buses.read(0.01))
+    (live,) = buses.live_buses
+    until(lambda: live.connection.port is not None, lambda: buses.read(0.01))
     count = int(FULL_RATE * seconds)
 
     def play() -> None:
@@ -183,11 +183,11 @@ def test_a_full_bus_comes_through_without_loss(adapter: Adapter) -> None:
     player = threading.Thread(target=play)
     player.start()
     frames: list[Frame] = []
-    until(lambda: source.frames >= count, lambda: _more(buses, frames))
+    until(lambda: live.traffic.frames >= count, lambda: _more(buses, frames))
     player.join()
     buses.close()
     assert [int(f.data.hex(), 16) for f in frames] == list(range(count))
-    assert source.tally.garbled == 0
+    assert live.tally.garbled == 0
     assert "serial: its frames are stamped by this program, as it reads them" in events
 
 
@@ -198,24 +198,26 @@ def _more(buses: Buses, frames: list[Frame]) -> None:
 def test_pulled_and_plugged_in_again_it_is_opened_again(adapter: Adapter) -> None:
     events: list[str] = []
     buses = Buses([adapter.config()], Clock(), lambda kind, text: events.append(text))
-    (source,) = buses.sources
+    (live,) = buses.live_buses
     frames: list[Frame] = []
-    until(lambda: source.port is not None, lambda: _more(buses, frames))
+    until(lambda: live.connection.port is not None, lambda: _more(buses, frames))
     adapter.say(b"t0010\r")
     until(lambda: len(frames) == 1, lambda: _more(buses, frames))
     adapter.pull()
-    until(lambda: source.state == "failed", lambda: _more(buses, frames))
-    assert source.attempt == 1  # by what reading said, not by its silence: that would have opened it afresh
-    until(lambda: "plug the adapter in" in source.problem, lambda: _more(buses, frames))
+    until(lambda: live.state == "failed", lambda: _more(buses, frames))
+    assert (
+        live.connection.attempt == 1
+    )  # by what reading said, not by its silence: that would have opened it afresh
+    until(lambda: "plug the adapter in" in live.problem, lambda: _more(buses, frames))
     adapter.plug()
-    until(lambda: source.port is not None, lambda: _more(buses, frames))
+    until(lambda: live.connection.port is not None, lambda: _more(buses, frames))
     adapter.say(b"t0020\r")
     until(lambda: len(frames) == 2, lambda: _more(buses, frames))
     buses.close()
     assert (
         adapter.heard().replace(b"F\r", b"").endswith(b"C\rS5\rL\rC\r")
     )  # told again what it forgot; closed at the end
-    assert source.failures == 1 and source.opened == 2
+    assert live.outages.failures == 1 and live.connection.opened == 2
     assert any("works again after" in text and "(failure 1, opening 2)" in text for text in events)
 
 

@@ -276,15 +276,15 @@ def newlink(*data: bytes) -> bytes:
                 attribute(4, struct.pack("=I", 2)),
                 attribute(6, struct.pack("=I", 100)),
             ),
-            can_link.Link(bitrate=500_000, state=2, restart_ms=100),
+            can_link.CanLink(bitrate=500_000, state=2, restart_ms=100),
         ),
-        (newlink(attribute(4, struct.pack("=I", 4))), can_link.Link(bitrate=0, state=4, restart_ms=0)),
+        (newlink(attribute(4, struct.pack("=I", 4))), can_link.CanLink(bitrate=0, state=4, restart_ms=0)),
         (newlink(), None),  # vcan
         (struct.pack("=IHHIIi", 20, 2, 0, 1, 0, -19), None),  # no such interface
         (b"", None),
     ],
 )
-def test_what_the_kernel_says_of_a_controller(answer: bytes, link: can_link.Link | None) -> None:
+def test_what_the_kernel_says_of_a_controller(answer: bytes, link: can_link.CanLink | None) -> None:
     assert can_link.parse(answer) == link
 
 

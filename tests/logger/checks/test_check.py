@@ -19,10 +19,10 @@ from loopback import free_port, machine_text, rig, udp_bus
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
 from tilth.logger.checks.check import check
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, Finding
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, CheckFinding
 from tilth.logger.clock import Clock, Relation
 from tilth.logger.machine_file import read_machine
-from tilth.replay.discover import Survey
+from tilth.replay.discover import BusSurvey
 from tilth.replay.machine_draft import draft
 from tilth.schemas.machine import MachineError
 
@@ -47,7 +47,7 @@ def talking() -> Iterator[None]:
         thread.join()
 
 
-def of(findings: list[Finding], what: str) -> Finding:
+def of(findings: list[CheckFinding], what: str) -> CheckFinding:
     (one,) = [finding for finding in findings if finding.what == what]
     return one
 
@@ -190,7 +190,7 @@ def test_a_log_or_an_unfinished_draft_is_no_machine_file(tmp_path: Path) -> None
     ):
         read_machine(file)
     file = tmp_path / "draft.toml"
-    file.write_text(draft(Survey().findings(), []))
+    file.write_text(draft(BusSurvey().findings(), []))
     with pytest.raises(MachineError, match=r'line 4 and \d+ more still marked "FILL IN"'):
         read_machine(file)
     file.write_text("[machine]\nname = # FILL IN: a name\n")

@@ -7,7 +7,7 @@ import pytest
 from logs import MACHINE_TEXT
 
 from tilth.logger.checks.devices import Devices
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, Finding
+from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
 from tilth.schemas.can_id import join, split
 from tilth.schemas.decode import claim
 from tilth.schemas.flow import Frame, Mount
@@ -25,7 +25,7 @@ def frames() -> list[Frame]:
     return list(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False)))
 
 
-def heard(frames: Iterable[Frame], *edits: tuple[str, str]) -> dict[str, Finding]:
+def heard(frames: Iterable[Frame], *edits: tuple[str, str]) -> dict[str, CheckFinding]:
     """What is found with the machine file after these edits; by what it is of, the last of several."""
     text = MACHINE_TEXT
     for old, new in edits:

@@ -17,6 +17,7 @@ from tilth.logger.clock import HEARD
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.log.recovery import finish
+from tilth.logger.run_parts import all_rejected
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEY = "tilth/jd7930-parker500/mark"
@@ -80,8 +81,8 @@ def test_a_mark_tells_utc_where_the_computer_woke_in_1970(
         assert main(["mark", "too early", "--machine", str(path)]) == 0
         assert "at a time that is not known yet, marked: too early" in capsys.readouterr().out
         for k in range(HEARD):
-            t_ns = daemon._clock.t_ns()
-            daemon._clock.told(t_ns + k, t_ns + k + behind_ns)
+            t_ns = daemon.parts.clock.t_ns()
+            daemon.parts.clock.add_gnss_time(t_ns + k, t_ns + k + behind_ns)
         assert main(["mark", "a stone", "--machine", str(path)]) == 0
         said = capsys.readouterr().out.split()[0]
     told_ns = calendar.timegm(time.strptime(said, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000
@@ -91,7 +92,7 @@ def test_a_mark_tells_utc_where_the_computer_woke_in_1970(
 def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
     daemon: Daemon, tmp_path: Path
 ) -> None:
-    sink = daemon._sink
+    sink = daemon.parts.outlets.sink
     assert sink is not None
     heard: list[str] = []
     with session(sink.endpoints) as other:
@@ -118,7 +119,7 @@ REFUSED = {
 
 
 def test_what_is_no_mark_is_refused_with_a_reason_and_changes_nothing(daemon: Daemon, tmp_path: Path) -> None:
-    sink = daemon._sink
+    sink = daemon.parts.outlets.sink
     assert sink is not None
     with session(sink.endpoints) as other:
         for payload, reason in REFUSED.values():
@@ -127,15 +128,15 @@ def test_what_is_no_mark_is_refused_with_a_reason_and_changes_nothing(daemon: Da
         # Who asks for everything there is asks for no mark, and gets no error.
         assert all(reply.ok for reply in ask(other, KEY.replace("mark", "**"), "by accident"))
         assert ask(other, KEY, "x" * 1024)[0].ok
-    assert daemon._rejected()["mark"] == len(REFUSED)
+    assert all_rejected(daemon.parts)["mark"] == len(REFUSED)
 
 
 def test_a_mark_that_cannot_be_recorded_is_refused(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file where the folder should be")
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
     with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as daemon:
-        assert daemon._sink is not None
-        with session(daemon._sink.endpoints) as other:
+        assert daemon.parts.outlets.sink is not None
+        with session(daemon.parts.outlets.sink.endpoints) as other:
             (reply,) = ask(other, KEY, "here")
     assert reply.err is not None and "not record" in reply.err.payload.to_string()
 

@@ -24,9 +24,9 @@ from one_recording import Recorder, file_size_limit
 
 from tilth.logger.clock import NEWEST_NS, OLDEST_NS, Clock, Relation
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.log import run_log as recording_module
+from tilth.logger.log import run_files
 from tilth.logger.log.disk import Disk, Spool
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
@@ -34,7 +34,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
-RUN = Run("run", 1, START_NS)
+RUN = RunPart("run", 1, START_NS)
 
 frames = st.builds(
     Frame,
@@ -191,7 +191,7 @@ def test_a_name_taken_at_the_last_moment_costs_one_try(
             path.write_text("another run's")
         return Spool(disk, path)
 
-    monkeypatch.setattr(recording_module, "Spool", too_late)
+    monkeypatch.setattr(run_files, "Spool", too_late)
     run = Recorder(tmp_path, log="rotate_minutes = 0.02")
     assert not run.recording.recording
     run.until(lambda: run.recording.recording)

@@ -14,7 +14,7 @@ from loopback import numbered, rig, udp_bus
 from tilth.cli import main
 from tilth.logger.clock import HEARD, Clock
 from tilth.logger.log import offload
-from tilth.logger.log.mcap_log import LogWriter, Run
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.run_log import Recording
 from tilth.logger.log.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
@@ -153,7 +153,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
     rows = numbered(6000)
     for number in (1, 2):
         path = folder / f"{NAME}_{number:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("id", number, rows[0].t_ns, "clay, dry"))
+        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns, "clay, dry"))
         writer.clocks(clock, "start" if number == 1 else "new file")
         for i, row in enumerate(rows[3000 * (number - 1) : 3000 * number], 3000 * (number - 1)):
             writer.frame(row)
@@ -267,7 +267,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
         recording.frame(frame)
         if number == 2000:
             for k in range(HEARD):
-                clock.told(frame.t_ns + k, frame.t_ns + k + behind_ns)
+                clock.add_gnss_time(frame.t_ns + k, frame.t_ns + k + behind_ns)
         if number % 400 == 0:
             recording.tick(frame.t_ns)
     recording.close()

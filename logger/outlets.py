@@ -1,0 +1,81 @@
+"""Where everything goes that the daemon finds out: the log, Zenoh, and the display of whoever watches."""
+
+from collections import deque
+from collections.abc import Callable
+
+from zenoh import ZError
+
+from tilth.logger.clock import Clock
+from tilth.logger.display import Display, NoDisplay
+from tilth.logger.log.run_log import Recording
+from tilth.logger.zenoh.session import why
+from tilth.logger.zenoh.sink import ZenohSink
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import Estimate, Event
+from tilth.schemas.proto import tilth_pb2 as pb
+
+Events = deque[tuple[str, str]]
+"""Kind and text of what has happened since the last turn of the loop; any thread may append. They are logged
+after the frames of the turn: the times in a file never run back."""
+
+
+class Outlets:
+    def __init__(self, recording: Recording, display: Display, events: Events, clock: Clock) -> None:
+        self.recording = recording
+        self.sink: ZenohSink | None = None
+        self._no_session = ""  # why there is none although one is wanted
+        self._display = display
+        self._events = events
+        self._clock = clock
+
+    def open_zenoh(self, open_sink: Callable[[], ZenohSink]) -> None:
+        """A session that cannot be had costs nothing but itself."""
+        try:
+            self.sink = open_sink()
+        except ZError as error:
+            self._no_session = f"nothing is published: {why(error)}; correct [zenoh] in the machine file"
+            self._events.append(("zenoh", self._no_session))
+            return
+        if self.sink.note:
+            self._events.append(("zenoh", self.sink.note))
+
+    @property
+    def zenoh_problem(self) -> str:
+        return self._no_session if self.sink is None else self.sink.problem
+
+    @property
+    def not_published(self) -> int:
+        """Values that could not be."""
+        return 0 if self.sink is None else self.sink.failures
+
+    def put(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Log, then publish."""
+        self.recording.message(topic, t_ns, data)
+        self.publish(topic, data)
+
+    def publish(self, topic: str, data: bytes) -> None:
+        if self.sink is not None:
+            self.sink.put(topic, data)
+
+    def put_events(self) -> None:
+        """Log, publish and show what has happened."""
+        while self._events:
+            event = Event(self._clock.t_ns(), *self._events.popleft())
+            self.put("/event", event.t_ns, CHANNEL["/event"].encode(event))
+            self.show_event(event)
+
+    def show_event(self, event: Event) -> None:
+        try:
+            self._display.event(event)
+        except OSError:
+            self._display = NoDisplay()
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        try:
+            self._display.show(status, estimate)
+        except OSError:  # the terminal is gone; the log goes on
+            self._display = NoDisplay()
+
+    def close(self) -> None:
+        if self.sink is not None:
+            self.sink.close()

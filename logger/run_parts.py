@@ -1,0 +1,95 @@
+"""Everything that one run holds open, and what they together say of themselves: status and summary."""
+
+from dataclasses import dataclass
+
+from tilth.logger.can.buses import Buses
+from tilth.logger.clock import Clock
+from tilth.logger.live_estimation import LiveEstimation
+from tilth.logger.log.mcap_log import software
+from tilth.logger.mark_log import MarkLog
+from tilth.logger.outlets import Outlets
+from tilth.logger.run_summary import LoopCounts, RunSummary
+from tilth.logger.status import bus_status, health_of, log_status, problems_of, rejected
+from tilth.logger.supervisor import Supervisor
+from tilth.logger.zenoh.liveness import Sensors
+from tilth.schemas.proto import tilth_pb2 as pb
+
+
+@dataclass(frozen=True, slots=True)
+class RunParts:
+    clock: Clock
+    supervisor: Supervisor
+    estimation: LiveEstimation
+    buses: Buses
+    outlets: Outlets
+    marks: MarkLog
+    sensors: Sensors
+    counts: LoopCounts
+
+
+def build_status(parts: RunParts, t_ns: int) -> pb.Status:
+    """Once a second: rates and the longest turn are those since the last call."""
+    estimation, counts, recording = parts.estimation, parts.counts, parts.outlets.recording
+    live_buses = parts.buses.live_buses
+    status = pb.Status(
+        t_ns=t_ns,
+        run=recording.run_id,
+        version=software()["version"],
+        uptime_s=(t_ns - counts.started_ns) * 1e-9,
+        frames=counts.frames,
+        measurements=estimation.fold.measurements,
+        poses=estimation.fold.poses,
+        buses=[bus_status(bus, t_ns) for bus in live_buses],
+        receivers=parts.sensors.receivers(t_ns),
+        wheel_angle=parts.sensors.wheel_angle(t_ns),
+        rejected=[pb.Count(reason=reason, count=n) for reason, n in all_rejected(parts).items()],
+        preparing=estimation.preparing.text,
+        ready_in_s=estimation.preparing.left_s,
+    )
+    log_status(status, recording)
+    if estimation.worker.seconds is not None:
+        status.fit_s = estimation.worker.seconds
+    status.problems.extend(problems_of(status, live_buses, recording, parts.outlets.zenoh_problem))
+    status.health = health_of(status)
+    status.faults.extend(pb.Count(reason=reason, count=n) for reason, n in _faults(parts).items() if n)
+    status.longest_turn_s = counts.take_longest_turn_s()
+    return status
+
+
+def all_rejected(parts: RunParts) -> dict[str, int]:
+    """Reason -> count, of all that was not used."""
+    other = {"stamp": parts.clock.bad_stamps, "mark": parts.marks.marks.refused}
+    return rejected(parts.estimation.fold.rejected, parts.buses.live_buses, other)
+
+
+def _faults(parts: RunParts) -> dict[str, int]:
+    return {
+        "not_recorded": parts.outlets.recording.missed,  # frames
+        "not_published": parts.outlets.not_published,  # values
+        "estimators_failed": parts.estimation.fold.faults,
+        "clock_stepped": parts.counts.clock_steps,
+        "not_notified": parts.supervisor.failures,  # systemd
+    }
+
+
+def summary_of(parts: RunParts, status: pb.Status) -> RunSummary:
+    """status: the last one."""
+    fold, counts, recording = parts.estimation.fold, parts.counts, parts.outlets.recording
+    return RunSummary(
+        started_ns=counts.started_ns,
+        ended_ns=parts.clock.t_ns(),
+        first_frame_ns=counts.first_frame_ns,
+        last_frame_ns=counts.last_frame_ns,
+        frames=counts.frames,
+        measurements=fold.measurements,
+        poses=fold.poses,
+        rejected=all_rejected(parts),
+        estimates=dict(fold.estimates),
+        log_files=tuple(recording.files),
+        recorded=recording.frames,
+        not_recorded=recording.missed,
+        lost=sum(bus.traffic.lost for bus in parts.buses.live_buses),
+        bad_stamps=parts.clock.bad_stamps,
+        faults=fold.faults,
+        problems=tuple(status.problems),
+    )
