@@ -6,6 +6,7 @@ other modules, members of enums, fields of NamedTuples, arrays, the functions th
 read. What cannot be put into words here is refused, since the kept code would go stale unseen.
 """
 
+import builtins
 import dis
 import hashlib
 import typing
@@ -161,7 +162,7 @@ def _value_text(function: FunctionType, path: tuple[str, ...]) -> str:
     name, *rest = path
     if name in function.__globals__:
         value = function.__globals__[name]
-    elif name in function.__builtins__:
+    elif hasattr(builtins, name):
         return f"builtin {name}"
     else:
         raise _refusal(function, name, "which is not there")

@@ -275,7 +275,7 @@ class _Run:
             return
         self._go_on_with(fold, stored.t_ns, stored.state_json)
 
-    def _refuse(self, log: Log, stored: Snapshot, reason: str) -> None:
+    def _refuse(self, log: OpenLog, stored: Snapshot, reason: str) -> None:
         """Go on without a stored state, and say so: to the person here, and among the events."""
         text = f"its stored state is not used: {reason}; going on without it"
         self._say(f"{log.path}: {text}")

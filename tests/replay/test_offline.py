@@ -113,7 +113,7 @@ def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> 
 
 def with_state(part: Path, path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """A part of a run as another program, or a faulty disk, would have written its stored state."""
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, Run("live", 2, 0))
+    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("live", 2, 0))
     for row in open_log(part).records:
         if isinstance(row, Frame):
             writer.frame(row)
@@ -140,7 +140,7 @@ def test_a_part_whose_state_is_refused_says_why_and_is_replayed_from_its_first_f
     live: Live, tmp_path: Path, change: Callable[[dict[str, Any]], object], reason: str
 ) -> None:
     path, out = with_state(live.parts[1], tmp_path / "x.mcap", change), tmp_path / "out.mcap"
-    writer = LogWriter(out, MACHINE, MACHINE_TEXT, Run("again", 1, 0))
+    writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     summary, said = run([path], writer=writer)
     writer.close()
     assert summary.faults == 0 and summary.poses > 20
