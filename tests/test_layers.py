@@ -18,7 +18,7 @@ ROOMS = {
     "analysis": ("", "dissertation"),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
-UNDER_ALL = {"estimator": ("compiled", "kernel_digest"), "logger": ("clock",)}
+UNDER_ALL = {"estimator": ("compiled", "kernel_digest", "state_json"), "logger": ("clock",)}
 """Modules of a folder itself that its rooms may use."""
 HEARS_ZENOH_ONLY = ("client", "monitor")  # they can crash or lag without touching the recorder
 CONTROLLER = ("plan", "law", "follower", "controller", "wires", "__main__")  # they hear Zenoh only
