@@ -79,7 +79,9 @@ def machine() -> Machine:
 def linear(kind: str, seconds: float, seed: int) -> Linear:
     run = linear_plant.plant(rig_of(machine()), seed, kind, seconds)
     mean, covariance = linear_plant.prior(machine())
-    found = likelihood.find(linear_plant.record_of(run), linear_plant.rigging(machine()), mean, covariance)
+    found = likelihood.maximise_posterior(
+        linear_plant.record_of(run), linear_plant.setup(machine()), mean, covariance
+    )
     return Linear(
         found.mean[SIX] - np.log(run.rig.theta),
         np.sqrt(np.diag(found.covariance)[SIX]),
@@ -92,14 +94,14 @@ def linear(kind: str, seconds: float, seed: int) -> Linear:
 def merged_rows(seconds: float, seed: int) -> Linear:
     """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
     first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
-    told, (mean, before) = linear_plant.rigging(machine()), linear_plant.prior(machine())
+    told, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
     noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
     for k in range(ROW_WINDOWS):
         again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
-        found = likelihood.find(linear_plant.record_of(run), told, mean, covariance)
+        found = likelihood.maximise_posterior(linear_plant.record_of(run), told, mean, covariance)
         mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
@@ -136,7 +138,7 @@ def plain(seconds: float, seed: int) -> dict[str, Plain]:
     """Each way on one record of the linear plant, random steering."""
     run = linear_plant.plant(rig_of(machine()), seed, "random", seconds)
     record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(machine())
-    told, sd = linear_plant.rigging(machine()), np.sqrt(np.diag(covariance))
+    told, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
     y, wheel = record.rows[:, 4].reshape(-1, 4), record.ticks[:, 0]
     sds = np.repeat(linear_plant.SDS, 2)
     white = linear_plant.white(rig_of(machine()))
@@ -145,7 +147,7 @@ def plain(seconds: float, seed: int) -> dict[str, Plain]:
     data = (y, wheel, told.geometry, linear_plant.SPEED)
 
     def own() -> tuple[Array, Array]:
-        found = likelihood.find(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, told, mean, covariance)
         return found.mean[SIX], np.sqrt(np.diag(found.covariance)[SIX])
 
     ways: dict[str, Callable[[], tuple[Array, Array]]] = {
@@ -182,7 +184,7 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     fit = best(lambda: pem.fit(machine(), job))
     linear_run = linear_plant.plant(rig_of(machine()), 1, "random", 30.0 * scale)
     own, first = linear_plant.record_of(linear_run), linear_plant.prior(machine())
-    known = best(lambda: likelihood.find(own, linear_plant.rigging(machine()), *first))
+    known = best(lambda: likelihood.maximise_posterior(own, linear_plant.setup(machine()), *first))
     imported, cold = _cold(job)
     rows = [
         ("fit of a window at 50 Hz, all nuisances", f"{1e3 * fit:.0f} ms", "≤ 150 ms", fit <= 0.15, (fit,)),

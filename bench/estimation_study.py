@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models import nonlinear
@@ -268,12 +269,12 @@ class Fitted:
 
 def fitted(run: Driven, records: list[Record]) -> Fitted:
     """The posterior of the first record is the prior of the next; noise levels begin anew with each."""
-    told = likelihood.rigging(run.machine)
+    told = rig_setup(run.machine)
     prior_mean, prior_sd = unknowns.prior(run.machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
-        found = likelihood.find(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, told, mean, covariance)
         information += found.information
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))

@@ -11,8 +11,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.predictor import DT
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import discretise, system
@@ -84,11 +85,9 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     return mean, np.diag(sd**2)
 
 
-def rigging(machine: Machine) -> likelihood.Rigging:
+def setup(machine: Machine) -> RigSetup:
     """The relaxation model alone, and no error but those of the plant."""
-    told = likelihood.rigging(machine, planar=False)
-    told.sds[:] = 0.0
-    return told
+    return rig_setup(machine, planar=False)._replace(sds=np.zeros(3))
 
 
 def bound(run: Plant, covariance: Array) -> Array:

@@ -1,8 +1,9 @@
 """Maximum a posteriori of the unknowns over one record: Fisher scoring with a safe step.
 
 Minimised: 1/2 sum(e^2/S + log S) over the record's prediction errors (predictor.py), plus the prior's
-1/2 (p - p0)' P0^-1 (p - p0). Slopes of e and S are differences of whole filter runs, so that the gradient is
-the exact likelihood's, with what the gains contribute. Information: sum(de de'/S + 1/2 dS dS'/S^2).
+1/2 (p - p0)' P0^-1 (p - p0). Derivatives of e and S are differences of whole filter runs, so that the
+gradient is the exact likelihood's, with what the gains contribute. Information:
+sum(de de'/S + 1/2 dS dS'/S^2).
 """
 
 from dataclasses import dataclass, replace
@@ -12,25 +13,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.predictor import DT, FOLLOW, FULL, KEEP, N_STATES, PLACED, innovations
+from tilth.estimator.filters.predictor import FOLLOW, FULL, KEEP, Innovations, Measured, innovations
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.states import DT, N_STATES, X_POSITION, X_PSI, X_R, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
-from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.estimator.record.record import EAST, NORTH, Record
+from tilth.estimator.record.record import (
+    EAST,
+    KIND,
+    NORTH,
+    PLACE,
+    PSI,
+    TICK,
+    VALUE,
+    R,
+    Record,
+)
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
 STEPS: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
 STEP_LIMIT: Final = 1e-4
 MOST_ITERATIONS: Final = 25
 CLOSE: Final = 0.03  # of a posterior sd: a step this small ends the search
-SLACK: Final = 0.2  # nats that a step may cost: slopes of what follows others' gains are not exact
+SLACK: Final = 0.2  # nats that a step may cost: derivatives of what follows others' gains are not exact
 ROUGH: Final = 1.5
 """Of a disturbance's logarithm that is not known to one: a search that begins with rough ground finds no
 false bottom."""
-_RESTLESS: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
+_PUSHES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
 FLAT: Final = 0.05  # nats
 SETTLED: Final = 0.1  # of a posterior sd of the six
 NEAR: Final = 0.3  # of a posterior sd: where a search that can go no further has arrived
@@ -39,8 +49,8 @@ LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
 _GAINS: Final = frozenset({*PARAMETERS, *NOISES})
 """What moves the filter's gains and so the variances. All else moves them little or not at all."""
 TRUST: Final = (0.03, 0.3)
-"""How far any of the six logarithms and any noise level may move before the slopes are taken again, which is
-nine tenths of a fit's cost."""
+"""How far any of the six logarithms and any noise level may move before the derivatives are taken again,
+which is nine tenths of a fit's cost."""
 COLOUR: Final = 1.0
 """By how much of the innovations' autocorrelation the sds of the six grow: what is left of a ground that is
 no Gauss-Markov process and of slow errors of receivers. From Monte Carlo; nothing where they are white."""
@@ -56,31 +66,7 @@ LAGS: Final = 12  # bins over which scores may be correlated: waves of the groun
 
 
 @dataclass(frozen=True, slots=True)
-class Rigging:
-    """What a machine file says that a fit needs. Shapes as in predictor.filtered."""
-
-    geometry: Array
-    levers: Array
-    middles: Array
-    sds: Array
-    rig: Rig
-    planar: bool = True
-
-
-def rigging(machine: Machine, planar: bool = True) -> Rigging:
-    """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
-    rates = [r.position_sd for r in machine.receiver]
-    middles = unknowns.pair_middles(machine)
-    places = unknowns.levers(machine)
-    sds = [np.radians(machine.wheel_angle.sd) / np.sqrt(2.0)]
-    for body in range(2):
-        length = float(np.hypot(*(places[2 * body] - places[2 * body + 1])))
-        sds.append(SLOW_SHARE * np.sqrt(2.0) * float(np.mean(rates)) / length if length > 0.1 else 0.0)
-    return Rigging(unknowns.base_geometry(machine), places, middles, np.array(sds), rig_of(machine), planar)
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
+class Posterior:
     """What a record says with a prior."""
 
     mean: Array  # [n] of unknowns.NAMES
@@ -100,7 +86,7 @@ class Search:
     """A record with a prior, and the rows that are used of it."""
 
     record: Record
-    rigging: Rigging
+    setup: RigSetup
     start: Array
     used: Array  # (m,), 0.0 for a row that is left out
     prior_mean: Array
@@ -110,176 +96,175 @@ class Search:
     @property
     def judged(self) -> Array:
         """(m,), 1.0 for a row whose prediction error counts."""
-        return np.where(self.record.rows[:, 0] >= SETTLING, self.used, 0.0)
+        return np.where(self.record.rows[:, TICK] >= SETTLING, self.used, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Slopes:
+class ErrorJacobian:
     """Of the prediction errors over the active unknowns, shapes (a, m), at a point."""
 
     de: Array
-    ds: Array
+    dS: Array
     taken: Array  # [n], the point
 
 
 @dataclass(slots=True)
-class Place:
+class Iterate:
     """Where a search stands."""
 
     point: Array  # [n]
     e: Array  # (m,), prediction errors
-    s: Array  # (m,), their variances
-    slopes: Slopes  # of a point nearby
+    S: Array  # (m,), their variances
+    jacobian: ErrorJacobian  # of a point nearby
     cost: float
-    done: int = 0  # iterations
+    iterations: int = 0
     converged: bool = False
 
 
-def first_state(record: Record, rigging: Rigging) -> Array:
+def first_state(record: Record, setup: RigSetup) -> Array:
     """Where the filter starts, shape (15,): headings and yaw rates of the first tick, the first position."""
     x = np.zeros(N_STATES)
     first = record.ticks[0]
-    x[6:8], x[1:3] = first[2:4], first[4:6]
-    heading_t, heading_i = (np.array([np.cos(psi), np.sin(psi)]) for psi in first[2:4])
+    x[X_PSI : X_PSI + 2], x[X_R : X_R + 2] = first[PSI : PSI + 2], first[R : R + 2]
+    heading_t, heading_i = (np.array([np.cos(psi), np.sin(psi)]) for psi in first[PSI : PSI + 2])
     for kind, column in ((NORTH, 0), (EAST, 1)):
-        found = record.rows[record.rows[:, 2] == kind]
+        found = record.rows[record.rows[:, KIND] == kind]
         if len(found):
-            place = int(found[0, 3])
-            ahead = rigging.levers[place, 0]
+            place = int(found[0, PLACE])
+            ahead = setup.levers[place, 0]
             arm = ahead * heading_t
             if place >= 2:
-                arm = -rigging.geometry[2] * heading_t + (ahead - rigging.geometry[3]) * heading_i
-            x[PLACED + column] = found[0, 4] - arm[column]
+                arm = -setup.geometry[2] * heading_t + (ahead - setup.geometry[3]) * heading_i
+            x[X_POSITION + column] = found[0, VALUE] - arm[column]
     return x
 
 
-def errors(search: Search, points: Array, modes: Array, readings: Array | None = None) -> tuple[Array, Array]:
+def prediction_errors(
+    search: Search, points: Array, modes: Array, readings: Array | None = None
+) -> tuple[Array, Array]:
     """(e, S), each shape (q, m), at points, shape (q, n). readings: (q, m), instead of the record's."""
-    geometries = np.array([unknowns.geometry(search.rigging.geometry, p) for p in points])
+    geometries = np.array([unknowns.geometry(search.setup.geometry, p) for p in points])
     thetas = np.exp(points[:, unknowns.SIX])
     shape = (len(points), len(search.record.rows))
-    e, s = np.zeros(shape), np.ones(shape)
-    told, rows = search.rigging, search.record.rows
-    measured = np.tile(rows[:, 4], (len(points), 1)) if readings is None else readings
-    innovations(
-        search.record.ticks, rows, measured, search.used, search.start, points, thetas, geometries, modes,
-        told.rig, told.levers, told.middles, told.sds, told.planar, e, s,
-    )  # fmt: skip
-    return e, s
+    e, S = np.zeros(shape), np.ones(shape)
+    rows = search.record.rows
+    values = np.tile(rows[:, VALUE], (len(points), 1)) if readings is None else readings
+    measured = Measured(search.record.ticks, rows, values, search.used)
+    at = Point(points, thetas, geometries)
+    innovations(measured, search.start, at, modes, search.setup, Innovations(e, S))
+    return e, S
 
 
-def misfit(search: Search, e: Array, s: Array) -> float:
+def negative_log_likelihood(search: Search, e: Array, S: Array) -> float:
     """Minus the log-likelihood of a record, nats, but for a constant."""
-    return float(0.5 * np.sum(search.judged * (e * e / s + np.log(s))))
+    return float(0.5 * np.sum(search.judged * (e * e / S + np.log(S))))
 
 
-def _cost(search: Search, point: Array, e: Array, s: Array) -> float:
+def _cost(search: Search, point: Array, e: Array, S: Array) -> float:
     off = (point - search.prior_mean)[search.active]
     with np.errstate(all="ignore"):  # a step too far is no number, and is not taken
-        return misfit(search, e, s) + float(0.5 * off @ search.prior_information @ off)
+        return negative_log_likelihood(search, e, S) + float(0.5 * off @ search.prior_information @ off)
 
 
-def search_of(record: Record, rigging: Rigging, mean: Array, covariance: Array) -> Search:
-    """What a fit starts from; arguments as of `find`."""
+def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -> Search:
+    """What a fit starts from; arguments as of `maximise_posterior`."""
     active = np.flatnonzero(np.diag(covariance) > 0.0)
     sound = np.all(np.isfinite(record.rows), axis=1)
     prior = _inverse(covariance[np.ix_(active, active)])
-    return Search(
-        record, rigging, first_state(record, rigging), sound.astype(np.float64), mean, prior, active
-    )
+    return Search(record, setup, first_state(record, setup), sound.astype(np.float64), mean, prior, active)
 
 
-def find(
-    record: Record, rigging: Rigging, mean: Array, covariance: Array, reference: Array | None = None
-) -> Found:
+def maximise_posterior(
+    record: Record, setup: RigSetup, mean: Array, covariance: Array, reference: Array | None = None
+) -> Posterior:
     """The fit. mean, covariance: the prior over unknowns.NAMES; zero variance holds one fixed.
 
     reference: a point to compare the prior's mean with on this record, which neither has seen.
     """
-    search = search_of(record, rigging, mean, covariance)
-    gained = 0.0
+    search = search_of(record, setup, mean, covariance)
+    gain = 0.0
     if reference is not None:
-        e, s = errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
-        gained = misfit(search, e[1], s[1]) - misfit(search, e[0], s[0])
+        e, S = prediction_errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
+        gain = negative_log_likelihood(search, e[1], S[1]) - negative_log_likelihood(search, e[0], S[0])
     point = mean.copy()
-    point[_RESTLESS] += np.where(np.diag(covariance)[_RESTLESS] > 1.0, ROUGH, 0.0)
-    end = _descended(search, point)
-    gradient, information = _sums(search, end, _scores(search, end))
-    left = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
-    converged = end.converged or bool(np.max(left[search.active < 6], initial=0.0) < NEAR)
-    colour = whiteness(record.rows, search.judged, end.e, end.s)
-    if rigging.planar:
-        end.slopes = _driven(search, end)
-    scores = _scores(search, end)
-    _, counted = _sums(search, end, scores)
-    own = np.zeros_like(covariance)
-    own[np.ix_(search.active, search.active)] = information - search.prior_information
-    return Found(
-        end.point, _covariance(search, scores, _inverse(counted), colour), own,
-        end.cost / max(len(record.rows), 1), gained, end.done, len(record.rows),
-        int(np.sum(search.used == 0.0)), colour, converged,
+    point[_PUSHES] += np.where(np.diag(covariance)[_PUSHES] > 1.0, ROUGH, 0.0)
+    found = _minimise(search, point)
+    gradient, information = _gradient_and_information(search, found, _scores(search, found))
+    remaining = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
+    converged = found.converged or bool(np.max(remaining[search.active < 6], initial=0.0) < NEAR)
+    autocorrelation = whiteness(record.rows, search.judged, found.e, found.S)
+    if setup.planar:
+        found.jacobian = _steering_jacobian(search, found)
+    scores = _scores(search, found)
+    _, counted = _gradient_and_information(search, found, scores)
+    record_information = np.zeros_like(covariance)
+    record_information[np.ix_(search.active, search.active)] = information - search.prior_information
+    return Posterior(
+        found.point, _covariance(search, scores, _inverse(counted), autocorrelation), record_information,
+        found.cost / max(len(record.rows), 1), gain, found.iterations, len(record.rows),
+        int(np.sum(search.used == 0.0)), autocorrelation, converged,
     )  # fmt: skip
 
 
-def _descended(search: Search, point: Array) -> Place:
+def _minimise(search: Search, point: Array) -> Iterate:
     """Where steps from a point end."""
     active, damping = search.active, 1e-3
-    at = _place(search, point)
-    for at.done in range(1, MOST_ITERATIONS + 1):
-        gradient, information = _sums(search, at, _scores(search, at))
-        step, tried, seen = _step(search, at, gradient, information, damping)
-        if seen is None:
+    at = _iterate_at(search, point)
+    for at.iterations in range(1, MOST_ITERATIONS + 1):
+        gradient, information = _gradient_and_information(search, at, _scores(search, at))
+        step, tried, predicted = _step(search, at, gradient, information, damping)
+        if predicted is None:
             break
         damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
         at.point = at.point.copy()
         at.point[active] += step
-        at.e, at.s = seen
-        if at.done == 2:
+        at.e, at.S = predicted
+        if at.iterations == 2:
             # Rows that are beyond belief at this point, once and for all of this fit.
-            search.used = np.where(np.abs(at.e) > OUTLIER * np.sqrt(at.s), 0.0, search.used)
-            at.e, at.s = _errors_at(search, at.point)
-        before, at.cost = at.cost, _cost(search, at.point, at.e, at.s)
-        moved = np.abs(at.point - at.slopes.taken)
-        if np.max(moved[unknowns.SIX]) >= TRUST[0] or np.max(moved[unknowns.NOISE]) >= TRUST[1]:
-            at.slopes = _slopes(search, at.point)
+            search.used = np.where(np.abs(at.e) > OUTLIER * np.sqrt(at.S), 0.0, search.used)
+            at.e, at.S = _errors_at(search, at.point)
+        before, at.cost = at.cost, _cost(search, at.point, at.e, at.S)
+        change = np.abs(at.point - at.jacobian.taken)
+        if np.max(change[unknowns.SIX]) >= TRUST[0] or np.max(change[unknowns.NOISE]) >= TRUST[1]:
+            at.jacobian = _error_jacobian(search, at.point)
         sizes = np.abs(step) / _sds(information)
         # A noise level may go to and fro where nothing depends on it.
         settled = abs(at.cost - before) < FLAT and bool(np.max(sizes[active < 6], initial=0.0) < SETTLED)
-        if at.done > 2 and (settled or bool(np.max(sizes) < CLOSE)):
+        if at.iterations > 2 and (settled or bool(np.max(sizes) < CLOSE)):
             at.converged = True
             break
     return at
 
 
-def _place(search: Search, point: Array) -> Place:
-    e, s = _errors_at(search, point)
-    return Place(point, e, s, _slopes(search, point), _cost(search, point, e, s))
+def _iterate_at(search: Search, point: Array) -> Iterate:
+    e, S = _errors_at(search, point)
+    return Iterate(point, e, S, _error_jacobian(search, point), _cost(search, point, e, S))
 
 
 def at_point(search: Search, point: Array) -> tuple[Array, Array]:
     """(gradient, information) of the cost over the active unknowns, with the prior's, shapes (a,), (a, a)."""
-    at = _place(search, point)
-    return _sums(search, at, _scores(search, at))
+    at = _iterate_at(search, point)
+    return _gradient_and_information(search, at, _scores(search, at))
 
 
 def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
     """(e, S), each shape (m,), at one point."""
-    e, s = errors(search, point[None], np.array([FULL], dtype=float))
-    return e[0], s[0]
+    e, S = prediction_errors(search, point[None], np.array([FULL], dtype=float))
+    return e[0], S[0]
 
 
-def _slopes(search: Search, point: Array) -> Slopes:
+def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
     """At the point, by differences of whole filter runs."""
-    nudges = _nudges(search)
-    points = np.tile(point, (len(nudges) + 1, 1))
-    points[np.arange(1, len(points)), search.active] += nudges
+    steps = _difference_steps(search)
+    points = np.tile(point, (len(steps) + 1, 1))
+    points[np.arange(1, len(points)), search.active] += steps
     modes = [KEEP, *(FULL if NAMES[k] in _GAINS else FOLLOW for k in search.active)]
-    e, s = errors(search, points, np.array(modes, dtype=float))
-    return Slopes((e[1:] - e[0]) / nudges[:, None], (s[1:] - s[0]) / nudges[:, None], point)
+    e, S = prediction_errors(search, points, np.array(modes, dtype=float))
+    return ErrorJacobian((e[1:] - e[0]) / steps[:, None], (S[1:] - S[0]) / steps[:, None], point)
 
 
-def _driven(search: Search, at: Place) -> Slopes:
-    """The slopes by what the wheels' motion explains alone.
+def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
+    """The derivatives by what the wheels' motion explains alone.
 
     Readings are changed by what an open loop at a point nearby shows otherwise, and go through the filter as
     it is. The search goes by all that the likelihood says; but what it says of tyres by how the ground's
@@ -287,37 +272,37 @@ def _driven(search: Search, at: Place) -> Slopes:
     with it, intervals from three windows of steps at 5 Hz held the truth in 78 % of runs, without in 88 %.
     """
     nudged = np.flatnonzero([NAMES[k] not in NOISES for k in search.active])
-    nudges = _nudges(search)[nudged]
+    steps = _difference_steps(search)[nudged]
     points = np.tile(at.point, (len(nudged) + 1, 1))
     here = points.copy()
-    points[np.arange(1, len(points)), search.active[nudged]] += nudges
+    points[np.arange(1, len(points)), search.active[nudged]] += steps
     follow = np.full(len(points), FOLLOW, dtype=float)
-    open_loop, _ = errors(search, points, follow)
+    open_loop, _ = prediction_errors(search, points, follow)
     follow[0] = KEEP
-    e, _ = errors(search, here, follow, search.record.rows[:, 4] + (open_loop - open_loop[0]))
-    de, ds = at.slopes.de.copy(), at.slopes.ds.copy()
-    de[nudged], ds[nudged] = (e[1:] - e[0]) / nudges[:, None], 0.0
-    return Slopes(de, ds, at.point)
+    e, _ = prediction_errors(search, here, follow, search.record.rows[:, VALUE] + (open_loop - open_loop[0]))
+    de, dS = at.jacobian.de.copy(), at.jacobian.dS.copy()
+    de[nudged], dS[nudged] = (e[1:] - e[0]) / steps[:, None], 0.0
+    return ErrorJacobian(de, dS, at.point)
 
 
-def _nudges(search: Search) -> Array:
+def _difference_steps(search: Search) -> Array:
     """Of the differences, shape (a,)."""
     return np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
 
 
-def _scores(search: Search, at: Place) -> Array:
-    """Slope of each row's misfit, shape (a, m)."""
-    ratio = at.e / at.s
-    scores: Array = at.slopes.de * ratio + at.slopes.ds * (0.5 * (1.0 - at.e * ratio) / at.s)
+def _scores(search: Search, at: Iterate) -> Array:
+    """Derivative of each row's negative log-likelihood, shape (a, m)."""
+    ratio = at.e / at.S
+    scores: Array = at.jacobian.de * ratio + at.jacobian.dS * (0.5 * (1.0 - at.e * ratio) / at.S)
     scores *= search.judged
     return scores
 
 
-def _sums(search: Search, at: Place, scores: Array) -> tuple[Array, Array]:
+def _gradient_and_information(search: Search, at: Iterate, scores: Array) -> tuple[Array, Array]:
     """(gradient, information) of the cost, with the prior's."""
     judged = search.judged
-    white, wide = at.slopes.de * (judged / np.sqrt(at.s)), at.slopes.ds * (judged / at.s)
-    information = white @ white.T + 0.5 * wide @ wide.T + search.prior_information
+    whitened, relative = at.jacobian.de * (judged / np.sqrt(at.S)), at.jacobian.dS * (judged / at.S)
+    information = whitened @ whitened.T + 0.5 * relative @ relative.T + search.prior_information
     off = (at.point - search.prior_mean)[search.active]
     return scores.sum(axis=1) + search.prior_information @ off, information
 
@@ -332,48 +317,48 @@ def _inverse(matrix: Array) -> Array:
     return (inverse + inverse.T) / 2
 
 
-def with_gain(found: Found, gain: float) -> Found:
+def with_gain(found: Posterior, gain: float) -> Posterior:
     """The same with another comparison."""
     return replace(found, gain=gain)
 
 
-def _covariance(search: Search, scores: Array, covariance: Array, colour: float) -> Array:
+def _covariance(search: Search, scores: Array, covariance: Array, autocorrelation: float) -> Array:
     """Of all unknowns, (n, n), from that of the active ones (a, a): wider for coloured noise and for what the
     model is not."""
     whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(search.active, search.active)] = _honest(search, covariance, scores)
+    whole[np.ix_(search.active, search.active)] = _sandwich(search, covariance, scores)
     wider = np.ones(len(NAMES))
-    wider[unknowns.SIX] = 1.0 + COLOUR * max(colour, 0.0)
+    wider[unknowns.SIX] = 1.0 + COLOUR * max(autocorrelation, 0.0)
     whole *= np.outer(wider, wider)
-    if search.rigging.planar:
+    if search.setup.planar:
         open_ = search.active[search.active < 6]
         whole[open_, open_] += MODEL_SD**2
     return (whole + whole.T) / 2
 
 
-def _honest(search: Search, covariance: Array, scores: Array) -> Array:
+def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
     """The covariance, made larger where the scores are correlated over time, as coloured noise makes them.
 
     Newey-West estimate of the scores' covariance between inverse informations (the sandwich of quasi maximum
     likelihood). It only widens: a short record may by chance look better than white.
     """
-    bins = (search.record.rows[:, 0] * DT / BIN_S).astype(np.int64)
+    bins = (search.record.rows[:, TICK] * DT / BIN_S).astype(np.int64)
     sums = np.zeros((len(scores), int(bins[-1]) + 1))
     for row, into in zip(scores, sums, strict=True):
         into += np.bincount(bins, row, minlength=len(into))
     sums = np.asarray(sums - sums.mean(axis=1, keepdims=True), np.float64)
-    spread: Array = sums @ sums.T
+    scores_covariance: Array = sums @ sums.T
     for lag in range(1, LAGS + 1):
         later = sums[:, lag:] @ sums[:, :-lag].T
-        spread = spread + (1.0 - lag / (LAGS + 1)) * (later + later.T)
-    robust = covariance @ (spread + search.prior_information) @ covariance
+        scores_covariance = scores_covariance + (1.0 - lag / (LAGS + 1)) * (later + later.T)
+    robust = covariance @ (scores_covariance + search.prior_information) @ covariance
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
     honest: Array = covariance * np.outer(wider, wider)
     return honest
 
 
 def _step(
-    search: Search, at: Place, gradient: Array, information: Array, damping: float
+    search: Search, at: Iterate, gradient: Array, information: Array, damping: float
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
     """(step, tries, prediction errors and variances after it); None where no step lowers the cost."""
     for tried in range(1, 8):
@@ -384,19 +369,19 @@ def _step(
         step = step * min(1.0, LONGEST_STEP / max(longest, 1e-12)) / (1.0 if tried < 5 else 4.0)
         trial = at.point.copy()
         trial[search.active] += step
-        seen = _errors_at(search, trial)
-        after = _cost(search, trial, *seen)
+        predicted = _errors_at(search, trial)
+        after = _cost(search, trial, *predicted)
         if np.isfinite(after) and after <= at.cost + SLACK:
-            return step, tried, seen
+            return step, tried, predicted
     return np.zeros(len(search.active)), 8, None
 
 
-def whiteness(rows: Array, used: Array, e: Array, s: Array) -> float:
+def whiteness(rows: Array, used: Array, e: Array, S: Array) -> float:
     """Mean autocorrelation at one step of the normalised innovations of each kind and place."""
     found, weights = [], []
-    for kind, place in {(float(k), float(p)) for k, p in rows[:, 2:4]}:
-        own = (rows[:, 2] == kind) & (rows[:, 3] == place) & (used > 0.0)
-        z = (e / np.sqrt(s))[own]
+    for kind, place in {(float(k), float(p)) for k, p in rows[:, [KIND, PLACE]]}:
+        chosen = (rows[:, KIND] == kind) & (rows[:, PLACE] == place) & (used > 0.0)
+        z = (e / np.sqrt(S))[chosen]
         if len(z) > 20 and z @ z > 0.0:
             found.append(float(z[1:] @ z[:-1] / (z @ z)))
             weights.append(len(z))

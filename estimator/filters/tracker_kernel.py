@@ -1,309 +1,389 @@
-"""One stretch of the record through an extended Kalman filter whose states include what nobody knows.
+"""One segment of the record through an extended Kalman filter whose states include what nobody knows.
 
 The joint state is that of tracker_model.py. Measurements come one by one, at their own instants between two
-ticks, and each is gated.
+ticks, and each is gated. An unknown that may not be learned is only considered, as Schmidt and Kalman do.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.predictor import (
-    ASIDE,
-    CG,
-    CURVATURE,
-    DT,
-    FADE,
-    GAIN,
-    GRAVITY,
-    LATENCY,
-    LEVER,
-    PAIR,
-    PAIRED,
-    PLACED,
-    PUSHED,
-    ROLLING,
-    ZERO,
-    expected,
+from tilth.estimator.filters.measurement_model import (
+    Observation,
+    body_of,
     noise_factor,
-    reading_at,
-    rig_at,
-    strays,
+    observation,
+    predict_measurement,
+)
+from tilth.estimator.filters.predictor import wheel_angle_at
+from tilth.estimator.filters.propagation import Plant, add_position_noise, plant_of, rig_at
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.states import (
+    DT,
+    N_TRACKER,
+    PAIR_DECAY,
+    X_ALPHA,
+    X_ASIDE,
+    X_PAIR,
+    X_PSI,
+    X_PUSH,
+    X_R,
+    Places,
+    Point,
 )
 from tilth.estimator.filters.tracker_model import (
-    N_X,
-    NUDGE,
-    SLOW_ASIDE,
-    Array,
-    Places,
-    aimed,
-    held_over,
-    motion,
-    moved,
-    slopes,
-    spread,
+    Active,
+    Drive,
+    RateJacobians,
+    Transition,
+    complete_jacobian,
+    geometry_jacobian,
+    integrate_exponential,
+    joint_jacobian,
+    propagate_mean,
+    rate_jacobians,
+    state_rates,
+)
+from tilth.estimator.filters.unknowns import (
+    AT_ASIDE,
+    AT_CG,
+    AT_CURVATURE,
+    AT_LATENCY,
+    AT_LEVER,
+    AT_PAIR,
+    AT_ROLLING,
+    AT_WHEEL_GAIN,
+    AT_WHEEL_ZERO,
 )
 from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.steady_turn import GRAVITY
+from tilth.estimator.record.record import HEADING, NORTH, ROLL, SD, TICK, VALUE, VELOCITY, YAW_RATE, U
 
-EVERY: Final = 5  # ticks that one set of slopes serves
+Array = NDArray[np.float64]
+
+EVERY: Final = 5  # ticks that one set of Jacobians serves
 GATE: Final = 5.0  # sds
-USED, GATED, BAD = 0, 1, 2  # places in `counts`
+USED, GATED, BAD = 0, 1, 2  # places in Tally.counts
+
+
+class Segment(NamedTuple):
+    """What is filtered: ticks `first` to `first + size`, and the rows among them."""
+
+    ticks: Array  # [n, 8], as record.Record
+    first: int
+    size: int
+    rows: Array  # [m, 6], as record.Record, whose ticks count from `first`
+
+
+class JointEstimate(NamedTuple):
+    """What is known of the joint state; all of it is overwritten."""
+
+    x: Array  # (16,)
+    unknowns: Array  # (n,), in the order of unknowns.NAMES
+    P_xx: Array  # (16, 16)
+    P_xtheta: Array  # (16, n), of x with the unknowns
+    P_theta: Array  # (n, n)
+
+
+class ProcessNoise(NamedTuple):
+    """What moves the states that the machine file says nothing of."""
+
+    push: Array  # (3,), sds of the ground's pushes
+    push_memory_s: float
+    aside: float  # m, sd of the slow sideways error
+
+
+class Tally(NamedTuple):
+    """What became of the rows; added to."""
+
+    counts: Array  # (3,), rows by USED, GATED, BAD
+    sums: Array  # (6, 2)
+    """Of yaw rates, velocities and positions the squares of what is left over the stated sds, and their
+    number; of the pushes their squares and what was expected of those."""
+
+
+class JointState(NamedTuple):
+    """The joint state while it is filtered."""
+
+    x: Array  # (16,)
+    following: Array  # (16,), x one tick later
+    unknowns: Array  # (n,), in the order of unknowns.NAMES
+    places: Places  # (a,), of the active ones among them
+    considered: Array  # (16 + a,), 1.0 for what may not be learned
+    P: Array  # (16 + a, 16 + a)
+
+
+class UpdateWork(NamedTuple):
+    """Arrays that an update works in."""
+
+    P_H: Array  # (16 + a,)
+    gain: Array  # (16 + a,)
+    gain_after: Array  # (16,), of the state one tick later
 
 
 @kernel
-def grow(p: Array, t: Array, turned: Array, q: Array, psi: float, middle: Array) -> None:
-    """p (n, n), the joint covariance, one tick later. q: (16,) variances that a tick adds to x.
+def propagate_joint_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F_P: Array) -> None:
+    """P (n, n), the joint covariance, one tick later. q: (16,) variances that a tick adds to x.
 
     Slow errors of antennas and all unknowns move by nothing else. Rows are added to rows: wide instructions.
+    F_P: (16, n), overwritten.
     """
-    n = p.shape[0]
-    middle[:PAIRED] = 0.0
-    for i in range(PAIRED):
+    n = P.shape[0]
+    F_P[:X_PAIR] = 0.0
+    for i in range(X_PAIR):
         for k in range(n):
-            if t[i, k] != 0.0:
+            if F[i, k] != 0.0:
                 for j in range(n):
-                    middle[i, j] += t[i, k] * p[k, j]
-    for i in range(PAIRED, N_X):
-        for j in range(PAIRED, n):
-            left = t[i, i] * (t[j, j] if j < N_X else 1.0)
-            p[i, j] *= left
-            if j >= N_X:
-                p[j, i] = p[i, j]
-    for i in range(PAIRED):
-        for j in range(PAIRED):
-            p[i, j] = 0.0
+                    F_P[i, j] += F[i, k] * P[k, j]
+    for i in range(X_PAIR, N_TRACKER):
+        for j in range(X_PAIR, n):
+            left = F[i, i] * (F[j, j] if j < N_TRACKER else 1.0)
+            P[i, j] *= left
+            if j >= N_TRACKER:
+                P[j, i] = P[i, j]
+    for i in range(X_PAIR):
+        for j in range(X_PAIR):
+            P[i, j] = 0.0
         for k in range(n):
-            if k < PAIRED or turned[k, 0] != 0.0 or turned[k, 1] != 0.0:
-                for j in range(PAIRED):
-                    p[i, j] += middle[i, k] * turned[k, j]
-        for j in range(PAIRED, n):
-            p[i, j] = middle[i, j] * (t[j, j] if j < N_X else 1.0)
-            p[j, i] = p[i, j]
-    for i in range(N_X):
-        p[i, i] += q[i]
-    strays(p, psi)
+            if k < X_PAIR or F_T[k, 0] != 0.0 or F_T[k, 1] != 0.0:
+                for j in range(X_PAIR):
+                    P[i, j] += F_P[i, k] * F_T[k, j]
+        for j in range(X_PAIR, n):
+            P[i, j] = F_P[i, j] * (F[j, j] if j < N_TRACKER else 1.0)
+            P[j, i] = P[i, j]
+    for i in range(N_TRACKER):
+        P[i, i] += q[i]
+    add_position_noise(P, psi)
 
 
 @kernel
-def arms(x: Array, kind: float, body: int, psi_ref: float) -> tuple[float, float, float]:
+def lever_arms(x: Array, seen: Observation, body: int) -> tuple[float, float, float]:
     """By how much what a receiver shows changes per metre: of it further forward, of the hitch further back
     from the tractor's CG, of it further right."""
-    if kind == 1.0:
-        cosine = math.cos(x[6] - psi_ref)
-        return (x[1] * cosine, 0.0, 0.0) if body == 0 else (x[2], -x[1] * cosine, 0.0)
-    sine, cosine = math.sin(x[6 + body]), math.cos(x[6 + body])
-    if kind == 2.0:
-        return cosine, 0.0 if body == 0 else -math.cos(x[6]), -sine
-    return sine, 0.0 if body == 0 else -math.sin(x[6]), cosine
+    if seen.kind == VELOCITY:
+        cosine = math.cos(x[X_PSI] - seen.psi_ref)
+        return (x[X_R] * cosine, 0.0, 0.0) if body == 0 else (x[X_R + 1], -x[X_R] * cosine, 0.0)
+    sine, cosine = math.sin(x[X_PSI + body]), math.cos(x[X_PSI + body])
+    if seen.kind == NORTH:
+        return cosine, 0.0 if body == 0 else -math.cos(x[X_PSI]), -sine
+    return sine, 0.0 if body == 0 else -math.sin(x[X_PSI]), cosine
 
 
 @kernel
-def seen(
-    x: Array, kind: float, place: int, u: float, psi_ref: float, geometry: Array, point: Array,
-    active: Places, shapes: Array, levers: Array, middles: Array, h: Array,
-) -> float:  # fmt: skip
-    """What a measurement shows; fills h (n,), its slope over the joint state."""
-    value: float = expected(x, kind, place, u, psi_ref, geometry, point, levers, middles, h)
-    if kind == 0.0 or kind == 4.0:
+def predict_joint_measurement(
+    x: Array, seen: Observation, point: Point, active: Active, setup: RigSetup, h: Array
+) -> float:
+    """What a measurement shows; fills h (16 + a,), its slope over the joint state."""
+    value: float = predict_measurement(x, seen, point, setup, h)
+    if seen.kind == YAW_RATE or seen.kind == HEADING:
         return value
-    body = 0 if place < 2 else 1
-    ahead, back, aside = arms(x, kind, body, psi_ref)
+    body = body_of(seen.kind, seen.place)
+    ahead, back, aside = lever_arms(x, seen, body)
     if body == 1:
-        h[SLOW_ASIDE] = aside
-        value += aside * x[SLOW_ASIDE]
-    for j in range(active.shape[0]):
-        name = active[j]
-        if name == LEVER + body:
-            h[N_X + j] = ahead
-        elif name == CG and body == 0:
-            h[N_X + j] = -ahead
-        elif name == PAIR + body:
-            h[N_X + j] = h[PAIRED + body]
-        elif name == ASIDE and body == 1:
-            h[N_X + j] = aside
-        elif body == 1 and name != CG + 1:  # that moves d and the receivers alike
-            h[N_X + j] = back * shapes[j, 2] - ahead * shapes[j, 3]
+        h[X_ASIDE] = aside
+        value += aside * x[X_ASIDE]
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        if place == AT_LEVER + body:
+            h[N_TRACKER + j] = ahead
+        elif place == AT_CG and body == 0:
+            h[N_TRACKER + j] = -ahead
+        elif place == AT_PAIR + body:
+            h[N_TRACKER + j] = h[X_PAIR + body]
+        elif place == AT_ASIDE and body == 1:
+            h[N_TRACKER + j] = aside
+        elif body == 1 and place != AT_CG + 1:  # that moves d and the receivers alike
+            h[N_TRACKER + j] = back * active.geometry[j, 2] - ahead * active.geometry[j, 3]
     return value
 
 
 @kernel
-def corrected(
-    error: float, variance: float, shown: Array, p: Array, keep: Array, x: Array, after: Array, point: Array,
-    active: Places, turned: Array, cross: Array, gain: Array, slope: Array,
-) -> float:  # fmt: skip
-    """Take one measurement into x, after, point and p; what is in `keep` (1.0) stays as it is.
+def update(error: float, variance: float, H: Array, state: JointState, F_T: Array, work: UpdateWork) -> float:
+    """Take one measurement into the joint state; what is considered stays as it is.
 
     The variance with which it was expected; negative where it is beyond GATE and nothing was taken.
     """
-    n = p.shape[0]
-    cross[:] = 0.0
+    P, considered, (P_H, gain, gain_after) = state.P, state.considered, work
+    n = P.shape[0]
+    P_H[:] = 0.0
     for k in range(n):
-        if shown[k] != 0.0:
+        if H[k] != 0.0:
             for i in range(n):
-                cross[i] += shown[k] * p[k, i]
+                P_H[i] += H[k] * P[k, i]
     for i in range(n):
-        variance += shown[i] * cross[i]
+        variance += H[i] * P_H[i]
     if error * error > GATE * GATE * variance:
         return -variance
     inverse = 1.0 / variance
-    slope[:] = 0.0
+    gain_after[:] = 0.0
     for i in range(n):
-        gain[i] = cross[i] * inverse
-        if keep[i] == 0.0:
+        gain[i] = P_H[i] * inverse
+        if considered[i] == 0.0:
             for j in range(n):
-                p[i, j] -= gain[i] * cross[j]
-            for j in range(N_X):
-                slope[j] += gain[i] * turned[i, j]
-        else:  # consider: its own variance stays, the correlation with what was corrected is known
+                P[i, j] -= gain[i] * P_H[j]
+            for j in range(N_TRACKER):
+                gain_after[j] += gain[i] * F_T[i, j]
+        else:  # its own variance stays, the correlation with what was updated is known
             for j in range(n):
-                p[i, j] -= (1.0 - keep[j]) * gain[i] * cross[j]
+                P[i, j] -= (1.0 - considered[j]) * gain[i] * P_H[j]
             gain[i] = 0.0
-    for i in range(N_X):
-        x[i] += gain[i] * error
-        after[i] += slope[i] * error
-    for j in range(active.shape[0]):
-        point[active[j]] += gain[N_X + j] * error
+    for i in range(N_TRACKER):
+        state.x[i] += gain[i] * error
+        state.following[i] += gain_after[i] * error
+    for j in range(state.places.shape[0]):
+        state.unknowns[state.places[j]] += gain[N_TRACKER + j] * error
     return variance
 
 
 @kernel
-def joined(point: Array, covariance: Array, own: Array, between: Array, active: Places) -> Array:
-    """The joint covariance, shape (n, n)."""
-    na = active.shape[0]
-    p = np.zeros((N_X + na, N_X + na))
-    p[:N_X, :N_X] = own
+def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
+    """The joint covariance, shape (16 + a, 16 + a)."""
+    P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
+    na = places.shape[0]
+    P = np.zeros((N_TRACKER + na, N_TRACKER + na))
+    P[:N_TRACKER, :N_TRACKER] = P_xx
     for j in range(na):
-        for i in range(N_X):
-            p[i, N_X + j] = p[N_X + j, i] = between[i, active[j]]
+        for i in range(N_TRACKER):
+            P[i, N_TRACKER + j] = P[N_TRACKER + j, i] = P_xtheta[i, places[j]]
         for i in range(na):
-            p[N_X + i, N_X + j] = covariance[active[i], active[j]]
-    return p
+            P[N_TRACKER + i, N_TRACKER + j] = P_theta[places[i], places[j]]
+    return P
 
 
 @kernel
-def parted(p: Array, covariance: Array, own: Array, between: Array, active: Places) -> None:
-    """The reverse of `joined`, made symmetric."""
-    na = active.shape[0]
-    for i in range(N_X):
-        for j in range(N_X):
-            own[i, j] = 0.5 * (p[i, j] + p[j, i])
+def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None:
+    """The reverse of `pack_covariance`, made symmetric."""
+    P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
+    na = places.shape[0]
+    for i in range(N_TRACKER):
+        for j in range(N_TRACKER):
+            P_xx[i, j] = 0.5 * (P[i, j] + P[j, i])
         for j in range(na):
-            between[i, active[j]] = 0.5 * (p[i, N_X + j] + p[N_X + j, i])
+            P_xtheta[i, places[j]] = 0.5 * (P[i, N_TRACKER + j] + P[N_TRACKER + j, i])
     for i in range(na):
         for j in range(na):
-            covariance[active[i], active[j]] = 0.5 * (p[N_X + i, N_X + j] + p[N_X + j, N_X + i])
+            P_theta[places[i], places[j]] = 0.5 * (
+                P[N_TRACKER + i, N_TRACKER + j] + P[N_TRACKER + j, N_TRACKER + i]
+            )
 
 
 @kernel
-def driven(ticks: Array, k: int, point: Array, drive: Array) -> tuple[float, float]:
-    """Fill drive (3,), what drives the rig in the middle of tick k; (speed, rate of the true wheel angle)."""
+def drive_at(ticks: Array, k: int, unknowns: Array) -> Drive:
+    """What drives the rig in the middle of tick k."""
     k = min(k, ticks.shape[0] - 1)
     nxt = min(k + 1, ticks.shape[0] - 1)
-    scale = math.exp(-point[GAIN])
-    early, late = reading_at(ticks, k, point[LATENCY]), reading_at(ticks, nxt, point[LATENCY])
-    drive[0] = (0.5 * (early + late) - point[ZERO]) * scale
-    drive[1] = GRAVITY * math.sin(0.5 * (ticks[k, 6] + ticks[nxt, 6]))
-    drive[2] = GRAVITY * math.sin(0.5 * (ticks[k, 7] + ticks[nxt, 7]))
-    return 0.5 * (ticks[k, 1] + ticks[nxt, 1]), (late - early) / DT * scale
+    scale = math.exp(-unknowns[AT_WHEEL_GAIN])
+    early, late = (
+        wheel_angle_at(ticks, k, unknowns[AT_LATENCY]),
+        wheel_angle_at(ticks, nxt, unknowns[AT_LATENCY]),
+    )
+    wheel = (0.5 * (early + late) - unknowns[AT_WHEEL_ZERO]) * scale
+    gravity_t = GRAVITY * math.sin(0.5 * (ticks[k, ROLL] + ticks[nxt, ROLL]))
+    gravity_i = GRAVITY * math.sin(0.5 * (ticks[k, ROLL + 1] + ticks[nxt, ROLL + 1]))
+    u = 0.5 * (ticks[k, U] + ticks[nxt, U])
+    return Drive(u, wheel, (late - early) / DT * scale, gravity_t, gravity_i, scale)
+
+
+@kernel
+def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
+    """An empty one of a joint state of n; fills q (16,), the variances that a tick adds to x."""
+    decay = np.ones(N_TRACKER - X_PUSH)
+    for i in range(3):
+        push, pair = i, X_PAIR - X_PUSH + i
+        decay[push], decay[pair] = math.exp(-DT / noise.push_memory_s), PAIR_DECAY
+        q[X_PUSH + i] = (1.0 - decay[push] ** 2) * noise.push[i] ** 2
+        q[X_PAIR + i] = (1.0 - PAIR_DECAY**2) * (sds[1 + i] if i < 2 else noise.aside) ** 2
+    return Transition(
+        np.zeros((X_PUSH, X_PUSH)),
+        decay,
+        np.zeros(X_PUSH),
+        np.zeros((N_TRACKER, n)),
+        np.zeros((n, N_TRACKER)),
+    )
 
 
 @kernel
 def tracked(
-    ticks: Array, first: int, count: int, rows: Array, keep: Array, point: Array, covariance: Array, x: Array,
-    own: Array, between: Array, active: Places, surveyed: Array, rig: Rig, levers: Array, middles: Array,
-    sds: Array, noise: Array, counts: Array, sums: Array,
+    segment: Segment, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
+    noise: ProcessNoise, tally: Tally,
 ) -> None:  # fmt: skip
-    """Take ticks `first` to `first + count` of ticks and the rows among them, whose ticks count from `first`.
+    """Take a segment into the estimate and the tally.
 
-    Overwritten: point (n,) and covariance (n, n) of unknowns.NAMES, x (16,), own (16, 16), its covariance,
-    and between (16, n), that of x with the unknowns. keep: (16 + a,), 1.0 for what may not be learned.
-    noise: (5,), sds of the ground's pushes (3), their memory (s), sd of the slow sideways error (m).
-    counts: (3,), added to. sums: (6, 2), added to: of yaw rates, velocities and positions the squares of what
-    is left over the stated sds, and their number; of the pushes their squares and what was expected of those.
+    places: (a,), of the active ones of unknowns.NAMES. considered: (16 + a,), 1.0 for what may not be
+    learned.
     """
-    na, last = active.shape[0], ticks.shape[0] - 1
-    p = joined(point, covariance, own, between, active)
-    n = p.shape[0]
-    shapes = np.zeros((na, 9))
-    geometry = geometry_at(surveyed, point)
-    here = rig_at(rig, geometry, point[ROLLING], point[CURVATURE])
-    for j in range(na):
-        before = point[active[j]]
-        point[active[j]] += NUDGE
-        shapes[j] = (geometry_at(surveyed, point) - geometry) / NUDGE
-        point[active[j]] = before
-    theta, drive, rate, near = np.zeros(6), np.zeros(3), np.zeros(8), np.zeros(8)
-    work, w, bent, forces = np.zeros(13), np.zeros(9), np.zeros(13), np.zeros((6, 3))
-    jx, jd, jp = np.zeros((8, PLACED)), np.zeros(8), np.zeros((8, na))
-    held, steered, t, turned = np.zeros((8, 8)), np.zeros(8), np.zeros((N_X, n)), np.zeros((n, N_X))
-    middle, after, x_at = np.zeros((N_X, n)), np.zeros(N_X), np.zeros(N_X)
-    h, shown, cross, gain, slope = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(N_X)
-    q, fades = np.zeros(N_X), np.ones(N_X - PUSHED)
-    for i in range(3):
-        fades[i], fades[PAIRED - PUSHED + i] = math.exp(-DT / noise[3]), FADE
-        q[PUSHED + i] = (1.0 - fades[i] ** 2) * noise[i] ** 2
-        q[PAIRED + i] = (1.0 - FADE**2) * (sds[1 + i] if i < 2 else noise[4]) ** 2
+    ticks, first, count, rows = segment
+    x, unknowns, counts, sums = estimate.x, estimate.unknowns, tally.counts, tally.sums
+    na = places.shape[0]
+    P = pack_covariance(estimate, places)
+    n = P.shape[0]
+    active = Active(places, np.zeros((na, 9)))
+    point = Point(unknowns, np.zeros(6), geometry_at(setup.geometry, unknowns))
+    theta = point.theta
+    plant = plant_of(theta, rig_at(setup.rig, point.geometry, unknowns[AT_ROLLING], unknowns[AT_CURVATURE]))
+    geometry_jacobian(setup.geometry, unknowns, point.geometry, active)
+    jacobians = RateJacobians(
+        np.zeros((X_PUSH, 11)), np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros(X_PUSH)
+    )
+    q = np.zeros(N_TRACKER)
+    step = transition(n, setup.sds, noise, q)
+    state = JointState(x, np.zeros(N_TRACKER), unknowns, places, considered, P)
+    following, x_at, rates = state.following, np.zeros(N_TRACKER), np.zeros(X_PUSH)
+    h, H, F_P = np.zeros(n), np.zeros(n), np.zeros((N_TRACKER, n))
+    work = UpdateWork(np.zeros(n), np.zeros(n), np.zeros(N_TRACKER))
     row, m = 0, rows.shape[0]
     for k in range(first, first + count):
-        nxt = min(k + 1, last)
         for i in range(6):
-            theta[i] = math.exp(point[i])
+            theta[i] = math.exp(unknowns[i])
         if (k - first) % EVERY == 0:
-            geometry = geometry_at(surveyed, point)
-            here = rig_at(rig, geometry, point[ROLLING], point[CURVATURE])
-            u, _ = driven(ticks, k, point, drive)
-            motion(x, u, drive, theta, here, work, w, forces, bent, rate)
+            point = Point(unknowns, theta, geometry_at(setup.geometry, unknowns))
+            here = rig_at(setup.rig, point.geometry, unknowns[AT_ROLLING], unknowns[AT_CURVATURE])
+            plant = Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates)
+            state_rates(x, drive_at(ticks, k, unknowns), plant, rates)
             x_at[:] = x
-            for i in range(8):  # about where x is in the middle of these ticks
-                x_at[i] += 0.5 * EVERY * DT * rate[i]
-            u, _ = driven(ticks, k + EVERY // 2, point, drive)
-            slopes(
-                x_at, u, drive, point, theta, geometry, here, rig, active, shapes, work, w, forces, bent,
-                rate, near, jx, jd, jp,
-            )  # fmt: skip
-            held_over(jx, held)
-            spread(held, jx, jd, jp, active, fades, steered, t)
-        u, bend = driven(ticks, k, point, drive)
-        motion(x, u, drive, theta, here, work, w, forces, bent, rate)
-        moved(x, u, rate, held, fades, after)
-        aimed(x, after, u, steered, active, drive[0], bend, math.exp(-point[GAIN]), t, turned)
-        while row < m and rows[row, 0] <= k - first:
-            kind, place, share = rows[row, 2], int(rows[row, 3]), rows[row, 1] / DT
-            body = place if kind == 0.0 or kind == 4.0 else (0 if place < 2 else 1)
-            psi_ref = ticks[k, 2 + body] + share * (ticks[nxt, 2 + body] - ticks[k, 2 + body])
-            for i in range(N_X):
-                x_at[i] = x[i] + share * (after[i] - x[i])
-            value = seen(x_at, kind, place, u, psi_ref, geometry, point, active, shapes, levers, middles, h)
-            error = rows[row, 4] - value
-            noisy = (rows[row, 5] * noise_factor(kind, point)) ** 2
+            for i in range(X_PUSH):  # about where x is in the middle of these ticks
+                x_at[i] += 0.5 * EVERY * DT * rates[i]
+            middle = drive_at(ticks, k + EVERY // 2, unknowns)
+            rate_jacobians(x_at, middle, point, plant, setup.rig, active, jacobians)
+            integrate_exponential(jacobians.x, step.held)
+            joint_jacobian(jacobians, active, step)
+        drive = drive_at(ticks, k, unknowns)
+        state_rates(x, drive, plant, rates)
+        propagate_mean(x, drive.u, rates, step, following)
+        complete_jacobian(x, following, drive, active, step)
+        while row < m and rows[row, TICK] <= k - first:
+            seen = observation(ticks, rows[row], k, drive.u)
+            for i in range(N_TRACKER):
+                x_at[i] = x[i] + seen.share * (following[i] - x[i])
+            error = rows[row, VALUE] - predict_joint_measurement(x_at, seen, point, active, setup, h)
+            noise_variance = (rows[row, SD] * noise_factor(seen.kind, unknowns)) ** 2
             row += 1
-            if not (math.isfinite(error) and math.isfinite(noisy)):
+            if not (math.isfinite(error) and math.isfinite(noise_variance)):
                 counts[BAD] += 1.0
                 continue
             for j in range(n):
-                shown[j] = (1.0 - share) * h[j] if j < N_X else h[j]
-            for i in range(N_X):
+                H[j] = (1.0 - seen.share) * h[j] if j < N_TRACKER else h[j]
+            for i in range(N_TRACKER):
                 if h[i] != 0.0:
                     for j in range(n):
-                        shown[j] += share * h[i] * t[i, j]
-            variance = corrected(
-                error, noisy, shown, p, keep, x, after, point, active, turned, cross, gain, slope
-            )
+                        H[j] += seen.share * h[i] * step.F[i, j]
+            variance = update(error, noise_variance, H, state, step.F_T, work)
             if variance < 0.0:
                 counts[GATED] += 1.0
                 continue
             counts[USED] += 1.0
-            told = 0 if kind == 0.0 else (1 if kind == 1.0 else 2)
-            left = noisy / variance
-            sums[told, 0] += (left * left * error * error + (1.0 - left) * noisy) / rows[row - 1, 5] ** 2
-            sums[told, 1] += 1.0
-        q[3] = (u / theta[3] * sds[0] * DT) ** 2
+            group = 0 if seen.kind == YAW_RATE else (1 if seen.kind == VELOCITY else 2)
+            left = noise_variance / variance
+            residual = left * left * error * error + (1.0 - left) * noise_variance
+            sums[group, 0] += residual / rows[row - 1, SD] ** 2
+            sums[group, 1] += 1.0
+        q[X_ALPHA] = (drive.u / theta[3] * setup.sds[0] * DT) ** 2
         for i in range(3):
-            sums[3 + i, 0] += x[PUSHED + i] ** 2
-            sums[3 + i, 1] += noise[i] ** 2 - p[PUSHED + i, PUSHED + i]
-        grow(p, t, turned, q, x[6], middle)
-        x[:] = after
-    parted(p, covariance, own, between, active)
+            sums[3 + i, 0] += x[X_PUSH + i] ** 2
+            sums[3 + i, 1] += noise.push[i] ** 2 - P[X_PUSH + i, X_PUSH + i]
+        propagate_joint_covariance(P, step.F, step.F_T, q, x[X_PSI], F_P)
+        x[:] = following
+    unpack_covariance(P, places, estimate)

@@ -1,195 +1,234 @@
-"""How the tracker's states move over one tick, and how small changes of them do.
+"""How the tracker's states propagate over one tick, and how small changes of them do.
 
-States x, shape (16,): the fifteen of predictor.py and the slow sideways error of the implement's antennas
-against the tractor's (m). Together with the `active` ones of unknowns.NAMES, which stand still, they are the
-joint state, shape (n,).
+The states x, shape (16,), are those of states.py. Together with the active ones of unknowns.NAMES, which
+stand still, they are the joint state, shape (n,).
 
-The model is the nonlinear one. With its slopes, which are taken anew now and then, the mean takes one step
+The model is the nonlinear one. With its Jacobians, which are taken anew now and then, the mean takes one step
 per tick that is exact where the model is linear.
 """
 
-import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.predictor import (
-    CG,
-    CURVATURE,
-    DT,
-    GAIN,
-    LATENCY,
-    N_STATES,
-    PLACED,
-    PUSHED,
-    ROLLING,
-    ZERO,
+from tilth.estimator.filters.propagation import (
+    Plant,
+    plant_rates,
+    position_jacobian,
+    propagate_position,
     rig_at,
 )
-from tilth.estimator.filters.unknowns import AT
-from tilth.estimator.models.nonlinear import rates
+from tilth.estimator.filters.states import (
+    DT,
+    N_TRACKER,
+    X_POSITION,
+    X_PSI,
+    X_PUSH,
+    X_R,
+    X_V,
+    Places,
+    Point,
+)
+from tilth.estimator.filters.unknowns import (
+    AT_CG,
+    AT_CURVATURE,
+    AT_GEOMETRY,
+    AT_LATENCY,
+    AT_ROLLING,
+    AT_WHEEL_GAIN,
+    AT_WHEEL_ZERO,
+)
+from tilth.estimator.filters.unknowns import geometry as geometry_at
 from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
-Places = NDArray[np.int64]
 
-N_X: Final = N_STATES + 1
-SLOW_ASIDE: Final = N_STATES
-SHAPE: Final = AT["a"]  # the first of nine
 NUDGE: Final = 1e-5  # of the differences, in each one's own unit
 
 
+class Active(NamedTuple):
+    """The unknowns that are estimated."""
+
+    places: Places  # (a,), in unknowns.NAMES
+    geometry: Array  # (a, 9), how the geometry changes with each
+
+
+class Drive(NamedTuple):
+    """What drives the rig in the middle of a tick."""
+
+    u: float  # m/s
+    wheel: float  # true wheel angle, rad
+    wheel_rate: float  # its rate, rad/s
+    gravity_t: float  # across the tractor, m/s^2
+    gravity_i: float
+    wheel_scale: float  # true wheel angle over reading
+
+
+class RateJacobians(NamedTuple):
+    """Of the rates of the states before X_PUSH, and the arrays that finding them needs."""
+
+    x: Array  # (8, 11), over the states before X_POSITION
+    wheel: Array  # (8,), over the true wheel angle
+    unknowns: Array  # (8, a), over the active unknowns
+    rates: Array  # (8,), the rates themselves
+    nudged: Array  # (8,), overwritten
+
+
+class Transition(NamedTuple):
+    """One tick of small changes of the joint state."""
+
+    held: Array  # (8, 8), what a rate that is held adds
+    decay: Array  # (8,), what a tick leaves of the states from X_PUSH on
+    wheel: Array  # (8,), what one rad of true wheel angle adds
+    F: Array  # (16, n), how a small change of the joint state changes x
+    F_T: Array  # (n, 16)
+
+
 @kernel
-def motion(
-    x: Array, u: float, drive: Array, theta: Array, here: Rig, work: Array, w: Array, forces: Array,
-    bent: Array, out: Array,
-) -> None:  # fmt: skip
-    """Fill out (8,), the rates of the first eight states.
-
-    drive: (3,), wheel angle (rad) and gravity on both bodies (m/s^2). Overwritten: work (13,), w (9,),
-    forces (6, 3), bent (13,).
-    """
-    work[2], work[3], work[4] = x[6], x[7], u
-    for i in range(6):
-        work[5 + i] = x[i]
-    w[0], w[1], w[2], w[3] = drive[0], drive[1] + x[PUSHED], drive[2] + x[PUSHED + 1], u
-    rates(work, w, theta, here, (0.0, 0.0), forces, bent)
-    for i in range(6):
-        out[i] = bent[5 + i]
-    out[1] += x[PUSHED + 2]
-    out[6], out[7] = x[1], x[2]
+def state_rates(x: Array, drive: Drive, plant: Plant, out: Array) -> None:
+    """Fill out (8,), the rates of the states before X_PUSH."""
+    plant.w[0] = drive.wheel
+    plant.w[1], plant.w[2] = drive.gravity_t + x[X_PUSH], drive.gravity_i + x[X_PUSH + 1]
+    plant_rates(x, drive.u, plant)
+    for i in range(X_PSI):
+        out[i] = plant.rates[5 + i]
+    out[X_R] += x[X_PUSH + 2]
+    out[X_PSI], out[X_PSI + 1] = x[X_R], x[X_R + 1]
 
 
 @kernel
-def slopes(
-    x: Array, u: float, drive: Array, point: Array, theta: Array, geometry: Array, here: Rig, rig: Rig,
-    active: Places, shapes: Array, work: Array, w: Array, forces: Array, bent: Array, base: Array,
-    near: Array, jx: Array, jd: Array, jp: Array,
-) -> None:  # fmt: skip
-    """Fill jx (8, 11), jd (8,) and jp (8, a): rates over states, wheel angle and active unknowns.
-
-    shapes: (a, 9), how the geometry changes with each unknown. base, near: (8,), overwritten.
-    """
-    motion(x, u, drive, theta, here, work, w, forces, bent, base)
+def rate_jacobians(
+    x: Array, drive: Drive, point: Point, plant: Plant, rig: Rig, active: Active, out: RateJacobians
+) -> None:
+    """Fill out, by differences. rig: the machine file's, of which the plant is made."""
+    base, near = out.rates, out.nudged
+    state_rates(x, drive, plant, base)
     at = x.copy()
-    for j in range(PUSHED + 2):
-        if j == 7:
+    for j in range(X_PUSH + 2):
+        if j == X_PSI + 1:
             continue  # of the headings only the difference matters
         at[j] += NUDGE
-        motion(at, u, drive, theta, here, work, w, forces, bent, near)
+        state_rates(at, drive, plant, near)
         at[j] = x[j]
-        for i in range(8):
-            jx[i, j] = (near[i] - base[i]) / NUDGE
-    for i in range(8):
-        jx[i, 7] = -jx[i, 6]
-        jx[i, PUSHED + 2] = 1.0 if i == 1 else 0.0
-    turned = drive[0]
-    drive[0] = turned + NUDGE
-    motion(x, u, drive, theta, here, work, w, forces, bent, near)
-    drive[0] = turned
-    for i in range(8):
-        jd[i] = (near[i] - base[i]) / NUDGE
-    other, shape = theta.copy(), geometry.copy()
-    for j in range(active.shape[0]):
-        name = active[j]
-        there, moves = here, True
-        if name < 6:
-            other[name] = theta[name] * (1.0 + NUDGE)
-        elif name == ROLLING:
-            there = rig_at(rig, geometry, point[ROLLING] + NUDGE, point[CURVATURE])
-        elif name == CURVATURE:
-            there = rig_at(rig, geometry, point[ROLLING], point[CURVATURE] + NUDGE)
-        elif name >= SHAPE or name == CG or name == CG + 1:
-            for i in range(9):
-                shape[i] = geometry[i] + NUDGE * shapes[j, i]
-            there = rig_at(rig, shape, point[ROLLING], point[CURVATURE])
-        else:
-            moves = False
-        if moves:
-            motion(x, u, drive, other, there, work, w, forces, bent, near)
-        for i in range(8):
-            jp[i, j] = (near[i] - base[i]) / NUDGE if moves else 0.0
-        if name < 6:
-            other[name] = theta[name]
+        for i in range(X_PUSH):
+            out.x[i, j] = (near[i] - base[i]) / NUDGE
+    for i in range(X_PUSH):
+        out.x[i, X_PSI + 1] = -out.x[i, X_PSI]
+        out.x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
+    turned = Drive(
+        drive.u, drive.wheel + NUDGE, drive.wheel_rate, drive.gravity_t, drive.gravity_i, drive.wheel_scale
+    )
+    state_rates(x, turned, plant, near)
+    for i in range(X_PUSH):
+        out.wheel[i] = (near[i] - base[i]) / NUDGE
+    for j in range(active.places.shape[0]):
+        moves = nudged_rates(x, drive, point, plant, rig, active, j, near)
+        for i in range(X_PUSH):
+            out.unknowns[i, j] = (near[i] - base[i]) / NUDGE if moves else 0.0
 
 
 @kernel
-def held_over(jx: Array, held: Array) -> None:
-    """Fill held (8, 8): what a rate that is held adds over DT, the integral of the exponential of jx."""
-    own = jx[:, :8].copy()
-    power, factor = np.eye(8), DT
-    held[:] = DT * power
+def nudged_rates(
+    x: Array, drive: Drive, point: Point, plant: Plant, rig: Rig, active: Active, j: int, out: Array
+) -> bool:
+    """Fill out (8,), the rates with the j-th active unknown nudged; whether they depend on it."""
+    place = active.places[j]
+    theta, here = plant.theta, plant.rig
+    rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
+    if place < 6:
+        theta = plant.theta.copy()
+        theta[place] = plant.theta[place] * (1.0 + NUDGE)
+    elif place == AT_ROLLING:
+        here = rig_at(rig, point.geometry, rolling + NUDGE, curvature)
+    elif place == AT_CURVATURE:
+        here = rig_at(rig, point.geometry, rolling, curvature + NUDGE)
+    elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
+        geometry = point.geometry.copy()
+        for i in range(9):
+            geometry[i] = point.geometry[i] + NUDGE * active.geometry[j, i]
+        here = rig_at(rig, geometry, rolling, curvature)
+    else:
+        return False
+    state_rates(x, drive, Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates), out)
+    return True
+
+
+@kernel
+def geometry_jacobian(base: Array, unknowns: Array, geometry: Array, active: Active) -> None:
+    """Fill active.geometry. base: the machine file's geometry; geometry: that at the unknowns."""
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        before = unknowns[place]
+        unknowns[place] += NUDGE
+        active.geometry[j] = (geometry_at(base, unknowns) - geometry) / NUDGE
+        unknowns[place] = before
+
+
+@kernel
+def integrate_exponential(jacobian: Array, out: Array) -> None:
+    """Fill out (8, 8): what a rate that is held adds over DT, the integral of the Jacobian's exponential."""
+    A = jacobian[:, :X_PUSH].copy()
+    power, factor = np.eye(X_PUSH), DT
+    out[:] = DT * power
     for order in range(2, 5):
-        power = power @ own
+        power = power @ A
         factor *= DT / order
-        held += factor * power
+        out += factor * power
 
 
 @kernel
-def spread(
-    held: Array, jx: Array, jd: Array, jp: Array, active: Places, fades: Array, steered: Array, t: Array
-) -> None:
-    """Fill t (16, n), how a small change of the joint state changes x one tick later, all but what `aimed`
-    completes; and steered (8,), how one rad of wheel angle does."""
-    t[:, :] = 0.0
-    for i in range(8):
-        for j in range(PLACED):
+def joint_jacobian(jacobians: RateJacobians, active: Active, step: Transition) -> None:
+    """Fill step.F and step.wheel, all but what `complete_jacobian` adds."""
+    held, F = step.held, step.F
+    F[:, :] = 0.0
+    for i in range(X_PUSH):
+        for j in range(X_POSITION):
             total = 1.0 if i == j else 0.0
-            for k in range(8):
-                total += held[i, k] * jx[k, j]
-            t[i, j] = total
-        steered[i] = 0.0
-        for k in range(8):
-            steered[i] += held[i, k] * jd[k]
-        for j in range(active.shape[0]):
-            for k in range(6):
-                t[i, N_X + j] += held[i, k] * jp[k, j]
-    for i in range(PUSHED, N_X):
-        t[i, i] = fades[i - PUSHED]
+            for k in range(X_PUSH):
+                total += held[i, k] * jacobians.x[k, j]
+            F[i, j] = total
+        step.wheel[i] = 0.0
+        for k in range(X_PUSH):
+            step.wheel[i] += held[i, k] * jacobians.wheel[k]
+        for j in range(active.places.shape[0]):
+            for k in range(X_PSI):
+                F[i, N_TRACKER + j] += held[i, k] * jacobians.unknowns[k, j]
+    for i in range(X_PUSH, N_TRACKER):
+        F[i, i] = step.decay[i - X_PUSH]
 
 
 @kernel
-def aimed(
-    x: Array, after: Array, u: float, steered: Array, active: Places, delta: float, bend: float, scale: float,
-    t: Array, turned: Array,
-) -> None:  # fmt: skip
-    """Complete t (16, n) for one tick: rows of the position, columns of zero, gain and latency; turned: t'.
-
-    steered: (8,), by rad of true wheel angle. delta: that angle; bend: its rate, rad/s; scale: of true angle
-    over reading.
-    """
-    for j in range(active.shape[0]):
-        name = active[j]
-        if ZERO <= name <= LATENCY:
-            factor = -scale if name == ZERO else (-delta if name == GAIN else -bend)
-            for i in range(8):
-                t[i, N_X + j] = factor * steered[i]
-    psi, v = 0.5 * (x[6] + after[6]), 0.5 * (x[0] + after[0])
-    sine, cosine = math.sin(psi), math.cos(psi)
-    north, east = -u * sine - v * cosine, u * cosine - v * sine
-    for j in range(t.shape[1]):
-        half_v = 0.5 * DT * (t[0, j] + (1.0 if j == 0 else 0.0))
-        half_psi = 0.5 * DT * (t[6, j] + (1.0 if j == 6 else 0.0))
-        t[PLACED, j] = -sine * half_v + north * half_psi
-        t[PLACED + 1, j] = cosine * half_v + east * half_psi
-    t[PLACED, PLACED] = t[PLACED + 1, PLACED + 1] = 1.0
-    for i in range(N_X):
-        for j in range(t.shape[1]):
-            turned[j, i] = t[i, j]
+def complete_jacobian(x: Array, following: Array, drive: Drive, active: Active, step: Transition) -> None:
+    """Add to step.F, for one tick, rows of the position, columns of zero, gain and latency; fill step.F_T."""
+    F, F_T = step.F, step.F_T
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        if AT_WHEEL_ZERO <= place <= AT_LATENCY:
+            factor = -drive.wheel_rate
+            if place == AT_WHEEL_ZERO:
+                factor = -drive.wheel_scale
+            elif place == AT_WHEEL_GAIN:
+                factor = -drive.wheel
+            for i in range(X_PUSH):
+                F[i, N_TRACKER + j] = factor * step.wheel[i]
+    psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
+    position_jacobian(drive.u, psi, v, F.shape[1], F)
+    F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
+    for i in range(N_TRACKER):
+        for j in range(F.shape[1]):
+            F_T[j, i] = F[i, j]
 
 
 @kernel
-def moved(x: Array, u: float, rate: Array, held: Array, fades: Array, out: Array) -> None:
-    """Fill out (16,), the state one tick later. fades: (8,), what a tick leaves of the last eight."""
-    for i in range(8):
+def propagate_mean(x: Array, u: float, rates: Array, step: Transition, out: Array) -> None:
+    """Fill out (16,), the state one tick later. rates: (8,), of the states before X_PUSH."""
+    for i in range(X_PUSH):
         total = x[i]
-        for j in range(8):
-            total += held[i, j] * rate[j]
+        for j in range(X_PUSH):
+            total += step.held[i, j] * rates[j]
         out[i] = total
-    psi, v = 0.5 * (x[6] + out[6]), 0.5 * (x[0] + out[0])
-    for i in range(PUSHED, N_X):
-        out[i] = fades[i - PUSHED] * x[i]
-    out[PLACED] += DT * (u * math.cos(psi) - v * math.sin(psi))
-    out[PLACED + 1] += DT * (u * math.sin(psi) + v * math.cos(psi))
+    for i in range(X_PUSH, N_TRACKER):
+        out[i] = step.decay[i - X_PUSH] * x[i]
+    propagate_position(x, u, out)

@@ -42,8 +42,23 @@ AT: Final = {name: k for k, name in enumerate(NAMES)}
 SIX: Final = slice(0, 6)
 NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
-_SHAPE: Final = AT["a"]
-_CG: Final = AT["cg_t"]
+
+# Places that kernels name; of pair, lever, cg and push the first, with the other bodies' next to it.
+AT_WHEEL_ZERO: Final = AT["wheel_zero"]
+AT_WHEEL_GAIN: Final = AT["wheel_gain"]
+AT_LATENCY: Final = AT["latency"]
+AT_PAIR: Final = AT["pair_t"]
+AT_LEVER: Final = AT["lever_t"]
+AT_ASIDE: Final = AT["aside_i"]
+AT_CG: Final = AT["cg_t"]
+AT_ROLLING: Final = AT["rolling"]
+AT_CURVATURE: Final = AT["curvature"]
+AT_PUSH: Final = AT["push_t"]
+AT_MEMORY: Final = AT["memory"]
+AT_S_YAW_RATE: Final = AT["s_yaw_rate"]
+AT_S_VELOCITY: Final = AT["s_velocity"]
+AT_S_POSITION: Final = AT["s_position"]
+AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
@@ -80,13 +95,13 @@ def prior(machine: Machine) -> tuple[Array, Array]:
 
 def geometry(base: Array, point: Array) -> Array:
     """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. May be compiled."""
-    changed: Array = base * np.exp(point[_SHAPE : _SHAPE + 9])
-    changed[4] = base[4] + point[_SHAPE + 4]
-    changed[0] -= point[_CG]
-    changed[1] += point[_CG]
-    changed[2] += point[_CG]
-    changed[3] -= point[_CG + 1]
-    changed[4] += point[_CG + 1]
+    changed: Array = base * np.exp(point[AT_GEOMETRY : AT_GEOMETRY + 9])
+    changed[4] = base[4] + point[AT_GEOMETRY + 4]
+    changed[0] -= point[AT_CG]
+    changed[1] += point[AT_CG]
+    changed[2] += point[AT_CG]
+    changed[3] -= point[AT_CG + 1]
+    changed[4] += point[AT_CG + 1]
     return changed
 
 

@@ -94,7 +94,7 @@ def _forget(state: TrackerState) -> None:
         state.covariance[places, :] *= keep
         state.covariance[:, places] *= keep
         state.covariance[places, places] += (1.0 - keep**2) * state.prior_sd[places] ** 2
-        state.between[:, places] *= keep
+        state.P_xtheta[:, places] *= keep
 
 
 def misfit(state: TrackerState, machine: Machine) -> Misfit:

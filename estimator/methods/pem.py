@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.record.record import Record, Stretch
 from tilth.estimator.record.windows import OPEN, WINDOW, collect, refuse, said_of_late
@@ -136,10 +137,10 @@ def _drifted(state: PemState) -> tuple[Array, Array]:
 
 def fit(machine: Machine, job: Job) -> Fit:
     """The result of a job: a function of its arguments alone."""
-    rigging = likelihood.rigging(machine)
+    setup = rig_setup(machine)
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
-    found = likelihood.find(job.record, rigging, mean, covariance, prior_mean)
+    found = likelihood.maximise_posterior(job.record, setup, mean, covariance, prior_mean)
     moved = found.mean[SIX] - mean[SIX]
     changed = _contradiction(moved, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGED
     if changed:
@@ -148,7 +149,7 @@ def fit(machine: Machine, job: Job) -> Fit:
         covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
         mean = np.concatenate([prior_mean[SIX], mean[6:]])
         gain = found.gain
-        found = likelihood.find(job.record, rigging, mean, covariance)
+        found = likelihood.maximise_posterior(job.record, setup, mean, covariance)
         found = likelihood.with_gain(found, gain)
     speed = float(np.mean(job.record.ticks[:, 1]))
     return Fit(
@@ -176,7 +177,7 @@ def rehearse(machine: Machine) -> None:
     fit(machine, Job(0, 0, Record(0, ticks, rows), mean, np.diag(sd**2)))
 
 
-def _why_not(found: likelihood.Found, prior_mean: Array, prior_sd: Array) -> str:
+def _why_not(found: likelihood.Posterior, prior_mean: Array, prior_sd: Array) -> str:
     if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
         return "fit is not a number"
     if not found.converged:

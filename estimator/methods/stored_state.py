@@ -8,7 +8,7 @@ missing, of another type or shape, or not known.
 from typing import Any, Final
 
 from tilth.estimator.filters.soil_change import Mark
-from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.states import N_TRACKER
 from tilth.estimator.filters.unknowns import NAMES
 from tilth.estimator.methods import pem, two_step
 from tilth.estimator.methods.consistency import Consistency, Finding
@@ -87,8 +87,8 @@ def tracker_json(state: TrackerState) -> Json:
         "prior_mean": to_plain(state.prior_mean),
         "prior_sd": to_plain(state.prior_sd),
         "motion": to_plain(state.x),
-        "motion_covariance": to_plain(state.own),
-        "cross_covariance": to_plain(state.between),
+        "motion_covariance": to_plain(state.P_xx),
+        "cross_covariance": to_plain(state.P_xtheta),
         "noise_ratios": to_plain(state.left),
         "push_variances": to_plain(state.push),
         "running": to_plain(state.running),
@@ -124,9 +124,9 @@ def tracker_of(plain: Any) -> TrackerState:
         covariance=stored.array("covariance", N, N),
         prior_mean=stored.array("prior_mean", N),
         prior_sd=stored.array("prior_sd", N),
-        x=stored.array("motion", N_X),
-        own=stored.array("motion_covariance", N_X, N_X),
-        between=stored.array("cross_covariance", N_X, N),
+        x=stored.array("motion", N_TRACKER),
+        P_xx=stored.array("motion_covariance", N_TRACKER, N_TRACKER),
+        P_xtheta=stored.array("cross_covariance", N_TRACKER, N),
         left=stored.array("noise_ratios", 3),
         push=stored.array("push_variances", 3),
         running=stored.value(bool, "running"),

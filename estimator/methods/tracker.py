@@ -13,10 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, soil_change, unknowns
-from tilth.estimator.filters.predictor import DT, N_STATES, START, START_PLACE, innovations
+from tilth.estimator.filters.predictor import innovations
+from tilth.estimator.filters.rig_setup import SLOW_SHARE, RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Mark
-from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED, tracked
-from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.states import DT, N_STATES, N_TRACKER, START, START_PLACE
+from tilth.estimator.filters.tracker_kernel import (
+    BAD,
+    GATED,
+    USED,
+    JointEstimate,
+    ProcessNoise,
+    Segment,
+    Tally,
+    tracked,
+)
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.record.record import Record, Stretch
 from tilth.estimator.results import advice
@@ -54,15 +64,15 @@ LARGEST_CHANGE: Final = 0.7  # of a logarithm, that the first guess after a chan
 
 @dataclass(slots=True)
 class TrackerState:
-    """Arrays in the order of unknowns.NAMES, x in that of tracker_kernel; times ns, distances m."""
+    """Arrays in the order of unknowns.NAMES, x in that of filters.states; times ns, distances m."""
 
     mean: Array
     covariance: Array
     prior_mean: Array
     prior_sd: Array
-    x: Array = field(default_factory=lambda: np.zeros(N_X))
-    own: Array = field(default_factory=lambda: np.zeros((N_X, N_X)))
-    between: Array = field(default_factory=lambda: np.zeros((N_X, len(NAMES))))
+    x: Array = field(default_factory=lambda: np.zeros(N_TRACKER))
+    P_xx: Array = field(default_factory=lambda: np.zeros((N_TRACKER, N_TRACKER)))
+    P_xtheta: Array = field(default_factory=lambda: np.zeros((N_TRACKER, len(NAMES))))
     left: Array = field(default_factory=lambda: np.ones(3))
     """Variances of yaw rates, velocities, positions over the stated ones, running means."""
     push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
@@ -151,48 +161,48 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         _refuse(state, "inputs are no numbers")
         state.running = False
         return
-    told = likelihood.rigging(machine)
-    slow = likelihood.SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver]))
+    setup = rig_setup(machine)
+    slow = SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver]))
     if not state.running:
-        _restart(state, record, told, slow)
+        _restart(state, record, setup, slow)
     teaches = _teaches(state, record)
     _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
     first, count = len(state.before), len(record.ticks)
     ticks = np.concatenate([state.before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
-    keep = np.concatenate(
-        [np.zeros(N_X), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
+    considered = np.concatenate(
+        [np.zeros(N_TRACKER), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
     )
-    counts, sums = np.zeros(3), np.zeros((6, 2))
-    kept = (state.mean.copy(), state.covariance.copy())
+    tally = Tally(np.zeros(3), np.zeros((6, 2)))
+    before = (state.mean.copy(), state.covariance.copy())
     tracked(
-        ticks, first, count, np.ascontiguousarray(record.rows), keep, state.mean, state.covariance, state.x,
-        state.own, state.between, active, told.geometry, told.rig, told.levers, told.middles, told.sds,
-        np.array([*np.sqrt(state.push), PUSH_MEMORY_S, slow]), counts, sums,
+        Segment(ticks, first, count, np.ascontiguousarray(record.rows)),
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance),
+        setup, active, considered, ProcessNoise(np.sqrt(state.push), PUSH_MEMORY_S, slow), tally,
     )  # fmt: skip
-    state.counts += counts
+    state.counts += tally.counts
     if not _sound(state):
-        state.mean, state.covariance = kept
+        state.mean, state.covariance = before
         state.running = False
         _refuse(state, "filter left its bounds")
         return
-    _follow(state, sums)
-    if counts[GATED] + counts[BAD] > counts[USED]:
+    _adapt_noise(state, tally.sums)
+    if tally.counts[GATED] + tally.counts[BAD] > tally.counts[USED]:
         state.running = False
         _refuse(state, "most samples are beyond belief")
     if teaches:
-        _watch(state)
+        _detect_soil_change(state)
         state.informed_ns = record.end_ns
         state.window_s += count * DT
 
 
-def _restart(state: TrackerState, record: Record, told: likelihood.Rigging, slow: float) -> None:
+def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) -> None:
     """x from the ticks, with what is not known of it, and not correlated with anything."""
-    state.x = np.zeros(N_X)
-    state.x[:N_STATES] = likelihood.first_state(record, told)
-    pairs = np.maximum(np.square(told.sds[1:]), 1e-12)
-    state.own = np.diag([*np.square(START), *state.push, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
-    state.between = np.zeros((N_X, len(NAMES)))
+    state.x = np.zeros(N_TRACKER)
+    state.x[:N_STATES] = likelihood.first_state(record, setup)
+    pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
+    state.P_xx = np.diag([*np.square(START), *state.push, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
+    state.P_xtheta = np.zeros((N_TRACKER, len(NAMES)))
     state.running, state.since, state.steering = True, 0, 0.0
     state.restarts += 1
 
@@ -210,12 +220,12 @@ def _teaches(state: TrackerState, record: Record) -> bool:
 
 
 def _sound(state: TrackerState) -> bool:
-    values = (state.mean, state.covariance, state.x, state.own, state.between)
+    values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
     near = np.abs(state.mean - state.prior_mean)[SIX] < WORST * state.prior_sd[SIX]
     return bool(
-        np.all(near) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.own) > 0.0)
+        np.all(near) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.P_xx) > 0.0)
     )
 
 
@@ -227,28 +237,28 @@ def _drift(state: TrackerState, metres: float) -> None:
     state.covariance[SIX, :] *= keep
     state.covariance[:, SIX] *= keep
     state.covariance[SIX, SIX] += more
-    state.between[:, SIX] *= keep
+    state.P_xtheta[:, SIX] *= keep
     for mark in state.marks:
         mark.covariance = keep**2 * mark.covariance + more
 
 
-def _follow(state: TrackerState, sums: Array) -> None:
+def _adapt_noise(state: TrackerState, sums: Array) -> None:
     """Noise of the sensors by what is left after correction, of the ground by how far it is seen to push."""
-    heard = sums[:3, 1] > 0.0
-    state.left[heard] += (sums[:3][heard, 0] / sums[:3][heard, 1] - state.left[heard]) / FOLLOWED
+    measured = sums[:3, 1] > 0.0
+    state.left[measured] += (sums[:3][measured, 0] / sums[:3][measured, 1] - state.left[measured]) / FOLLOWED
     stated = np.clip(state.left, LOW_NOISE**2, HIGH_NOISE**2)
     state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
-    seen = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
+    ratio = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
     # Of a push that is hard to see, what is seen goes with the square of its variance: hence the half.
-    logs = np.log(state.push) + 0.5 * (seen - 1.0) / PUSH_FOLLOWED
+    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_FOLLOWED
     state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_BELIEVED)
 
 
-def _watch(state: TrackerState) -> None:
+def _detect_soil_change(state: TrackerState) -> None:
     """Has the soil changed since one of the marks? Then what was known of it is given up."""
     change = soil_change.likeliest(state.marks, state.mean[SIX], state.covariance[SIX, SIX])
     if change is not None and change.ratio > soil_change.CHANGED:
-        _give_up(state, change.logs)
+        _forget_soil(state, change.logs)
         return
     state.marks_after += 1
     if state.marks_after >= soil_change.EVERY:
@@ -257,14 +267,14 @@ def _watch(state: TrackerState) -> None:
         del state.marks[: -soil_change.MARKS]
 
 
-def _give_up(state: TrackerState, logs: Array) -> None:
+def _forget_soil(state: TrackerState, logs: Array) -> None:
     """The six from the prior's covariance on, about where the change seems to have led; nuisances stay."""
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
     factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -FARTHEST, FARTHEST))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
     state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
     state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
-    state.between[:, SIX] = 0.0
+    state.P_xtheta[:, SIX] = 0.0
     state.marks.clear()
     state.changes += 1
     state.changed_ns = state.seen_ns

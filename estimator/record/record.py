@@ -22,7 +22,9 @@ wheel_angle is measured; u (tractor's CG) and the rolls are inputs from the pose
 only where things are made linear about. They are straight lines between poses, so the slope between a
 stretch's last two ticks holds to its end; rolls are given twice as often.
 """
-YAW_RATE, VELOCITY, NORTH, EAST, HEADING = 0.0, 1.0, 2.0, 3.0, 4.0
+WHEEL_ANGLE, U, PSI, R, ROLL = 0, 1, 2, 4, 6
+"""The same columns by number; of PSI, R and ROLL the tractor's, with the implement's beside it."""
+YAW_RATE, VELOCITY, NORTH, EAST, HEADING = 0, 1, 2, 3, 4
 ROWS = ("tick", "offset", "kind", "place", "value", "sd")
 """Columns of Record.rows, one row per measurement, sorted by instant.
 
@@ -32,6 +34,7 @@ value: rad/s; m/s to the right of psi as `ticks` has it at that instant; m in th
 sd: the white noise that the machine file states for such a message, or a worse one that the receiver tells;
 of VELOCITY also what is left of a swaying body's roll rate.
 """
+TICK, OFFSET, KIND, PLACE, VALUE, SD = 0, 1, 2, 3, 4, 5
 
 
 @dataclass(slots=True)

@@ -16,12 +16,26 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import predictor, unknowns
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
 from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
-from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import EAST, HEADING, INPUTS, NORTH, ROWS, VELOCITY, YAW_RATE
+from tilth.estimator.record.record import (
+    EAST,
+    HEADING,
+    INPUTS,
+    NORTH,
+    PSI,
+    SD,
+    VALUE,
+    VELOCITY,
+    WHEEL_ANGLE,
+    YAW_RATE,
+    U,
+)
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import share
@@ -188,22 +202,22 @@ def information(
 ) -> Array:
     """What SECONDS of a manoeuvre would tell of unknowns.NAMES at a point of them, shape (n, n).
 
-    speed: m/s. hertz: of each receiver, in the order of flow.Mount. planar: as predictor.
+    speed: m/s. hertz: of each receiver, in the order of flow.Mount. planar: as rig_setup.
     """
-    count = round((SECONDS + START_S) / predictor.DT) + 1
-    time: Array = np.arange(count, dtype=np.float64) * predictor.DT
+    count = round((SECONDS + START_S) / DT) + 1
+    time: Array = np.arange(count, dtype=np.float64) * DT
     steering = manoeuvre_named(candidate.manoeuvre).wheel_angle
     ticks = np.zeros((count, len(INPUTS)))
-    ticks[:, 0] = steering(time, math.radians(candidate.degrees), NO_DRAW)
-    ticks[:, 1] = speed
+    ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
+    ticks[:, U] = speed
     watch = np.array([(k, 0.0, HEADING, body, 0.0, UNHEARD) for k in range(count) for body in (0, 1)])
-    seen, _ = _errors(machine, ticks, watch, point[None], planar)
-    ticks[:, 2:4] = -seen[0].reshape(count, 2)
+    predicted_values, _ = _errors(machine, ticks, watch, point[None], planar)
+    ticks[:, PSI : PSI + 2] = -predicted_values[0].reshape(count, 2)
     rows = _rows(machine, count, hertz)
     silent = rows.copy()
-    silent[:, ROWS.index("sd")] = UNHEARD
-    seen, _ = _errors(machine, ticks, silent, point[None], planar)
-    rows[:, ROWS.index("value")] = -seen[0]
+    silent[:, SD] = UNHEARD
+    predicted_values, _ = _errors(machine, ticks, silent, point[None], planar)
+    rows[:, VALUE] = -predicted_values[0]
     _, prior_sd = unknowns.prior(machine)
     free = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
     nudges = 1e-3 * prior_sd[free]
@@ -224,7 +238,7 @@ def _rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
         if mount not in by_mount:
             continue
         r, body = by_mount[mount], place // 2
-        for k in range(0, count - 1, max(round(1.0 / hertz[place] / predictor.DT), 1)):
+        for k in range(0, count - 1, max(round(1.0 / hertz[place] / DT), 1)):
             said += [
                 (k, 0.0, NORTH, place, 0.0, r.position_sd),
                 (k, 0.0, EAST, place, 0.0, r.position_sd),
@@ -236,17 +250,15 @@ def _rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
 
 def _errors(machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool) -> tuple[Array, Array]:
     """Prediction errors and their variances at each point, shape (q, m); all with the gains of the first."""
-    e, s = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
+    e, S = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
     base = unknowns.base_geometry(machine)
-    modes = np.array([predictor.KEEP] + [predictor.FOLLOW] * (len(points) - 1), dtype=np.float64)
-    readings = np.tile(rows[:, ROWS.index("value")], (len(points), 1))
-    predictor.innovations(
-        ticks, rows, readings, np.ones(len(rows)), np.zeros(predictor.N_STATES), points,
-        np.exp(points[:, SIX]), np.array([unknowns.geometry(base, point) for point in points]), modes,
-        rig_of(machine), unknowns.levers(machine), unknowns.pair_middles(machine), _sds(machine), planar,
-        e, s,
-    )  # fmt: skip
-    return e, s
+    modes = np.array([KEEP] + [FOLLOW] * (len(points) - 1), dtype=np.float64)
+    measured = Measured(ticks, rows, np.tile(rows[:, VALUE], (len(points), 1)), np.ones(len(rows)))
+    geometries = np.array([unknowns.geometry(base, point) for point in points])
+    at = Point(points, np.exp(points[:, SIX]), geometries)
+    setup = rig_setup(machine, planar)._replace(sds=_sds(machine))
+    innovations(measured, np.zeros(N_STATES), at, modes, setup, Innovations(e, S))
+    return e, S
 
 
 def _sds(machine: Machine) -> Array:

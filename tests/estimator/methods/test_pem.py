@@ -10,8 +10,10 @@ from logs import MACHINE
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from tilth.estimator.filters import likelihood, predictor, unknowns
-from tilth.estimator.filters.likelihood import find, rigging
+from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.likelihood import maximise_posterior
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.states import DT, START
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
 from tilth.estimator.methods import pem
@@ -29,22 +31,10 @@ from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
 
-DT = predictor.DT
 PUSHES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
 LASTS = math.exp(-DT / MEMORY)
 SDS = (math.radians(0.2), math.radians(0.3))
 SPEED = 4.5
-
-
-def test_places_in_the_kernel_are_those_of_the_names() -> None:
-    places = {
-        "wheel_zero": predictor.ZERO, "wheel_gain": predictor.GAIN, "latency": predictor.LATENCY,
-        "pair_t": predictor.PAIR, "lever_t": predictor.LEVER, "aside_i": predictor.ASIDE,
-        "cg_t": predictor.CG, "rolling": predictor.ROLLING, "curvature": predictor.CURVATURE,
-        "push_t": predictor.Q, "memory": predictor.MEMORY,
-        "s_yaw_rate": predictor.S_YAW, "s_velocity": predictor.S_VELOCITY, "s_position": predictor.S_POSITION,
-    }  # fmt: skip
-    assert {name: AT[name] for name in places} == places
 
 
 def discrete(rig: Rig) -> tuple[Array, Array, Array]:
@@ -90,10 +80,8 @@ def alone(machine: Machine) -> tuple[Array, Array]:
     return mean, np.diag(sd**2)
 
 
-def without_pairs(machine: Machine) -> likelihood.Rigging:
-    told = rigging(machine, planar=False)
-    told.sds[:] = 0.0
-    return told
+def without_pairs(machine: Machine) -> RigSetup:
+    return rig_setup(machine, planar=False)._replace(sds=np.zeros(3))
 
 
 def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machine) -> None:
@@ -103,13 +91,13 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     mean, covariance = alone(machine)
     mean[SIX] = np.log(rig.theta)
     mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
-    told = without_pairs(machine)
-    search = likelihood.search_of(record, told, mean, covariance)
-    e, s = likelihood.errors(search, mean[None], np.zeros(1))
+    setup = without_pairs(machine)
+    search = likelihood.search_of(record, setup, mean, covariance)
+    e, s = likelihood.prediction_errors(search, mean[None], np.zeros(1))
     f, g, pushed = discrete(rig)
     whole_f = np.block([[f, pushed], [np.zeros((3, 8)), LASTS * np.eye(3)]])
-    n, first = len(record.ticks), likelihood.first_state(record, told)[:8]
-    start = np.diag(np.square([*predictor.START, *PUSHES]))
+    n, first = len(record.ticks), likelihood.first_state(record, setup)[:8]
+    start = np.diag(np.square([*START, *PUSHES]))
     shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
@@ -126,7 +114,7 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
             dense[i, j] += (powers[late - early] @ spreads[early])[c_late, c_early]
     off = record.rows[:, 4] - [centre[k][c] for k, c in zip(ticks, columns, strict=True)]
     whole = off @ np.linalg.solve(dense, off) + np.linalg.slogdet(dense)[1]
-    # What the wheel angle's noise adds is not in the dense one, nor in this: told.sds are nothing.
+    # What the wheel angle's noise adds is not in the dense one, nor in this: setup.sds are nothing.
     assert np.sum(e**2 / s + np.log(s)) == pytest.approx(whole, rel=1e-7)
 
 
@@ -138,7 +126,7 @@ def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
     for seed, kind in enumerate(["random", "chirp", "step"] * 8):
         theta = np.exp(mean[SIX]) * rng.uniform(0.5, 1.5, 6)
         rig = TABLE_7_2._replace(**dict(zip(PARAMETERS, theta.tolist(), strict=True)))
-        found = find(own_record(rig, seed, kind=kind), without_pairs(machine), mean, covariance)
+        found = maximise_posterior(own_record(rig, seed, kind=kind), without_pairs(machine), mean, covariance)
         scores.append((found.mean[SIX] - np.log(theta)) / np.sqrt(np.diag(found.covariance)[SIX]))
         assert found.converged
     z = np.array(scores)
@@ -176,7 +164,7 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> N
     scores = []
     for seed in range(6):
         record, truth = _driven(seed)
-        found = find(record, rigging(machine), mean, np.diag(sd**2))
+        found = maximise_posterior(record, rig_setup(machine), mean, np.diag(sd**2))
         scores.append((found.mean[SIX] - truth) / np.sqrt(np.diag(found.covariance)[SIX]))
         assert np.all(np.sqrt(np.diag(found.covariance)[SIX]) < 0.25)
     z = np.array(scores)
@@ -252,14 +240,14 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
 
     Were the first second judged by the spread that the first state may have, it would be 65.
     """
-    told, (mean, covariance) = linear_plant.rigging(MACHINE), linear_plant.prior(MACHINE)
+    setup, (mean, covariance) = linear_plant.setup(MACHINE), linear_plant.prior(MACHINE)
     gradient, information = np.zeros(6), np.zeros((6, 6))
     for seed in range(100):
         run = linear_plant.plant(rig_of(MACHINE), seed, "row", 4.0, 1.8)
         point = mean.copy()
         point[SIX], point[AT["wheel_zero"]] = np.log(run.rig.theta), run.zero
         point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.PUSHES, linear_plant.MEMORY_S])
-        search = likelihood.search_of(linear_plant.record_of(run), told, point, covariance)
+        search = likelihood.search_of(linear_plant.record_of(run), setup, point, covariance)
         scores, own = likelihood.at_point(search, point)
         gradient += scores[SIX]
         information += (own - search.prior_information)[SIX, SIX]

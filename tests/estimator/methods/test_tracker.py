@@ -10,11 +10,24 @@ from logs import MACHINE
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
-from tilth.estimator.filters import likelihood, soil_change, unknowns
-from tilth.estimator.filters.predictor import DT, PAIRED, PLACED, PUSHED, rig_at
+from tilth.estimator.filters import soil_change, unknowns
+from tilth.estimator.filters.measurement_model import Observation
+from tilth.estimator.filters.propagation import rig_at
+from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.soil_change import Mark
-from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED, seen, tracked
-from tilth.estimator.filters.tracker_model import N_X
+from tilth.estimator.filters.states import DT, N_TRACKER, X_PAIR, X_POSITION, X_PUSH, Point
+from tilth.estimator.filters.tracker_kernel import (
+    BAD,
+    GATED,
+    USED,
+    JointEstimate,
+    ProcessNoise,
+    Segment,
+    Tally,
+    predict_joint_measurement,
+    tracked,
+)
+from tilth.estimator.filters.tracker_model import Active
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
@@ -35,7 +48,7 @@ ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
 RANDOM = Scenario(
     seconds=30.0, steering=DrivenManoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False
 )
-TOLD = likelihood.rigging(MACHINE)
+SETUP = rig_setup(MACHINE)
 ACTIVE = np.flatnonzero(np.diag(tracker.initial(MACHINE).covariance) > 0.0)
 KINDS = (
     (YAW_RATE, 1),
@@ -52,7 +65,7 @@ KINDS = (
 # The filter's equations
 
 
-MOVED = [*range(8), PLACED, PLACED + 1]
+MOVED = [*range(8), X_POSITION, X_POSITION + 1]
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
 
 
@@ -62,18 +75,18 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     mean, sd = unknowns.prior(MACHINE)
     point = mean.copy()
     point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
-    x = np.zeros(N_X)
+    x = np.zeros(N_TRACKER)
     x[MOVED] = simulated(x, point, np.full(150, READINGS[20]))
-    x[PLACED : PLACED + 2] = 30.0, -20.0
-    x[PUSHED:PLACED] = rng.normal(size=3) * [0.01, 0.01, 0.005]
-    x[PAIRED:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
+    x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
+    x[X_PUSH:X_POSITION] = rng.normal(size=3) * [0.01, 0.01, 0.005]
+    x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
     return x, point
 
 
 def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[MOVED] after as many ticks, less one, by the nonlinear model."""
-    geometry = unknowns.geometry(TOLD.geometry, point)
-    rig = rig_at.plain()(TOLD.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
+    geometry = unknowns.geometry(SETUP.geometry, point)
+    rig = rig_at.plain()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
@@ -82,35 +95,37 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
         gravity_i=rig.g * math.sin(-0.01),
     )
     start = nonlinear.running(4.5)
-    start[:4], start[5:11] = x[[PLACED, PLACED + 1, 6, 7]], x[:6]
+    start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, 6, 7]], x[:6]
     states = nonlinear.simulate(rig, inputs, start, DT, soil=np.exp(point[SIX]), linear=True)
     return np.asarray(states[-1, [5, 6, 7, 8, 9, 10, 2, 3, 0, 1]], np.float64)
 
 
-def half_a_stretch(x: Array, point: Array, covariance: Array, own: Array) -> tuple[Array, Array, Array]:
+def half_a_stretch(x: Array, point: Array, covariance: Array, P_xx: Array) -> tuple[Array, Array, Array]:
     """(x, its covariance, that with the unknowns) after five ticks of turning without a measurement."""
     ticks = np.zeros((30, 8))
     ticks[:, 0], ticks[:, 1] = READINGS, 4.5
     ticks[:, 6], ticks[:, 7] = 0.02, -0.01
-    x, point, own = x.copy(), point.copy(), own.copy()
-    between = np.zeros((N_X, len(point)))
+    x, point, P_xx = x.copy(), point.copy(), P_xx.copy()
+    P_xtheta = np.zeros((N_TRACKER, len(point)))
     tracked(
-        ticks, 20, 5, np.zeros((0, 6)), np.zeros(N_X + len(ACTIVE)), point, covariance, x, own, between,
-        ACTIVE, TOLD.geometry, TOLD.rig, TOLD.levers, TOLD.middles, np.zeros(3),
-        np.array([0.0, 0.0, 0.0, 0.25, 0.0]), np.zeros(3), np.zeros((6, 2)),
+        Segment(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
+        SETUP._replace(sds=np.zeros(3)), ACTIVE, np.zeros(N_TRACKER + len(ACTIVE)),
+        ProcessNoise(np.zeros(3), 0.25, 0.0), Tally(np.zeros(3), np.zeros((6, 2))),
     )  # fmt: skip
-    return x, own, between
+    return x, P_xx, P_xtheta
 
 
 def test_the_mean_moves_as_the_nonlinear_model_does() -> None:
     x, point = somewhere(1)
-    x[PUSHED:PLACED] = 0.0
-    after, _, _ = half_a_stretch(x, point, np.zeros((len(point), len(point))), np.zeros((N_X, N_X)))
+    x[X_PUSH:X_POSITION] = 0.0
+    after, _, _ = half_a_stretch(
+        x, point, np.zeros((len(point), len(point))), np.zeros((N_TRACKER, N_TRACKER))
+    )
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
     true = simulated(x, point, READINGS[20:26] - late)
     assert np.max(np.abs(true - x[MOVED])) > 0.01
     np.testing.assert_allclose(after[:8], true[:8], atol=2e-4)
-    np.testing.assert_allclose(after[PLACED : PLACED + 2], true[8:], atol=2e-3)
+    np.testing.assert_allclose(after[X_POSITION : X_POSITION + 2], true[8:], atol=2e-3)
 
 
 def test_the_covariance_moves_as_small_changes_do() -> None:
@@ -118,39 +133,40 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
     n = len(point)
     covariance = np.zeros((n, n))
     covariance[ACTIVE, ACTIVE] = 1.0
-    after, own, between = half_a_stretch(x, point, covariance, np.eye(N_X))
-    nothing = np.zeros((n, n)), np.zeros((N_X, N_X))
-    by_x, by_point = np.zeros((N_X, N_X)), np.zeros((N_X, n))
-    for j in range(N_X):
-        nudge = 1e-6 * np.eye(N_X)[j]
+    after, P_xx, P_xtheta = half_a_stretch(x, point, covariance, np.eye(N_TRACKER))
+    nothing = np.zeros((n, n)), np.zeros((N_TRACKER, N_TRACKER))
+    by_x, by_point = np.zeros((N_TRACKER, N_TRACKER)), np.zeros((N_TRACKER, n))
+    for j in range(N_TRACKER):
+        nudge = 1e-6 * np.eye(N_TRACKER)[j]
         by_x[:, j] = (half_a_stretch(x + nudge, point, *nothing)[0] - after) / 1e-6
     for k in ACTIVE:
         nudge = 1e-6 * np.eye(n)[k]
         by_point[:, k] = (half_a_stretch(x, point + nudge, *nothing)[0] - after) / 1e-6
     scale = np.abs(by_point).max(axis=0) + 1e-3
     # One set of slopes serves five ticks: what relaxation lengths do while slip grows is right to an eighth.
-    np.testing.assert_allclose(between / scale, by_point / scale, atol=0.12)
+    np.testing.assert_allclose(P_xtheta / scale, by_point / scale, atol=0.12)
     whole = by_x @ by_x.T + by_point @ by_point.T
     sd = np.sqrt(np.diag(whole))
-    np.testing.assert_allclose(own / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
+    np.testing.assert_allclose(P_xx / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
 
 
 @pytest.mark.parametrize(("kind", "place"), KINDS)
-def test_slopes_of_a_measurement_are_those_of_differences(kind: float, place: int) -> None:
+def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int) -> None:
     x, point = somewhere(3)
-    run = seen.plain()
+    run = predict_joint_measurement.plain()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
-        geometry, h = unknowns.geometry(TOLD.geometry, point), np.zeros(N_X + len(ACTIVE))
-        shapes = np.zeros((len(ACTIVE), 9))
+        geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_TRACKER + len(ACTIVE))
+        active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
         for j, name in enumerate(ACTIVE):
-            nudged = unknowns.geometry(TOLD.geometry, point + 1e-7 * np.eye(len(point))[name])
-            shapes[j] = (nudged - geometry) / 1e-7
-        value = run(x, kind, place, 4.5, 0.3, geometry, point, ACTIVE, shapes, TOLD.levers, TOLD.middles, h)
+            nudged = unknowns.geometry(SETUP.geometry, point + 1e-7 * np.eye(len(point))[name])
+            active.geometry[j] = (nudged - geometry) / 1e-7
+        seen = Observation(kind, place, 0.0, 4.5, 0.3)
+        value = run(x, seen, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
         return value, h
 
     value, h = at(x, point)
-    steps = 1e-6 * np.eye(N_X)
+    steps = 1e-6 * np.eye(N_TRACKER)
     found = [(at(x + step, point)[0] - value) / 1e-6 for step in steps]
     found += [(at(x, point + 1e-6 * np.eye(len(point))[k])[0] - value) / 1e-6 for k in ACTIVE]
     np.testing.assert_allclose(h, found, atol=2e-3)
@@ -279,11 +295,11 @@ def straight(seconds: float, seed: int) -> list[Stretch]:
         ticks[:, 0] = math.radians(0.4) * math.sin(0.9 * k) + 1e-3 * rng.normal(size=n)
         rows = []
         for tick in range(0, n, 5):
-            for place, ahead in enumerate(TOLD.levers[:, 0]):
+            for place, ahead in enumerate(SETUP.levers[:, 0]):
                 body = place // 2
-                back = 0.0 if body == 0 else -TOLD.geometry[2] - TOLD.geometry[3]
+                back = 0.0 if body == 0 else -SETUP.geometry[2] - SETUP.geometry[3]
                 north = 4.5 * (k * 0.2 + tick * 0.02) + ahead + back
-                east = TOLD.levers[place, 1]
+                east = SETUP.levers[place, 1]
                 rows += [
                     (tick, 0.0, YAW_RATE, body, 0.004 * rng.normal(), 0.01),
                     (tick, 0.0, VELOCITY, place, 0.02 * rng.normal(), 0.03),
@@ -311,7 +327,7 @@ def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
     assert state.refused["too little steering"] > 1900
     assert state.changes == 0
     assert np.all(np.linalg.eigvalsh(state.covariance[np.ix_(ACTIVE, ACTIVE)]) > 0.0)
-    assert np.all(np.diag(state.own)[:8] < 1.0)
+    assert np.all(np.diag(state.P_xx)[:8] < 1.0)
 
 
 @pytest.mark.parametrize("column", [4, 5, 1])
@@ -339,7 +355,7 @@ def test_an_input_that_is_no_number_costs_one_stretch() -> None:
     state = learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.refused["inputs are no numbers"] == 1
     assert state.restarts == 2
-    assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.own))
+    assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.P_xx))
 
 
 def test_a_position_beyond_belief_is_left_out() -> None:

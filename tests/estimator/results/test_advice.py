@@ -8,12 +8,17 @@ import pytest
 from circle import demo_machine
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import predictor, unknowns
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.measurement_model import Observation, predict_measurement
+from tilth.estimator.filters.propagation import RelaxationModel, discretise
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import Sensor, cramer_rao
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.record.record import YAW_RATE
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor, Candidate
 from tilth.estimator.state_json import from_plain, to_plain
@@ -120,41 +125,34 @@ def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
 def simulated(seed: int, machine: Machine, candidate: Candidate) -> tuple[Array, Array]:
     """(ticks, rows) of a drive of the linear model at LINEAR with its own disturbances and white sensors."""
     rng = np.random.default_rng(seed)
-    count = round((advice.SECONDS + 1.0) / predictor.DT) + 1
-    time: Array = np.arange(count, dtype=np.float64) * predictor.DT
+    count = round((advice.SECONDS + 1.0) / DT) + 1
+    time: Array = np.arange(count, dtype=np.float64) * DT
     theta, shape = np.exp(LINEAR[SIX]), unknowns.geometry(unknowns.base_geometry(machine), LINEAR)
     f, g, pushed = np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((8, 3))
-    heights = np.array([rig_of(machine).h_t, rig_of(machine).h_i])
-    predictor.transition(
-        SPEED, shape, theta, LINEAR[AT["rolling"]], heights, f, g, pushed, f.copy(), g.copy()
-    )
+    point = Point(LINEAR, theta, shape)
+    discretise(SPEED, point, rig_of(machine), RelaxationModel(f.copy(), g.copy(), f, g, pushed))
     ticks = np.zeros((count, 8))
     ticks[:, 0] = manoeuvre_named(candidate.manoeuvre).wheel_angle(
         time, math.radians(candidate.degrees), np.random.default_rng(1)
     )
     ticks[:, 1] = SPEED
-    x, push = np.zeros((count, predictor.N_STATES)), rng.normal(0, unknowns.DISTURBANCE, (count, 3))
-    lasts = math.exp(-predictor.DT / unknowns.MEMORY[0])
+    x, push = np.zeros((count, N_STATES)), rng.normal(0, unknowns.DISTURBANCE, (count, 3))
+    lasts = math.exp(-DT / unknowns.MEMORY[0])
     for k in range(count - 1):
         delta = (ticks[k, 0] + ticks[k + 1, 0]) / 2
         x[k + 1, :8] = f @ x[k, :8] + g[:, 0] * delta + pushed @ push[k]
         push[k + 1] = lasts * push[k] + math.sqrt(1.0 - lasts**2) * push[k + 1]
         v, psi = (x[k, 0] + x[k + 1, 0]) / 2, (x[k, 6] + x[k + 1, 6]) / 2
-        x[k + 1, 11] = x[k, 11] + predictor.DT * (SPEED * math.cos(psi) - v * math.sin(psi))
-        x[k + 1, 12] = x[k, 12] + predictor.DT * (SPEED * math.sin(psi) + v * math.cos(psi))
+        x[k + 1, 11] = x[k, 11] + DT * (SPEED * math.cos(psi) - v * math.sin(psi))
+        x[k + 1, 12] = x[k, 12] + DT * (SPEED * math.sin(psi) + v * math.cos(psi))
     ticks[:, 2:4] = x[:, 6:8]
-    levers, middles, unused = (
-        unknowns.levers(machine),
-        unknowns.pair_middles(machine),
-        np.zeros(predictor.N_STATES),
-    )
+    setup, unused = rig_setup(machine), np.zeros(N_STATES)
     rows = advice._rows(machine, count, (advice.HERTZ,) * 4)
     for row in rows:
-        k, kind, place = int(row[0]), row[2], int(row[3])
-        body = place if kind == 0.0 else place // 2
-        row[4] = rng.normal(0, row[5]) + predictor.expected(
-            x[k], kind, place, SPEED, ticks[k, 2 + body], shape, LINEAR, levers, middles, unused
-        )
+        k, kind, place = int(row[0]), int(row[2]), int(row[3])
+        body = place if kind == YAW_RATE else place // 2
+        seen = Observation(kind, place, 0.0, SPEED, ticks[k, 2 + body])
+        row[4] = rng.normal(0, row[5]) + predict_measurement(x[k], seen, point, setup, unused)
     return ticks, rows
 
 

@@ -1,0 +1,127 @@
+"""What a measurement shows at a state of the filters, and its slope."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_V, Point
+from tilth.estimator.filters.unknowns import (
+    AT_ASIDE,
+    AT_CG,
+    AT_LEVER,
+    AT_PAIR,
+    AT_S_POSITION,
+    AT_S_VELOCITY,
+    AT_S_YAW_RATE,
+)
+from tilth.estimator.record.record import HEADING, KIND, NORTH, OFFSET, PLACE, PSI, VELOCITY, YAW_RATE
+
+Array = NDArray[np.float64]
+
+
+class Observation(NamedTuple):
+    """What is measured, and about what it is made linear."""
+
+    kind: int  # record.YAW_RATE to HEADING
+    place: int  # as record.PLACE
+    share: float  # of a tick that has passed since the one before
+    u: float  # m/s
+    psi_ref: float  # rad, heading of the body that `ticks` has at the instant
+
+
+@kernel
+def body_of(kind: int, place: int) -> int:
+    """0 for the tractor, 1 for the implement."""
+    if kind in (YAW_RATE, HEADING):
+        return place
+    return 0 if place < 2 else 1
+
+
+@kernel
+def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
+    """Of a row of the record, which comes at or after tick k and before the next."""
+    following = min(k + 1, ticks.shape[0] - 1)
+    kind, place, share = int(row[KIND]), int(row[PLACE]), row[OFFSET] / DT
+    psi = PSI + body_of(kind, place)
+    psi_ref = ticks[k, psi] + share * (ticks[following, psi] - ticks[k, psi])
+    return Observation(kind, place, share, u, psi_ref)
+
+
+@kernel
+def predict_measurement(x: Array, seen: Observation, point: Point, setup: RigSetup, h: Array) -> float:
+    """What a measurement shows at state x; fills h (15,), its slope."""
+    h[:] = 0.0
+    if seen.kind == YAW_RATE:
+        h[X_R + seen.place] = 1.0
+        return float(x[X_R + seen.place])
+    if seen.kind == HEADING:
+        h[X_PSI + seen.place] = 1.0
+        return float(x[X_PSI + seen.place])
+    body = body_of(seen.kind, seen.place)
+    lever = setup.levers[seen.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
+    if seen.kind == VELOCITY:
+        return predict_velocity(x, seen, body, lever, point, h)
+    return predict_position(x, seen, body, lever, point, setup, h)
+
+
+@kernel
+def predict_velocity(x: Array, seen: Observation, body: int, lever: float, point: Point, h: Array) -> float:
+    """Of a receiver, to the right of psi_ref, m/s. lever: how far it is ahead of its body's CG, m."""
+    u, c, d = seen.u, point.geometry[2], point.geometry[3]
+    angle = x[X_PSI] - seen.psi_ref
+    sine, cosine = math.sin(angle), math.cos(angle)
+    h[X_V] = cosine
+    if body == 0:
+        h[X_R] = lever * cosine
+        across = x[X_V] + x[X_R] * lever
+        h[X_PSI] = u * cosine - across * sine
+        return float(u * sine + across * cosine)
+    across = x[X_V] - c * x[X_R]
+    h[X_R] = -c * cosine
+    h[X_R + 1] = lever - d
+    h[X_PSI] = u * cosine - across * sine
+    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1])
+
+
+@kernel
+def predict_position(
+    x: Array, seen: Observation, body: int, lever: float, point: Point, setup: RigSetup, h: Array
+) -> float:
+    """North or east of a receiver, m. lever: as of `predict_velocity`."""
+    c, d = point.geometry[2], point.geometry[3]
+    arm = setup.levers[seen.place, 0] - setup.middles[body, 0]
+    aside = setup.levers[seen.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
+    if body == 1:
+        aside += point.unknowns[AT_ASIDE]
+    psi = x[X_PSI + body]
+    sine, cosine = math.sin(psi), math.cos(psi)
+    sine_t, cosine_t = math.sin(x[X_PSI]), math.cos(x[X_PSI])
+    ahead = lever if body == 0 else lever - d
+    hitch = 0.0 if body == 0 else c
+    if seen.kind == NORTH:
+        h[X_POSITION] = 1.0
+        h[X_PSI + body] = -ahead * sine - aside * cosine
+        h[X_PAIR + body] = -arm * sine
+        if body == 1:
+            h[X_PSI] = hitch * sine_t
+        return float(x[X_POSITION] - hitch * cosine_t + ahead * cosine - aside * sine)
+    h[X_POSITION + 1] = 1.0
+    h[X_PSI + body] = ahead * cosine - aside * sine
+    h[X_PAIR + body] = arm * cosine
+    if body == 1:
+        h[X_PSI] = -hitch * cosine_t
+    return float(x[X_POSITION + 1] - hitch * sine_t + ahead * sine + aside * cosine)
+
+
+@kernel
+def noise_factor(kind: int, unknowns: Array) -> float:
+    """By what the stated sd of a measurement is multiplied."""
+    if kind == YAW_RATE:
+        return math.exp(unknowns[AT_S_YAW_RATE])
+    if kind == VELOCITY:
+        return math.exp(unknowns[AT_S_VELOCITY])
+    return math.exp(unknowns[AT_S_POSITION])

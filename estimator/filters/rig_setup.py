@@ -1,0 +1,38 @@
+"""What a machine file says that the filters need."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
+
+
+class RigSetup(NamedTuple):
+    """A machine file, as kernels take it."""
+
+    geometry: Array  # (9,), as parameters.GEOMETRY
+    levers: Array  # (4, 2), forward and right of each receiver, m, in the order of flow.Mount
+    middles: Array  # (2, 2), of the middle of each body's receivers
+    sds: Array  # (3,), of the wheel angle of a tick and of both pairs' slow heading errors, rad
+    rig: Rig
+    planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
+
+
+def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
+    """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
+    position_sds = [r.position_sd for r in machine.receiver]
+    middles = unknowns.pair_middles(machine)
+    levers = unknowns.levers(machine)
+    sds = [np.radians(machine.wheel_angle.sd) / np.sqrt(2.0)]
+    for body in range(2):
+        length = float(np.hypot(*(levers[2 * body] - levers[2 * body + 1])))
+        slow = SLOW_SHARE * np.sqrt(2.0) * float(np.mean(position_sds)) / length if length > 0.1 else 0.0
+        sds.append(slow)
+    return RigSetup(unknowns.base_geometry(machine), levers, middles, np.array(sds), rig_of(machine), planar)
