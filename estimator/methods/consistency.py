@@ -50,7 +50,7 @@ LATENCIES: Final = 30.0  # chi-square of three differences of latency
 PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
 HEARD: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
 
-EDGE: Final = 4.5  # of what a right file may differ by
+EDGE: Final = 6.0  # of what a right file may differ by
 
 _KEYS: Final = {
     "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
