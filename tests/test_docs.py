@@ -1,15 +1,22 @@
 """What the documentation names exists: paths, names, links, commands, symbols; each module has its test."""
 
+import argparse
 import ast
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from paths import ROOT
 
-from tilth.cli import COMMANDS
+from tilth.cli import COMMANDS, WrongUse
 from tilth.deploy.imports import folders
+from tilth.estimator.methods.estimators import Estimator
 from tilth.estimator.models.parameters import RIG_PARAMETERS
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.proto.tilth_pb2 import SoilTireEstimate
 
 FENCE = re.compile(r"^```.*?^```", re.M | re.S)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -91,7 +98,8 @@ def test_tables_are_whole(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_commands_exist(page: Path) -> None:
     known = {name for name, _ in COMMANDS}
-    text = page.read_text(encoding="utf-8")
+    examples = re.compile(r"^```(?:python|diff)\n.*?^```", re.M | re.S)
+    text = examples.sub("", page.read_text(encoding="utf-8"))
     found = re.findall(r"(?:`|uv run |^)tilth ([a-z]+)\b(?! 0)", text, re.M)
     assert set(found) <= known
 
@@ -142,3 +150,90 @@ def test_each_symbol_is_defined_once() -> None:
     for parameter in RIG_PARAMETERS:
         if parameter.symbol != "–":
             assert found.get(parameter.symbol) == parameter.name, parameter.name
+
+
+# CONTRIBUTING: examples that fit the code, and the table of tests.
+
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+DIFFS = re.findall(r"^```diff\n(.*?)^```", CONTRIBUTING, re.M | re.S)
+FILES: dict[str, str] = dict(re.findall(r"^```python\n# (\S+)\n(.*?)^```", CONTRIBUTING, re.M | re.S))
+
+
+def changed(diff: str) -> dict[str, str]:
+    """File → its text with these changes. Fails where a change does not stand in exactly one place."""
+    found: dict[str, str] = {}
+    for part in re.split(r"^--- a/", diff, flags=re.M)[1:]:
+        path, _, body = part.partition("\n")
+        text = (ROOT / path).read_text(encoding="utf-8")
+        for piece in re.split(r"^@@\n", body, flags=re.M):
+            lines = piece.splitlines(keepends=True)
+            before = "".join(line[1:] for line in lines if line[0] != "+")
+            assert text.count(before) == 1, f"{path}:\n{before}"
+            text = text.replace(before, "".join(line[1:] for line in lines if line[0] != "-"))
+        found[path] = text
+    return found
+
+
+@pytest.mark.parametrize("diff", DIFFS, ids=lambda diff: diff.partition("\n")[0].removeprefix("--- a/"))
+def test_the_examples_still_fit(diff: str) -> None:
+    for path, text in changed(diff).items():
+        if path.endswith(".py"):
+            compile(text, path, "exec")
+
+
+def test_the_example_of_an_estimator() -> None:
+    names: dict[str, Any] = {}
+    exec(FILES["estimator/methods/idle.py"], names)
+    row = re.search(r"^\+    (Estimator\(.*\)),$", CONTRIBUTING, re.M)
+    assert row is not None
+    made: Estimator = eval(row[1], {"Estimator": Estimator, "idle": SimpleNamespace(**names)})
+    machine, _ = read_machine(ROOT / "deploy" / "machines" / "jd7930-parker500.toml")
+    estimate = made.estimate(made.initial(machine), machine, 1)
+    sent = CHANNEL["/soil_tire"].encode(estimate)
+    assert [one.status for one in SoilTireEstimate.FromString(sent).parameters] == [0] * 6
+
+
+def test_the_example_of_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, Any] = {}
+    exec(FILES["cli/count.py"], names)
+    parser = argparse.ArgumentParser()
+    names["add"](parser.add_subparsers())
+    log = tmp_path / "a.log"
+    log.write_text("(1700000000.000000) can0 09F8011C#A7DF521F4A624103\n" * 3)
+    assert names["run"](parser.parse_args(["count", str(log)])) == 0
+    assert capsys.readouterr().out == "3\n"
+    with pytest.raises(WrongUse):
+        names["run"](parser.parse_args(["count", str(tmp_path)]))
+
+
+def _modules() -> list[str]:
+    found = [path for place in folders().values() for path in place.rglob("*.py")]
+    return sorted(str(path.relative_to(ROOT)) for path in found if "_pb2" not in path.name)
+
+
+def _held() -> dict[str, list[str]]:
+    """Module → test files, of the table."""
+    table = CONTRIBUTING.partition("## Which test holds a module")[2]
+    rows = [line.split("|")[1:3] for line in table.splitlines() if line.startswith("| `")]
+    return {module: CODE.findall(tests) for modules, tests in rows for module in CODE.findall(modules)}
+
+
+def _own_test(module: str) -> Path:
+    path = ROOT / "tests" / module.replace("examples/adaptive_guidance", "examples")
+    return path.with_name(f"test_{path.name}")
+
+
+@pytest.mark.parametrize("module", _modules())
+def test_each_long_module_has_its_test(module: str) -> None:
+    lines = len((ROOT / module).read_text(encoding="utf-8").splitlines())
+    if lines > LONG and not _own_test(module).exists():
+        assert module in _held(), "give it a test file of its name, or a line in the table of CONTRIBUTING.md"
+
+
+def test_the_table_of_tests_is_true() -> None:
+    for module, tests in _held().items():
+        assert (ROOT / module).exists(), module
+        assert not _own_test(module).exists(), (
+            f"{module} has a test file of its name: take it out of the table"
+        )
+        assert tests and all((ROOT / test).exists() for test in tests), tests
