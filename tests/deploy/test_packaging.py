@@ -12,7 +12,9 @@ from paths import ROOT
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2
 
-FOLDERS = ("schemas", "estimator", "logger", "replay", "client", "monitor", "cli", "deploy")
+FOLDERS = (
+    "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor", "cli", "deploy",
+)  # fmt: skip
 SHIPPED = {
     ".py", ".pyi", ".proto", ".json", ".toml", ".txt", ".service", ".rules", ".sysusers", ".sysctl",
     ".timesyncd", ".html", ".js", ".css", ".svg",
