@@ -144,9 +144,7 @@ def test_a_part_whose_state_is_refused_says_why_and_is_replayed_from_its_first_f
     summary, said = run([path], writer=writer)
     writer.close()
     assert summary.faults == 0 and summary.frames == sum(1 for _ in frames(path))
-    assert (
-        summary.poses > 20 or reason
-    )  # claims are in the first part
+    assert summary.poses > 20 or reason  # claims are in the first part
     told = [event.text for event in summary.events if event.kind == "stored_state"]
     assert len(told) == len(said) == (reason != "")
     for text in (*told, *said):
