@@ -70,27 +70,43 @@ def restore(machine: Machine, text: str) -> State:
 
 
 def restore_decoder(machine: Machine | None, text: str) -> Decoder:
-    """Only what decoding needs of a stored state. Raises NotRestorable."""
+    """Only what decoding needs: who has which address. Raises NotRestorable.
+
+    Also of another version, as long as this part has stayed what it is. Receivers say who they are only when
+    they start: without it nothing would be known of the later files of a run.
+    """
+    plain = _table(text)
     try:
-        return _decoder_of(machine, _opened(text).plain("decoder"))
-    except NotRestorable:
-        raise
+        return _decoder_of(machine, plain["decoder"])
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise NotRestorable(f"it is damaged: {error}") from None
+        raise NotRestorable(_other_version(plain) or f"it is damaged: {error}") from None
 
 
 def _opened(text: str) -> Stored:
     """The parts of a text of this version."""
+    plain = _table(text)
+    if other := _other_version(plain):
+        raise NotRestorable(other)
+    del plain["version"]
+    return Stored(plain, "the stored state")
+
+
+def _table(text: str) -> dict[str, Any]:
     try:
         plain = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise NotRestorable(f"it is damaged: {error}") from None
     if not isinstance(plain, dict):
         raise NotRestorable("it is damaged: it is not a table of names and values")
-    version = plain.pop("version", "1 or none")
-    if version != VERSION:
-        raise NotRestorable(f"it is of another version: {version!s:.20}, where this program knows {VERSION}")
-    return Stored(plain, "the stored state")
+    return plain
+
+
+def _other_version(plain: dict[str, Any]) -> str:
+    """That it is of another version, or ""."""
+    version = plain.get("version", "1 or none")
+    if version == VERSION:
+        return ""
+    return f"it is of another version: {version!s:.20}, where this program knows {VERSION}"
 
 
 def _state_of(machine: Machine, stored: Stored) -> State:

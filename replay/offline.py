@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
-from tilth.estimator.snapshot import NotRestorable
+from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import Retold
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
@@ -272,6 +272,7 @@ class _Run:
             fold = GuardedFold(self._machine, stored.state_json, self.fitter)
         except NotRestorable as why_not:
             self._refuse(log, stored, str(why_not))
+            self._take_addresses(stored)
             return
         self._go_on_with(fold, stored.t_ns, stored.state_json)
 
@@ -283,6 +284,19 @@ class _Run:
             stored.t_ns, "/event", Event(stored.t_ns, "stored_state", f"{log.path.name}: {text}")
         )
         self._put([(event, payload(event))])
+
+    def _take_addresses(self, stored: Snapshot) -> None:
+        """Of a refused state, where no part before it told who has which address: receivers tell it only when
+        they start, so that without it a later part of a run would give no pose."""
+        if self._fold.state.frames:
+            return
+        try:
+            decoder = restore_decoder(self._machine, stored.state_json)
+        except NotRestorable:
+            return
+        fold = GuardedFold(self._machine, fitter=self.fitter)
+        fold.state.decoder, fold.ready = decoder, self._fold.ready
+        self._go_on_with(fold, stored.t_ns, fold.renew())
 
     def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:
         self.close_counts()
