@@ -29,6 +29,9 @@ HOLDS = {
     "adaptive_guidance": "an example",
     "cli": "the commands",
     "deploy": "installation",
+    "compiled": "kernels",
+    "kernel_digest": "what a kernel reads",
+    "state_json": "stored state",
     "models": "how the rig moves",
     "pose": "both bodies, now",
     "record": "data on ticks",
@@ -95,21 +98,26 @@ def between_folders(modules: Mapping[str, str]) -> Arrows:
 
 
 def between_rooms(modules: Mapping[str, str]) -> Arrows:
-    """Of estimator/. A module of the folder itself is a box of its own where a room imports it. The others,
-    among them the fold, are one."""
+    """Of estimator/. Modules of the folder itself that a room imports, and what these import, are boxes of
+    their own. The others, among them the fold, are one."""
     inside = {
         name: source
         for name, source in modules.items()
         if name.startswith("estimator.") and not name.endswith("__init__")
     }
     rooms = {name.split(".")[1] for name in inside if name.count(".") > 1}
-    under = {
-        used.split(".")[1]
-        for name, source in inside.items()
-        if name.split(".")[1] in rooms
-        for used in imported(source)
-        if used.startswith("estimator.")
-    }
+    under: set[str] = set()
+    while True:
+        more = {
+            used.split(".")[1]
+            for name, source in inside.items()
+            if name.split(".")[1] in rooms | under
+            for used in imported(source)
+            if used.startswith("estimator.")
+        } - rooms
+        if more <= under:
+            break
+        under |= more
 
     def box(name: str) -> str | None:
         parts = name.split(".")

@@ -36,7 +36,7 @@ from tilth.estimator.filters.states import (
 )
 from tilth.estimator.filters.tracker_model import (
     Active,
-    Drive,
+    DriveInputs,
     RateJacobians,
     Transition,
     complete_jacobian,
@@ -66,7 +66,7 @@ Array = NDArray[np.float64]
 
 EVERY: Final = 5  # ticks that one set of Jacobians serves
 GATE: Final = 5.0  # sds
-USED, GATED, BAD = 0, 1, 2  # places in Tally.counts
+USED, GATED, BAD = 0, 1, 2  # places in RowTally.counts
 
 
 class Segment(NamedTuple):
@@ -96,7 +96,7 @@ class ProcessNoise(NamedTuple):
     aside: float  # m, sd of the slow sideways error
 
 
-class Tally(NamedTuple):
+class RowTally(NamedTuple):
     """What became of the rows; added to."""
 
     counts: Array  # (3,), rows by USED, GATED, BAD
@@ -271,7 +271,7 @@ def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None
 
 
 @kernel
-def drive_at(ticks: Array, k: int, unknowns: Array) -> Drive:
+def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
     """What drives the rig in the middle of tick k."""
     k = min(k, ticks.shape[0] - 1)
     nxt = min(k + 1, ticks.shape[0] - 1)
@@ -284,7 +284,7 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> Drive:
     gravity_t = GRAVITY * math.sin(0.5 * (ticks[k, ROLL] + ticks[nxt, ROLL]))
     gravity_i = GRAVITY * math.sin(0.5 * (ticks[k, ROLL + 1] + ticks[nxt, ROLL + 1]))
     u = 0.5 * (ticks[k, U] + ticks[nxt, U])
-    return Drive(u, wheel, (late - early) / DT * scale, gravity_t, gravity_i, scale)
+    return DriveInputs(u, wheel, (late - early) / DT * scale, gravity_t, gravity_i, scale)
 
 
 @kernel
@@ -308,7 +308,7 @@ def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
 @kernel
 def tracked(
     segment: Segment, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
-    noise: ProcessNoise, tally: Tally,
+    noise: ProcessNoise, tally: RowTally,
 ) -> None:  # fmt: skip
     """Take a segment into the estimate and the tally.
 

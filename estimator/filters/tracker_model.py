@@ -55,7 +55,7 @@ class Active(NamedTuple):
     geometry: Array  # (a, 9), how the geometry changes with each
 
 
-class Drive(NamedTuple):
+class DriveInputs(NamedTuple):
     """What drives the rig in the middle of a tick."""
 
     u: float  # m/s
@@ -87,7 +87,7 @@ class Transition(NamedTuple):
 
 
 @kernel
-def state_rates(x: Array, drive: Drive, plant: Plant, out: Array) -> None:
+def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     """Fill out (8,), the rates of the states before X_PUSH."""
     plant.w[0] = drive.wheel
     plant.w[1], plant.w[2] = drive.gravity_t + x[X_PUSH], drive.gravity_i + x[X_PUSH + 1]
@@ -100,7 +100,7 @@ def state_rates(x: Array, drive: Drive, plant: Plant, out: Array) -> None:
 
 @kernel
 def rate_jacobians(
-    x: Array, drive: Drive, point: Point, plant: Plant, rig: Rig, active: Active, out: RateJacobians
+    x: Array, drive: DriveInputs, point: Point, plant: Plant, rig: Rig, active: Active, out: RateJacobians
 ) -> None:
     """Fill out, by differences. rig: the machine file's, of which the plant is made."""
     base, near = out.rates, out.nudged
@@ -117,7 +117,7 @@ def rate_jacobians(
     for i in range(X_PUSH):
         out.x[i, X_PSI + 1] = -out.x[i, X_PSI]
         out.x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
-    turned = Drive(
+    turned = DriveInputs(
         drive.u, drive.wheel + NUDGE, drive.wheel_rate, drive.gravity_t, drive.gravity_i, drive.wheel_scale
     )
     state_rates(x, turned, plant, near)
@@ -131,7 +131,7 @@ def rate_jacobians(
 
 @kernel
 def nudged_rates(
-    x: Array, drive: Drive, point: Point, plant: Plant, rig: Rig, active: Active, j: int, out: Array
+    x: Array, drive: DriveInputs, point: Point, plant: Plant, rig: Rig, active: Active, j: int, out: Array
 ) -> bool:
     """Fill out (8,), the rates with the j-th active unknown nudged; whether they depend on it."""
     place = active.places[j]
@@ -200,7 +200,9 @@ def joint_jacobian(jacobians: RateJacobians, active: Active, step: Transition) -
 
 
 @kernel
-def complete_jacobian(x: Array, following: Array, drive: Drive, active: Active, step: Transition) -> None:
+def complete_jacobian(
+    x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
+) -> None:
     """Add to step.F, for one tick, rows of the position, columns of zero, gain and latency; fill step.F_T."""
     F, F_T = step.F, step.F_T
     for j in range(active.places.shape[0]):

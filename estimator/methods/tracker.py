@@ -23,8 +23,8 @@ from tilth.estimator.filters.tracker_kernel import (
     USED,
     JointEstimate,
     ProcessNoise,
+    RowTally,
     Segment,
-    Tally,
     tracked,
 )
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
@@ -173,7 +173,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     considered = np.concatenate(
         [np.zeros(N_TRACKER), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
     )
-    tally = Tally(np.zeros(3), np.zeros((6, 2)))
+    tally = RowTally(np.zeros(3), np.zeros((6, 2)))
     before = (state.mean.copy(), state.covariance.copy())
     tracked(
         Segment(ticks, first, count, np.ascontiguousarray(record.rows)),

@@ -204,6 +204,7 @@ def test_signals_and_a_crash(commands: tuple[dict[str, Command], int], sender: S
     sent = numbered(2500)
     sender.begin([port], [(0, frame, i / 1000) for i, frame in enumerate(sent)])
     sender.finish()
+    until(lambda: len(salvaged(started["KILL"].log.read_bytes())) >= 1000, lambda: None)
     started["KILL"].process.kill()
     for name, signum in (("TERM", signal.SIGTERM), ("INT", signal.SIGINT)):
         command = started[name]

@@ -22,8 +22,8 @@ from tilth.estimator.filters.tracker_kernel import (
     USED,
     JointEstimate,
     ProcessNoise,
+    RowTally,
     Segment,
-    Tally,
     predict_joint_measurement,
     tracked,
 )
@@ -110,7 +110,7 @@ def half_a_stretch(x: Array, point: Array, covariance: Array, P_xx: Array) -> tu
     tracked(
         Segment(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
         SETUP._replace(sds=np.zeros(3)), ACTIVE, np.zeros(N_TRACKER + len(ACTIVE)),
-        ProcessNoise(np.zeros(3), 0.25, 0.0), Tally(np.zeros(3), np.zeros((6, 2))),
+        ProcessNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((6, 2))),
     )  # fmt: skip
     return x, P_xx, P_xtheta
 

@@ -97,7 +97,8 @@ def test_each_kind_of_line(adapter: Adapter, line: Open) -> None:
     adapter.say(b"T18FF000180011223344556677\rt7FF0\rt1231AB\rx1FFFFFFF1ff\r")
     adapter.say(b"r1232\rR18FF00014\rd12391122\r")
     adapter.say(b"T18FF00018001122\rT28FF00010\rt1239\rhello\rt12 10 \r")
-    assert line.take() == 4 + 3
+    taken = [line.take()]
+    until(lambda: sum(taken) == 4 + 3, lambda: taken.append(line.take()))  # a pty may give it in pieces
     assert [(f.can_id, f.extended, f.data.hex()) for f in line.frames] == [
         (0x18FF0001, True, "0011223344556677"),
         (0x7FF, False, ""),
