@@ -77,7 +77,7 @@ LIMITS: Final[Mapping[str, KeyLimits]] = {
     "wheel_angle.zero": KeyLimits(-360.0, 360.0, (-15.0, 15.0), "deg"),
     "wheel_angle.zero.sd": _spread(20.0, "deg"),
     "wheel_angle.gain": KeyLimits(0.5, 2.0, (0.7, 1.4), "1"),
-    "wheel_angle.sd": KeyLimits(5e-4, 10.0, (0.003, 2.0), "deg"),
+    "wheel_angle.sd": KeyLimits(5e-4, 3.0, (0.003, 2.0), "deg"),
     "wheel_angle.delay": KeyLimits(0.0, 2.0, (0.0, 0.3), "s"),
 }
 """By section and key; what is not here is judged with others, by `plausible`. `.sd` is that of a quantity; of
