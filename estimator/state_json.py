@@ -110,9 +110,7 @@ def _build(kind: Any, data: Any, given: dict[str, Any]) -> Any:
             raw = np.frombuffer(base64.b64decode(data["base64"]), dtype="<f8")
             return raw.reshape(data["shape"]).astype(np.float64)
         return np.array(data, dtype=np.float64)
-    expected = dict if origin is dict or is_dataclass(kind) else list
-    if (origin is not None or is_dataclass(kind)) and not isinstance(data, expected):
-        raise TypeError(f"{str(data)[:20]!r} is no {expected.__name__}")
+    _check_form(kind, data)
     if origin in (list, deque):
         return [_build(arguments[0], item, given) for item in data]
     if origin is tuple:
@@ -125,8 +123,16 @@ def _build(kind: Any, data: Any, given: dict[str, Any]) -> Any:
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(data)
     if not isinstance(data, _LEAVES.get(kind, object)):
-        raise TypeError(f"{str(data)[:20]!r} is no {kind.__name__}")
+        raise TypeError(f"{str(data)[:20]!r} is no {getattr(kind, '__name__', kind)}")
     return data
+
+
+def _check_form(kind: Any, data: Any) -> None:
+    """Raises TypeError where a JSON object or a list is expected and is not there."""
+    origin = typing.get_origin(kind)
+    expected = dict if origin is dict or is_dataclass(kind) else list
+    if (origin is not None or is_dataclass(kind)) and not isinstance(data, expected):
+        raise TypeError(f"{str(data)[:20]!r} is no {expected.__name__}")
 
 
 _NUMBER = (bool, int, float)  # JSON does not keep 1.0 and 1 apart everywhere, and arithmetic mixes them
