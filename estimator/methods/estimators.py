@@ -1,7 +1,8 @@
 """The estimators, one row each: an extension point. Tests run over every row.
 
 A row's functions share a state of their own type, which must be plain data (estimator/state_json.py): it is
-stored with the log and taken up again. A row with `fitting` asks for fits, which are made outside the fold.
+stored with the log and taken up again. Its `events` are what happened and was not published yet. A row with
+`fitting` asks for fits, which are made outside the fold.
 """
 
 from collections.abc import Callable
@@ -50,7 +51,6 @@ class Estimator:
     clock_stepped: Callable[
         [Any, int], None
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
-    events: Callable[[Any], list[tuple[str, str]]] = lambda state: []  # (kind, text) since the last call
     fitting: Fitting | None = None
     memory: Memory | None = None
     asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
@@ -66,7 +66,6 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
-        steady_state.events,
         memory=Memory(steady_state.STATES, "x", "p", ("slow_t", "slow_i"), ("steady_s", "sideslip_s")),
     ),
     Estimator(
@@ -76,7 +75,6 @@ ESTIMATORS: tuple[Estimator, ...] = (
         tracker.take,
         tracker.estimate,
         tracker.clock_stepped,
-        tracker.events,
         memory=Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("window_s", "distance")),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
@@ -88,9 +86,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        pem.events,
-        Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
-        Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("fits", "window_s")),
+        fitting=Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
+        memory=Memory(unknowns.NAMES, "mean", "covariance", unknowns.NOISES, ("fits", "window_s")),
     ),
     Estimator(
         two_step.METHOD,
