@@ -25,6 +25,7 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
+from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import Kept
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -273,7 +274,7 @@ def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]
 
 def _events_of(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
     """What a method noticed."""
-    for kind, text in row.events(state.estimators[row.method]):
+    for kind, text in take_events(state.estimators[row.method]):
         if state.consistency.confirmed or kind != "soil_change":  # else it is the file, and not the soil
             _event(state, t_ns, kind, text, out)
             if kind == "soil_change":
@@ -283,7 +284,7 @@ def _events_of(state: State, t_ns: int, row: Estimator, out: list[Publication]) 
 def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:
     """Publish what the methods give at an instant, and once for all of them which is recommended."""
     for estimate in given:
-        consistency.weigh(state.consistency, state.machine, estimate)
+        consistency.check_estimate(state.consistency, state.machine, estimate)
         estimate = consistency.withheld(state.consistency, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))

@@ -19,7 +19,7 @@ from tilth.estimator.warm_start import Kept
 from tilth.schemas.decode import Decoder
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Of the text. It goes up by one with every change of what stands in it or of what that means."""
 
 

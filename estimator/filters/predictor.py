@@ -46,8 +46,8 @@ from tilth.estimator.filters.unknowns import (
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
-from tilth.estimator.models.steady_turn import GRAVITY
 from tilth.estimator.record.record import ROLL, SD, TICK, WHEEL_ANGLE, U
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -1,5 +1,6 @@
 """What a machine file says that the filters need."""
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,7 +12,8 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
+SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own, as pem and tracker have it
+PAIR_SHARE: Final = 0.4  # the same for who takes a pair's heading error as one: steady_state, and advice
 
 
 class RigSetup(NamedTuple):
@@ -23,6 +25,15 @@ class RigSetup(NamedTuple):
     sds: Array  # (3,), of the wheel angle of a tick and of both pairs' slow heading errors, rad
     rig: Rig
     planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
+
+
+def slow_pair_sd(machine: Machine, body: str) -> float | None:
+    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline. None without a pair."""
+    pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
+    if len(pair) != 2:
+        return None
+    length = math.dist(pair[0].position[:2], pair[1].position[:2])
+    return PAIR_SHARE * math.hypot(*(r.position_sd for r in pair)) / length
 
 
 def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:

@@ -49,8 +49,8 @@ def likeliest(marks: list[Mark], mean: Array, covariance: Array) -> Change | Non
     before = np.array([mark.covariance for mark in marks])
     known = np.sqrt(np.einsum("di,kij,dj->kd", DIRECTIONS, before, DIRECTIONS))
     weights = np.linalg.solve(before, DIRECTIONS.T[None])  # [k, 6, d]
-    moved = mean - np.array([mark.mean for mark in marks])
-    score = np.einsum("kid,ki->kd", weights, moved)
+    change = mean - np.array([mark.mean for mark in marks])
+    score = np.einsum("kid,ki->kd", weights, change)
     information = np.einsum("kid,di->kd", weights, DIRECTIONS)
     information -= np.einsum("kid,ij,kjd->kd", weights, covariance, weights)
     sound = (known < KNOWN * DIRECTIONS.sum(axis=1)) & (np.abs(score) > LEAST_CHANGE * information)

@@ -11,9 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.models.steady_turn import GRAVITY, steady_turn
+from tilth.estimator.models.steady_turn import steady_turn
 from tilth.estimator.record.steady_driving import Sample
 from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -54,11 +55,11 @@ def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
     heights = (t.cg_height.value, i.cg_height.value)
     steered, straight = np.tan(delta), np.cos(delta)
     # Across the tractor: slip = ((v + a r)/u − tan δ) cos² δ, and of the force the cosine.
-    turned = np.column_stack([straight**3, np.ones_like(u), np.ones_like(u)])
+    cosines = np.column_stack([straight**3, np.ones_like(u), np.ones_like(u)])
     secant, turn = stiffness, np.zeros_like(stiffness)
     for _ in range(PASSES):
-        driven = np.column_stack([secant * turned, m_t, m_i, u, steered, roll_t, roll_i])
-        turn = steady_turn(driven, a, b, c, d, e, at["rolling"], heights)
+        turn_inputs = np.column_stack([secant * cosines, m_t, m_i, u, steered, roll_t, roll_i])
+        turn = steady_turn(turn_inputs, a, b, c, d, e, at["rolling"], heights)
         v, r, articulation = turn.T
         slip = np.column_stack(
             [
@@ -67,13 +68,13 @@ def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
                 (v - (c + d + e) * r) / u + articulation,
             ]
         )
-        bend = np.maximum(softness * np.abs(slip), 1e-9)
-        secant = stiffness * -np.expm1(-bend) / bend
+        saturation = np.maximum(softness * np.abs(slip), 1e-9)
+        secant = stiffness * -np.expm1(-saturation) / saturation
     v, r, articulation = turn.T
     # The hitch goes u sin λ + (v − c r) cos λ across the implement, not u λ + v − c r.
-    bent = articulation + (d + e) * r / u * (1.0 / np.cos(articulation) - 1.0)
-    shown = v + r * (at["lever_t"] - at["cg_t"])
-    return np.column_stack([r, np.arctan(bent), shown])
+    hitch_angle = articulation + (d + e) * r / u * (1.0 / np.cos(articulation) - 1.0)
+    at_antennas = v + r * (at["lever_t"] - at["cg_t"])
+    return np.column_stack([r, np.arctan(hitch_angle), at_antennas])
 
 
 def linearised(point: Array, sample: Sample, machine: Machine) -> tuple[Array, Array, Array]:

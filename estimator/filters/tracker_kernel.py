@@ -59,8 +59,8 @@ from tilth.estimator.filters.unknowns import (
     AT_WHEEL_ZERO,
 )
 from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.models.steady_turn import GRAVITY
 from tilth.estimator.record.record import HEADING, NORTH, ROLL, SD, TICK, VALUE, VELOCITY, YAW_RATE, U
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -315,7 +315,7 @@ def tracked(
     places: (a,), of the active ones of unknowns.NAMES. considered: (16 + a,), 1.0 for what may not be
     learned.
     """
-    ticks, first, count, rows = segment
+    ticks, first, length, rows = segment
     x, unknowns, counts, sums = estimate.x, estimate.unknowns, tally.counts, tally.sums
     na = places.shape[0]
     P = pack_covariance(estimate, places)
@@ -335,7 +335,7 @@ def tracked(
     h, H, F_P = np.zeros(n), np.zeros(n), np.zeros((N_TRACKER, n))
     work = UpdateWork(np.zeros(n), np.zeros(n), np.zeros(N_TRACKER))
     row, m = 0, rows.shape[0]
-    for k in range(first, first + count):
+    for k in range(first, first + length):
         for i in range(6):
             theta[i] = math.exp(unknowns[i])
         if (k - first) % EVERY == 0:

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tilth.estimator.models.relaxation import input_matrix, system_matrix
-from tilth.estimator.models.steady_turn import GRAVITY, steady_turn
+from tilth.estimator.models.steady_turn import steady_turn
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ WEIGHTS: Final = (4.0, 1.0)  # w_r, w_lambda of 7.15
 EVERY: Final = 10  # ticks between two samples of the outputs: the dissertation's receivers gave 5 a second
 DT: Final = TICK_NS * 1e-9
 KEPT: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: those of 7.9, without the lateral position
-SEEN: Final = (1, 2, 6, 7)  # of these: yaw rates and headings, the outputs of 7.18
+OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: yaw rates and headings, the outputs of 7.18
 FIRST_GAIN: Final = 0.3  # of each output on its own state, where the search for K begins
 FREEDOM: Final = 2.0  # a logarithm is sought within this of where it began
 STEER_RANGE: Final = math.radians(1.2)  # of the wheel angle for as long as it takes to be steady
@@ -101,20 +102,20 @@ def merge_scalar(values: Sequence[float], sds: Sequence[float]) -> tuple[float, 
 
 def identify(window: Window) -> TwoStep:
     """Both steps on one run."""
-    told = _outputs(window)
+    outputs = _outputs(window)
     start = window.start
-    if told is None:
-        return _nothing(start, 0.0, 0.0, "yaw rates or headings of both bodies are not measured")
-    straight = np.abs(told.y[:, 0]) < STRAIGHT
-    zero = float(told.wheel[told.at[straight]].mean()) if straight.any() else 0.0
-    told.wheel[:] -= zero
+    if outputs is None:
+        return _not_found(start, 0.0, 0.0, "yaw rates or headings of both bodies are not measured")
+    straight = np.abs(outputs.y[:, 0]) < STRAIGHT
+    zero = float(outputs.wheel[outputs.at[straight]].mean()) if straight.any() else 0.0
+    outputs.wheel[:] -= zero
     straight_s = float(straight.sum() * EVERY * DT)
-    steady = _steady(told, window.geometry)
+    steady = _steady(outputs, window.geometry)
     if len(steady) < LEAST_SAMPLES:
-        return _nothing(start, zero, straight_s, "no steady turn in this run")
-    stiffness, sd_stiffness, rank, within = _stiffnesses(told, steady, window)
+        return _not_found(start, zero, straight_s, "no steady turn in this run")
+    stiffness, sd_stiffness, rank, within = _stiffnesses(outputs, steady, window)
     theta = np.concatenate([stiffness, start[3:]])
-    lengths, sd_lengths, also_within = _relaxation_lengths(told, window.geometry, theta)
+    lengths, sd_lengths, also_within = _relaxation_lengths(outputs, window.geometry, theta)
     reason = "" if within and also_within else "a parameter went to the end of where it is sought"
     return TwoStep(
         values=np.concatenate([stiffness, lengths]),
@@ -128,7 +129,7 @@ def identify(window: Window) -> TwoStep:
     )
 
 
-def _nothing(start: Array, zero: float, straight_s: float, reason: str) -> TwoStep:
+def _not_found(start: Array, zero: float, straight_s: float, reason: str) -> TwoStep:
     return TwoStep(start.copy(), np.zeros(6), (False, False), 0, zero, straight_s, 0.0, reason)
 
 
@@ -148,11 +149,11 @@ def _outputs(window: Window) -> Outputs | None:
 
 def _series(rows: Array, kind: float, place: int, at: NDArray[np.int64]) -> Array | None:
     """Values of one kind and place at ticks, linear between; the mean of those at one instant."""
-    own = rows[(rows[:, 2] == kind) & (rows[:, 3] == place)]
-    if len(own) < 2:
+    chosen = rows[(rows[:, 2] == kind) & (rows[:, 3] == place)]
+    if len(chosen) < 2:
         return None
-    instants, which = np.unique(own[:, 0] * DT + own[:, 1], return_inverse=True)
-    values = np.bincount(which, own[:, 4]) / np.bincount(which)
+    instants, which = np.unique(chosen[:, 0] * DT + chosen[:, 1], return_inverse=True)
+    values = np.bincount(which, chosen[:, 4]) / np.bincount(which)
     return np.asarray(np.interp(at * DT, instants, values))
 
 
@@ -174,31 +175,33 @@ def _heading(rows: Array, body: int, at: NDArray[np.int64], levers: Array, near:
     return np.asarray(near + (angle - near + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _steady(told: Outputs, geometry: Array) -> NDArray[np.int64]:
+def _steady(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
     """Indices into told.y of the steady turn: the wheels have stood still for long enough."""
-    settling = math.ceil(SETTLING_LENGTHS * float(geometry[3] + geometry[4]) / float(told.u.mean()) / DT)
+    settling = math.ceil(SETTLING_LENGTHS * float(geometry[3] + geometry[4]) / float(outputs.u.mean()) / DT)
     chosen = []
-    for k, tick in enumerate(told.at):
-        lately = told.wheel[max(tick - settling, 0) : tick + 1]
+    for k, tick in enumerate(outputs.at):
+        lately = outputs.wheel[max(tick - settling, 0) : tick + 1]
         still = len(lately) > settling and float(np.ptp(lately)) < STEER_RANGE
         if still and abs(float(lately[-1])) > TURNING:
             chosen.append(k)
     return np.array(chosen, dtype=np.int64)
 
 
-def _stiffnesses(told: Outputs, steady: NDArray[np.int64], window: Window) -> tuple[Array, Array, int, bool]:
+def _stiffnesses(
+    outputs: Outputs, steady: NDArray[np.int64], window: Window
+) -> tuple[Array, Array, int, bool]:
     """(C_af, C_ar, C_ai; their sds; rank; whether within FREEDOM): the minimum of 7.15, by way of logarithms.
 
     What little of a third number speed and roll bring in decides where on the line of good answers it ends.
     """
-    g, ticks, n = window.geometry, told.at[steady], np.ones(len(steady))
+    g, ticks, n = window.geometry, outputs.at[steady], np.ones(len(steady))
     rolls = window.record.ticks[ticks, 6:8]
-    measured = np.column_stack([told.y[steady, 0], told.y[steady, 2] - told.y[steady, 3]])
+    measured = np.column_stack([outputs.y[steady, 0], outputs.y[steady, 2] - outputs.y[steady, 3]])
     scale = np.sqrt(np.array(WEIGHTS) / len(steady))
 
     def residuals(logs: Array) -> Array:
         fixed = [value * n for value in (*np.exp(logs), g[5], g[6])]
-        inputs = np.column_stack([*fixed, told.u[ticks], told.wheel[ticks], rolls])
+        inputs = np.column_stack([*fixed, outputs.u[ticks], outputs.wheel[ticks], rolls])
         turn = steady_turn(inputs, g[0], g[1], g[2], g[3], g[4])
         return np.asarray(((measured - turn[:, 1:]) * scale).ravel())
 
@@ -208,58 +211,58 @@ def _stiffnesses(told: Outputs, steady: NDArray[np.int64], window: Window) -> tu
     _, singular, directions = np.linalg.svd(found.jac, full_matrices=False)
     variance = 2 * found.cost / max(found.fun.size - 3, 1)
     # Along the line the sd is as good as infinite, not none.
-    spread = directions.T / np.maximum(singular, NOTHING * singular[0])
-    sd = np.sqrt(np.sum(spread**2, axis=1) * variance)
+    root = directions.T / np.maximum(singular, NOTHING * singular[0])
+    sd = np.sqrt(np.sum(root**2, axis=1) * variance)
     within = bool(np.all(np.abs(found.x - began) < 0.99 * FREEDOM))
     return values, values * sd, int(np.sum(singular > FLAT * singular[0])), within
 
 
 @dataclass(frozen=True, slots=True)
-class _Steps:
+class _Discrete:
     """The relaxation model from one sample of the outputs to the next."""
 
-    transition: Array  # [8, 8]
-    driven: Array  # [k - 1, 8] what the inputs add
+    F: Array  # [8, 8]
+    added: Array  # [k - 1, 8] what the inputs add
 
 
-def _steps(told: Outputs, geometry: Array, theta: Array) -> _Steps:
+def _discretise(outputs: Outputs, geometry: Array, theta: Array) -> _Discrete:
     """Exact for inputs that are held over a tick, at the mean speed."""
-    u = float(told.u.mean())
+    u = float(outputs.u.mean())
     a = system_matrix(u, geometry, theta)[np.ix_(KEPT, KEPT)]
     b = input_matrix(u, geometry, theta)[list(KEPT)]
-    f, held, power, factor = np.eye(8), DT * np.eye(8), np.eye(8), 1.0
+    F, held, power, factor = np.eye(8), DT * np.eye(8), np.eye(8), 1.0
     for order in range(1, 12):
         power, factor = power @ a, factor * DT / order
-        f = f + factor * power
+        F = F + factor * power
         held = held + factor * DT / (order + 1) * power
-    inputs = np.column_stack([told.wheel, told.gravity])
+    inputs = np.column_stack([outputs.wheel, outputs.gravity])
     middles = (inputs[:-1] + inputs[1:]) / 2
-    n = (len(told.at) - 1) * EVERY
+    n = (len(outputs.at) - 1) * EVERY
     added = (middles[:n] @ (held @ b).T).reshape(-1, EVERY, 8)
-    driven = np.zeros((len(added), 8))
+    effect = np.zeros((len(added), 8))
     for j in range(EVERY):
-        driven = driven @ f.T + added[:, j]
-    return _Steps(np.linalg.matrix_power(f, EVERY), driven)
+        effect = effect @ F.T + added[:, j]
+    return _Discrete(np.linalg.matrix_power(F, EVERY), effect)
 
 
 def _errors(
-    told: Outputs, steps: Sequence[_Steps], gains: Array, first: Array, which: NDArray[np.intp]
+    outputs: Outputs, steps: Sequence[_Discrete], gains: Array, first: Array, which: NDArray[np.intp]
 ) -> Array:
     """Prediction errors [q, k, 4] of q predictors (7.19). gains [q, 8, 4], first states [q, 8], and which of
     the steps each takes."""
-    transitions = np.array([s.transition for s in steps])[which]
-    driven = np.array([s.driven for s in steps])
+    transitions = np.array([s.F for s in steps])[which]
+    added = np.array([s.added for s in steps])
     x = first.copy()
-    errors = np.zeros((len(x), *told.y.shape))
-    for k, y in enumerate(told.y):
-        e = errors[:, k] = y - x[:, SEEN]
-        if k < len(told.y) - 1:
+    errors = np.zeros((len(x), *outputs.y.shape))
+    for k, y in enumerate(outputs.y):
+        e = errors[:, k] = y - x[:, OUTPUT_STATES]
+        if k < len(outputs.y) - 1:
             x = np.einsum("qij,qj->qi", transitions, x + np.einsum("qij,qj->qi", gains, e))
-            x = np.clip(x + driven[which, k], -WILD, WILD)
+            x = np.clip(x + added[which, k], -WILD, WILD)
     return errors
 
 
-def _relaxation_lengths(told: Outputs, geometry: Array, theta: Array) -> tuple[Array, Array, bool]:
+def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tuple[Array, Array, bool]:
     """(sigma_f, sigma_r, sigma_i; their sds; whether within FREEDOM).
 
     Sought: their logarithms, K (8 x 4) and the first state, 43 numbers. Each output counts by the sd of its
@@ -267,18 +270,18 @@ def _relaxation_lengths(told: Outputs, geometry: Array, theta: Array) -> tuple[A
     """
     began = np.log(theta[3:])
     first = np.zeros(8)
-    first[list(SEEN)] = told.y[0]
+    first[list(OUTPUT_STATES)] = outputs.y[0]
     gain = np.zeros((8, 4))
-    gain[SEEN, range(4)] = FIRST_GAIN
+    gain[OUTPUT_STATES, range(4)] = FIRST_GAIN
     point = np.concatenate([began, gain.ravel(), first])
     nudges = np.concatenate([np.full(3, 1e-4), np.full(40, 1e-5)])
 
     def run(points: Array) -> Array:
         # Points that share their relaxation lengths share the model.
         lengths, which = np.unique(points[:, :3], axis=0, return_inverse=True)
-        steps = [_steps(told, geometry, np.concatenate([theta[:3], np.exp(one)])) for one in lengths]
+        steps = [_discretise(outputs, geometry, np.concatenate([theta[:3], np.exp(one)])) for one in lengths]
         gains = points[:, 3:35].reshape(-1, 8, 4)
-        return _errors(told, steps, gains, points[:, 35:], which.ravel())
+        return _errors(outputs, steps, gains, points[:, 35:], which.ravel())
 
     scale = np.sqrt(np.mean(run(point[None])[0] ** 2, axis=0))
 

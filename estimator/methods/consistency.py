@@ -45,10 +45,10 @@ FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is
 RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
 OUTLIERS: Final = 0.25  # share of the rows of the last WATCHED stretches that nothing explains
 WATCHED: Final = 100
-TOLD: Final = 40  # stretches with steering (8 s) before the filter with the file left open is believed
+LEAST_STRETCHES: Final = 40  # with steering (8 s), before the filter with the file left open is believed
 LATENCIES: Final = 30.0  # chi-square of three differences of latency
 PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
-HEARD: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
+PARKED_POSES: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
 
 EDGE: Final = 6.0  # of what a right file may differ by
 
@@ -78,7 +78,7 @@ class Finding:
     text: str
     poses: int = 0  # in a row in which it was found
     absent: int = 0  # in a row in which it was not
-    said: bool = False  # it lasted long enough to count
+    counts: bool = False  # it lasted long enough to count
     by_method: bool = False  # it shows in what a method gives, which therefore has to go on learning
     lasted: int = 0  # poses since it counts
 
@@ -124,9 +124,9 @@ def observe(
     return _judge(state, machine, found, by_method)
 
 
-def weigh(state: Consistency, machine: Machine, estimate: Estimate) -> None:
+def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
     """Look at what a method gives, before anything of it is withheld."""
-    found = _no_tyre(machine, estimate)
+    found = _implausible_stiffness(machine, estimate)
     limits = dict(zip(open_tracker.NAMES, EDGE * open_tracker.allowed(machine), strict=True))
     for name, (value, _) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
@@ -138,17 +138,17 @@ def weigh(state: Consistency, machine: Machine, estimate: Estimate) -> None:
 
 def contradicted(state: Consistency) -> str:
     """Why no number may be given, in words that name the keys; "" where nothing is contradicted."""
-    return "; ".join(finding.text for finding in state.findings.values() if finding.said)
+    return "; ".join(finding.text for finding in state.findings.values() if finding.counts)
 
 
 def stops_learning(state: Consistency) -> bool:
     """Whether what is measured now must not teach."""
-    return any(finding.said and not finding.by_method for finding in state.findings.values())
+    return any(finding.counts and not finding.by_method for finding in state.findings.values())
 
 
 def flags(state: Consistency) -> list[str]:
     """`contradiction:<key>` of all that counts now."""
-    return [f"{CONTRADICTION}:{finding.key}" for finding in state.findings.values() if finding.said]
+    return [f"{CONTRADICTION}:{finding.key}" for finding in state.findings.values() if finding.counts]
 
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
@@ -236,7 +236,7 @@ def _parked(aligner: Aligner) -> dict[str, str]:
     return {
         key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
         for key, what, mean in zip(keys, _OFFSETS, aligner.lasting.parked, strict=True)
-        if mean.count >= HEARD and abs(mean.value) > PARKED
+        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED
     }
 
 
@@ -249,8 +249,8 @@ def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
     prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
     differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
     off = differences @ aligner.latency.tau[present]
-    spread = differences @ prior[np.ix_(present, present)] @ differences.T
-    if float(off @ np.linalg.solve(spread, off)) < LATENCIES:
+    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
+    if float(off @ np.linalg.solve(covariance, off)) < LATENCIES:
         return {}
     key = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
     return {key: f"distances between the receivers fit no likely latency: {key}?"}
@@ -258,16 +258,16 @@ def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
 
 def _left_open(state: Consistency, machine: Machine) -> dict[str, str]:
     """What the tracker with the file left open says of it."""
-    if len(state.rows) < TOLD:
+    if len(state.rows) < LEAST_STRETCHES:
         return {}
     now = open_tracker.misfit(state.open, machine)
-    known = any(key in state.findings and state.findings[key].said for key in _KEYS.values())
+    known = any(key in state.findings and state.findings[key].counts for key in _KEYS.values())
     share = ENDS if known else 1.0
     best = float(now.by_name.max())
     if best < share * BEGINS and now.total < share * BEGINS_TOTAL:
         return {}
     if known:  # under its first name for as long as it lasts
-        return {f.key: f.text for f in state.findings.values() if f.said and f.key in _KEYS.values()}
+        return {f.key: f.text for f in state.findings.values() if f.counts and f.key in _KEYS.values()}
     order = np.argsort(-now.by_name)
     names = [open_tracker.NAMES[k] for k in order if now.by_name[k] >= RIVAL * best]
     others = "".join(f", or {_KEYS[name]}" for name in names[1:3])
@@ -305,7 +305,7 @@ def _outliers(state: Consistency) -> dict[str, str]:
     return {"receiver": text}
 
 
-def _no_tyre(machine: Machine, estimate: Estimate) -> dict[str, str]:
+def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:
     """Stiffnesses that no tyre has under its static load, as the key that must be wrong."""
     loads = static_loads(rig_of(machine))
     for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
@@ -331,27 +331,27 @@ def _judge(
         finding = state.findings.setdefault(key, Finding(key, text))
         finding.by_method = key in by_method
         finding.poses, finding.absent = finding.poses + 1, 0
-        if not finding.said:
+        if not finding.counts:
             finding.text = text
         opened = key in _KEYS.values() and key not in by_method
         if opened and finding.poses == LASTS_OPEN and not state.accused:
             _try_again(state, machine, key)
             continue
-        if finding.poses >= (LASTS_OPEN if opened else LASTS) and not finding.said:
-            finding.said = True
+        if finding.poses >= (LASTS_OPEN if opened else LASTS) and not finding.counts:
+            finding.counts = True
             state.confirmed = False
             events.append((CONTRADICTION, f"{text} Until this is over no number is given"))
     for key, finding in list(state.findings.items()):
-        finding.lasted += finding.said
+        finding.lasted += finding.counts
         if key in found:
             continue
         finding.poses, finding.absent = 0, finding.absent + 1
-        if not finding.said or finding.absent >= OVER:
+        if not finding.counts or finding.absent >= OVER:
             del state.findings[key]
-            if finding.said:
+            if finding.counts:
                 events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
                 state.forgets |= finding.lasted - OVER >= FORGETS
-    if not any(f.said for f in state.findings.values()):
+    if not any(f.counts for f in state.findings.values()):
         _confirm(state, machine)
     return events
 
@@ -374,7 +374,8 @@ def _confirm(state: Consistency, machine: Machine) -> None:
         return
     wide = open_tracker.still_open(now)
     known = state.rates_known and not motion_check.waits(state.motion)
-    state.confirmed = not wide and state.agreed >= SETTLES and len(state.rows) >= TOLD and known
+    enough = state.agreed >= SETTLES and len(state.rows) >= LEAST_STRETCHES
+    state.confirmed = not wide and enough and known
     state.accused &= not state.confirmed
     if not wide and not fits:
         state.lacks = _doubt(now)

@@ -1,8 +1,8 @@
 """The estimators, one row each: an extension point. Tests run over every row.
 
 A row's functions share a state of their own type. It is stored with the log and taken up again: `to_json`
-writes all of it, `from_json` reads it back. A row with `fitting` asks for fits, which are made outside the
-fold.
+writes all of it, `from_json` reads it back. Its `events` are what happened and was not published yet. A row
+with `fitting` asks for fits, which are made outside the fold.
 """
 
 from collections.abc import Callable
@@ -53,7 +53,6 @@ class Estimator:
     clock_stepped: Callable[
         [Any, int], None
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
-    events: Callable[[Any], list[tuple[str, str]]] = lambda state: []  # (kind, text) since the last call
     fitting: Fitting | None = None
     memory: Memory | None = None
     asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
@@ -70,7 +69,6 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
-        steady_state.events,
         memory=Memory(
             steady_state.STATES, ("slow_t", "slow_i"), learned.of_steady_state, learned.into_steady_state
         ),
@@ -83,7 +81,6 @@ ESTIMATORS: tuple[Estimator, ...] = (
         tracker.take,
         tracker.estimate,
         tracker.clock_stepped,
-        tracker.events,
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_tracker, learned.into_tracker),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
@@ -96,9 +93,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        pem.events,
-        Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
-        Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
+        fitting=Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
+        memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
         two_step.METHOD,

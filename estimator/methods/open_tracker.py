@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import tracker
@@ -79,22 +80,20 @@ def initial(machine: Machine) -> TrackerState:
 def take(state: TrackerState, machine: Machine, stretch: Stretch) -> bool:
     """Take one stretch; whether it told anything of what only steering tells."""
     tracker.take_stretch(state, machine, stretch)
-    state.told.clear()
+    state.events.clear()
     state.marks.clear()  # a change of soil is the tracker's own to find
-    told = not state.reason and state.waiting is not None
-    if told:
+    taught = not state.reason and state.waiting is not None
+    if taught:
         _forget(state)
-    return told
+    return taught
 
 
 def _forget(state: TrackerState) -> None:
     """Let what was found fade towards the prior: a receiver may be moved in the middle of a day."""
     for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
-        keep = math.exp(-1.0 / memory)
-        state.covariance[places, :] *= keep
-        state.covariance[:, places] *= keep
-        state.covariance[places, places] += (1.0 - keep**2) * state.prior_sd[places] ** 2
-        state.P_xtheta[:, places] *= keep
+        kept = math.exp(-1.0 / memory)
+        drift(state.covariance, np.array(places), kept, state.prior_sd)
+        state.P_xtheta[:, places] *= kept
 
 
 def misfit(state: TrackerState, machine: Machine) -> Misfit:

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.drift import drift, kept_over
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.record.record import Record, Stretch
-from tilth.estimator.record.windows import OPEN, WINDOW, collect, refuse, said_of_late
+from tilth.estimator.record.windows import OPEN, WINDOW, collect, describe_late, refuse
 from tilth.estimator.results import advice
-from tilth.estimator.results.reporting import PUBLISH_NS, WORST, forgotten, of_six
+from tilth.estimator.results.reporting import PUBLISH_NS, WORST, of_six
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -91,7 +92,7 @@ class PemState:
     given: list[bool] = field(default_factory=lambda: [False] * 6)
     last: Fit | None = None
     reason: str = ""
-    told: list[str] = field(default_factory=list)  # events to be published
+    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
 
 def initial(machine: Machine) -> PemState:
@@ -123,11 +124,8 @@ def wanted(state: PemState, t_ns: int) -> Job | None:
 
 def _drifted(state: PemState) -> tuple[Array, Array]:
     """What is known, grown older: the six drift over distance towards the prior, noise levels begin anew."""
-    keep = forgotten(state.distance)
     covariance = state.covariance.copy()
-    covariance[SIX, :] *= keep
-    covariance[:, SIX] *= keep
-    covariance[SIX, SIX] += (1.0 - keep**2) * np.diag(state.prior_sd[SIX] ** 2)
+    drift(covariance, np.arange(6), kept_over(state.distance), state.prior_sd)
     covariance[NOISE, :] = 0.0
     covariance[:, NOISE] = 0.0
     noise_sd = np.full(NOISE.stop - NOISE.start, NOISE_SD) if state.fits else state.prior_sd[NOISE]
@@ -141,8 +139,8 @@ def fit(machine: Machine, job: Job) -> Fit:
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
     found = likelihood.maximise_posterior(job.record, setup, mean, covariance, prior_mean)
-    moved = found.mean[SIX] - mean[SIX]
-    changed = _contradiction(moved, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGED
+    change = found.mean[SIX] - mean[SIX]
+    changed = _contradiction(change, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGED
     if changed:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
@@ -192,20 +190,20 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
-        state.told.append(said_of_late(state.late_ns, False))
+        state.events.append(("fit", describe_late(state.late_ns, False)))
         return estimate(state, machine, t_ns)
     if state.late_ns:
         state.late += 1
-        state.told.append(said_of_late(state.late_ns, True))
+        state.events.append(("fit", describe_late(state.late_ns, True)))
     state.last = made
     if made.refused:
         refuse(state, made.refused)
-        state.told.append(made.refused)
+        state.events.append(("fit", made.refused))
         return estimate(state, machine, t_ns)
     if made.changed:
         state.changes += 1
         state.window_s = 0.0
-        state.told.append(_what_changed(job, made))
+        state.events.append(("soil_change", _what_changed(job, made)))
     state.mean, state.covariance = made.mean, made.covariance
     state.informed_ns = job.closed_ns
     state.window_s += len(job.record.ticks) * 0.02
@@ -217,12 +215,6 @@ def _what_changed(job: Job, made: Fit) -> str:
     ratios = np.exp(made.mean[SIX] - job.mean[SIX])
     words = ", ".join(f"{name} × {ratio:.2f}" for name, ratio in zip(PARAMETERS, ratios, strict=True))
     return f"the soil holds the tyres differently: {words}; what was learned of it before is given up"
-
-
-def events(state: PemState) -> list[tuple[str, str]]:
-    """(kind, text) of what happened since the last call."""
-    told, state.told = state.told, []
-    return [("soil_change" if text.startswith("the soil") else "fit", text) for text in told]
 
 
 def clock_stepped(state: PemState, by_ns: int) -> None:

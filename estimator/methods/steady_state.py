@@ -23,6 +23,9 @@ from filterpy.kalman import update
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.drift import kept_over
+from tilth.estimator.filters.rig_setup import slow_pair_sd
+from tilth.estimator.filters.states import PAIR_MEMORY_S
 from tilth.estimator.filters.steady_outputs import CONSTANTS, largest_slip, linearised
 from tilth.estimator.pose.aligner import POSE_NS
 from tilth.estimator.record.record import Stretch
@@ -33,7 +36,6 @@ from tilth.estimator.results.reporting import (
     LOST,
     PUBLISH_NS,
     age_s,
-    forgotten,
     nothing_yet,
     parameter,
     per_mass,
@@ -58,8 +60,7 @@ TEACHING_ANGLE = math.radians(1.0)
 squares of noise would add up to information that nobody received."""
 VAGUE = 3.0  # sd of a compliance over the prior mean's before any data: a flat prior beside the logarithm's
 LARGEST_SLIP = math.radians(6.0)  # of an axle: beyond, one number for the tyre curve is not enough
-CORRELATED_SHARE = 0.4  # of a position's sd that stays for PAIR_MEMORY and does not cancel in a pair
-PAIR_MEMORY_S = 20.0
+WITHOUT_PAIR = math.radians(2.0)  # sd of a heading error that lasts, of a body without two receivers
 GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
 SURPRISE_MEMORY = 10.0  # samples, 10 s
 LARGEST_SURPRISE = 6.0  # that one sample may count for
@@ -93,27 +94,19 @@ class SteadyState:
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
     reason: str = ""  # why the latest pose taught nothing
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
-    said: list[tuple[str, str]] = field(default_factory=list)  # (kind, text) of events not yet taken
+    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
 
 def initial(machine: Machine) -> SteadyState:
     """At the machine file's priors."""
     mean, sd = unknowns.prior(machine)
     chosen = [unknowns.AT[name] for name in CONSTANTS]
-    slow = [_slow_sd(machine, body) for body in ("tractor", "implement")]
+    pairs = [slow_pair_sd(machine, body) for body in ("tractor", "implement")]
+    slow = [WITHOUT_PAIR if sd is None else sd for sd in pairs]
     prior = np.concatenate([sd[chosen], slow])
     x = np.concatenate([np.ones(3), mean[chosen][3:], [0.0, 0.0]])
     p = np.diag(np.concatenate([np.full(3, VAGUE), prior[3:]]) ** 2)
     return SteadyState(x, p, prior, mean[:3], mean[:3].copy(), np.diag(prior[:3] ** 2))
-
-
-def _slow_sd(machine: Machine, body: str) -> float:
-    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline."""
-    pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
-    if len(pair) < 2:
-        return math.radians(2.0)
-    length = math.dist(pair[0].position[:2], pair[1].position[:2])
-    return CORRELATED_SHARE * math.hypot(*(r.position_sd for r in pair)) / length
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, stretch: Stretch | None = None) -> Estimate | None:
@@ -125,20 +118,14 @@ def take(state: SteadyState, machine: Machine, pose: Pose, stretch: Stretch | No
     sample, state.reason = observe(state.steadiness, pose, seconds, length)
     if state.reason:
         state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
-    elif sample is not None and _learn(state, machine, sample):
+    elif sample is not None and _update(state, machine, sample):
         state.informed_ns = pose.t_ns
     if pose.t_ns - state.published_ns < PUBLISH_NS:
         return None
     state.published_ns = pose.t_ns
-    _conclude(state)
-    _judge(state)
+    _find_posterior(state)
+    _support(state)
     return estimate(state, machine, pose.t_ns)
-
-
-def events(state: SteadyState) -> list[tuple[str, str]]:
-    """(kind, text) of what has happened since this was last asked."""
-    said, state.said = state.said, []
-    return said
 
 
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
@@ -152,7 +139,7 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     """Ornstein-Uhlenbeck drift: soil over distance, multipath over time, both towards the prior."""
     seconds = min(seconds, 3600.0) if math.isfinite(seconds) else 0.0
     distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
-    forgets = forgotten(distance)
+    forgets = kept_over(distance)
     keep = np.ones(len(STATES))
     keep[SOIL] = forgets
     keep[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
@@ -163,31 +150,31 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     state.p = state.p * np.outer(keep, keep) + np.diag(more)
 
 
-def _learn(state: SteadyState, machine: Machine, sample: Sample) -> bool:
+def _update(state: SteadyState, machine: Machine, sample: Sample) -> bool:
     """One update. Whether it taught of stiffness: not straight driving, nor outputs too far from expected."""
     zero = float(state.x[AT["wheel_zero"]])
     teaches = abs(sample.wheel_angle - zero) > TEACHING_ANGLE
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
         return _refuse(state, "slip beyond the tyre model")
     try:
-        predicted, slope, spread = _linearise(state, machine, sample, teaches)
+        predicted, slope, input_noise = _linearise(state, machine, sample, teaches)
     except np.linalg.LinAlgError:
         return _refuse(state, "no steady turn exists at these stiffnesses")
-    measured, noise = _outputs(sample, spread)
+    measured, noise = _measured(sample, input_noise)
     rows = [0, 1] if sample.v is None else [0, 1, 2]
     innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
-    expected = slope @ state.p @ slope.T + noise
-    distance = float(innovation @ np.linalg.solve(expected, innovation))
+    S = slope @ state.p @ slope.T + noise
+    distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
         return _refuse(state, "not a number")
     state.surprise += (min(distance / len(rows), LARGEST_SURPRISE) - state.surprise) / SURPRISE_MEMORY
     if state.surprise > SURPRISED:
-        _forget(state)
+        _learn_anew(state)
     if distance > GATE[len(rows)]:
         return _refuse(state, "outlier")
     x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)[:2]
     state.x, state.p = x, (p + p.T) / 2
-    _conclude(state)
+    _find_posterior(state)
     if teaches:
         state.steady_s += BLOCK * POSE_NS * 1e-9
         state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
@@ -200,12 +187,12 @@ def _refuse(state: SteadyState, reason: str) -> bool:
     return False
 
 
-def _forget(state: SteadyState) -> None:
+def _learn_anew(state: SteadyState) -> None:
     """What was learned no longer explains what is seen: keep the values, give up the confidence in them."""
     if state.steady_s > 0:
         taught = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
         text = f"{taught}: the stiffnesses are learned anew"
-        state.said.append(("soil_change", text))
+        state.events.append(("soil_change", text))
     changed = [0, 1, 2, *SOIL]
     state.p[changed, :] = 0.0
     state.p[:, changed] = 0.0
@@ -223,11 +210,11 @@ def _linearise(
     At the logarithms of data and prior, which are those of a stiffness above zero.
     """
     n, x = len(CONSTANTS), state.x
-    predicted, over, noisy = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
+    predicted, jacobian, input_jacobian = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
     compliance = np.exp(state.prior_logs - state.logs)
     slope = np.zeros((3, len(STATES)))
-    slope[:, :n] = over
-    slope[:, :3] = -over[:, :3] / compliance
+    slope[:, :n] = jacobian
+    slope[:, :3] = -jacobian[:, :3] / compliance
     if not teaches:
         idle = [k for k in range(n) if k not in STRAIGHT]
         slope[:, idle] = 0.0
@@ -239,21 +226,21 @@ def _linearise(
     pairs = [AT[name] for name in ("pair_t", "pair_i", "slow_t", "slow_i")]
     predicted = predicted + slope[:, pairs] @ x[pairs]
     sd = (sample.sd_velocity, sample.sd_wheel_angle, sample.sd_roll_t, sample.sd_roll_i)
-    driven = noisy * np.array(sd)
-    return predicted, slope, driven @ driven.T
+    scaled = input_jacobian * np.array(sd)
+    return predicted, slope, scaled @ scaled.T
 
 
-def _outputs(sample: Sample, spread: Array) -> tuple[Array, Array]:
+def _measured(sample: Sample, input_noise: Array) -> tuple[Array, Array]:
     """(measured [3], white noise covariance [3, 3]) in the order of steady_outputs.OUTPUTS."""
     measured = np.array([sample.yaw_rate, sample.articulation, sample.v or 0.0])
     # One heading error enters both articulation and lateral velocity.
     mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -sample.u, 0.0, 1.0]])
     sd = (sample.sd_yaw_rate, sample.sd_heading_t, sample.sd_heading_i, sample.sd_velocity)
     noise = mixing * np.array(sd)
-    return measured, noise @ noise.T + spread
+    return measured, noise @ noise.T + input_noise
 
 
-def _told(state: SteadyState) -> tuple[Array, Array]:
+def _data_information(state: SteadyState) -> tuple[Array, Array]:
     """What data alone say of the three compliances: information [3, 3], and that times the value [3]."""
     inverse = np.linalg.inv(state.p[:3, :3])
     information = inverse - np.eye(3) / VAGUE**2
@@ -263,9 +250,9 @@ def _told(state: SteadyState) -> tuple[Array, Array]:
     return whole, kept @ (kept.T @ (inverse @ state.x[:3] - np.ones(3) / VAGUE**2))
 
 
-def _conclude(state: SteadyState) -> None:
+def _find_posterior(state: SteadyState) -> None:
     """Logarithms of most probable stiffness and their covariance, from data and prior: Newton's method."""
-    information, vector = _told(state)
+    information, vector = _data_information(state)
     weight = np.diag(state.prior[:3] ** -2)
 
     def cost(at: Array) -> float:
@@ -302,7 +289,7 @@ def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[i
     return rank, float(values[-1] / values[0])
 
 
-def _judge(state: SteadyState) -> None:
+def _support(state: SteadyState) -> None:
     """Which stiffnesses the data support: each comes at SUPPORTED and goes at LOST."""
     for k, was in enumerate(state.supported):
         limit = LOST if was else SUPPORTED
@@ -314,7 +301,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     """What can be said now."""
     rank, condition = identifiability(state)
     information = advice.information_of(state.log_p, state.prior[:3])
-    told = advice.bound(information, state.prior[:3])
+    bounds = advice.bound(information, state.prior[:3])
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
     covariance = np.diag(unknowns.prior(machine)[1][unknowns.SIX] ** 2)
@@ -335,7 +322,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
         determined=advice.determined(information, state.prior[:3], PARAMETERS[:3]) if age is not None else (),
-        bound=(*(math.inf if sd is None else sd for sd in told), *[math.inf] * 3) if age is not None else (),
+        bound=(*(math.inf if sd is None else sd for sd in bounds), *[math.inf] * 3)
+        if age is not None
+        else (),
     )
 
 

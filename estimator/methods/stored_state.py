@@ -48,7 +48,7 @@ def steady_state_json(state: SteadyState) -> Json:
         "refused": dict(state.refused),
         "reason": state.reason,
         "supported": to_plain(state.supported),
-        "events": to_plain(state.said),
+        "events": to_plain(state.events),
     }
 
 
@@ -73,7 +73,7 @@ def steady_state_of(plain: Any) -> SteadyState:
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
         supported=stored.value(list[bool], "supported"),
-        said=stored.value(list[tuple[str, str]], "events"),
+        events=stored.value(list[tuple[str, str]], "events"),
     )
     stored.end()
     return state
@@ -89,7 +89,7 @@ def tracker_json(state: TrackerState) -> Json:
         "motion": to_plain(state.x),
         "motion_covariance": to_plain(state.P_xx),
         "cross_covariance": to_plain(state.P_xtheta),
-        "noise_ratios": to_plain(state.left),
+        "noise_ratios": to_plain(state.residual_ratio),
         "push_variances": to_plain(state.push),
         "running": to_plain(state.running),
         "since": state.since,
@@ -111,7 +111,7 @@ def tracker_json(state: TrackerState) -> Json:
         "supported": to_plain(state.given),
         "advisor": to_plain(state.advisor),
         "reason": state.reason,
-        "events": to_plain(state.told),
+        "events": to_plain(state.events),
         "steered": to_plain(state.steered),
     }
 
@@ -127,7 +127,7 @@ def tracker_of(plain: Any) -> TrackerState:
         x=stored.array("motion", N_TRACKER),
         P_xx=stored.array("motion_covariance", N_TRACKER, N_TRACKER),
         P_xtheta=stored.array("cross_covariance", N_TRACKER, N),
-        left=stored.array("noise_ratios", 3),
+        residual_ratio=stored.array("noise_ratios", 3),
         push=stored.array("push_variances", 3),
         running=stored.value(bool, "running"),
         since=stored.value(int, "since"),
@@ -149,7 +149,7 @@ def tracker_of(plain: Any) -> TrackerState:
         given=stored.value(list[bool], "supported"),
         advisor=stored.value(Advisor, "advisor"),
         reason=stored.value(str, "reason"),
-        told=stored.value(list[str], "events"),
+        events=stored.value(list[tuple[str, str]], "events"),
         steered=stored.value(list[int], "steered"),
     )
     stored.end()
@@ -180,7 +180,7 @@ def pem_json(state: PemState) -> Json:
         "supported": to_plain(state.given),
         "last": to_plain(state.last),
         "reason": state.reason,
-        "events": to_plain(state.told),
+        "events": to_plain(state.events),
     }
 
 
@@ -209,7 +209,7 @@ def pem_of(plain: Any) -> PemState:
         given=stored.value(list[bool], "supported"),
         last=stored.maybe(pem.Fit, "last"),
         reason=stored.value(str, "reason"),
-        told=stored.value(list[str], "events"),
+        events=stored.value(list[tuple[str, str]], "events"),
     )
     stored.end()
     return state
@@ -234,6 +234,7 @@ def two_step_json(state: TwoStepState) -> Json:
         "refused": dict(state.refused),
         "reason": state.reason,
         "nothing": state.nothing,
+        "events": to_plain(state.events),
     }
 
 
@@ -257,6 +258,7 @@ def two_step_of(plain: Any) -> TwoStepState:
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
         nothing=stored.value(str, "nothing"),
+        events=stored.value(list[tuple[str, str]], "events"),
     )
     stored.end()
     return state

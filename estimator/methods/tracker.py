@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, soil_change, unknowns
+from tilth.estimator.filters.drift import added_covariance, drift, kept_over
 from tilth.estimator.filters.predictor import innovations
 from tilth.estimator.filters.rig_setup import SLOW_SHARE, RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Mark
@@ -32,7 +33,7 @@ from tilth.estimator.record.record import Record, Stretch
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import SINCE_CHANGE
-from tilth.estimator.results.reporting import PUBLISH_NS, WORST, forgotten, of_six
+from tilth.estimator.results.reporting import PUBLISH_NS, WORST, of_six
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -73,7 +74,7 @@ class TrackerState:
     x: Array = field(default_factory=lambda: np.zeros(N_TRACKER))
     P_xx: Array = field(default_factory=lambda: np.zeros((N_TRACKER, N_TRACKER)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_TRACKER, len(NAMES))))
-    left: Array = field(default_factory=lambda: np.ones(3))
+    residual_ratio: Array = field(default_factory=lambda: np.ones(3))
     """Variances of yaw rates, velocities, positions over the stated ones, running means."""
     push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
     """Variances of the ground's pushes."""
@@ -97,7 +98,7 @@ class TrackerState:
     given: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
     reason: str = ""  # why the latest stretch taught nothing of the soil
-    told: list[str] = field(default_factory=list)  # events to be published
+    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
     steered: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
 
 
@@ -232,21 +233,21 @@ def _sound(state: TrackerState) -> bool:
 def _drift(state: TrackerState, metres: float) -> None:
     """The six forget over distance: the law of the drift has the prior's covariance as its own."""
     state.distance += metres
-    keep = forgotten(metres)
-    more = (1.0 - keep**2) * np.diag(state.prior_sd[SIX] ** 2)
-    state.covariance[SIX, :] *= keep
-    state.covariance[:, SIX] *= keep
-    state.covariance[SIX, SIX] += more
-    state.P_xtheta[:, SIX] *= keep
+    kept = kept_over(metres)
+    drift(state.covariance, np.arange(6), kept, state.prior_sd)
+    state.P_xtheta[:, SIX] *= kept
+    added = added_covariance(kept, state.prior_sd[SIX])
     for mark in state.marks:
-        mark.covariance = keep**2 * mark.covariance + more
+        mark.covariance = kept**2 * mark.covariance + added
 
 
 def _adapt_noise(state: TrackerState, sums: Array) -> None:
     """Noise of the sensors by what is left after correction, of the ground by how far it is seen to push."""
     measured = sums[:3, 1] > 0.0
-    state.left[measured] += (sums[:3][measured, 0] / sums[:3][measured, 1] - state.left[measured]) / FOLLOWED
-    stated = np.clip(state.left, LOW_NOISE**2, HIGH_NOISE**2)
+    state.residual_ratio[measured] += (
+        sums[:3][measured, 0] / sums[:3][measured, 1] - state.residual_ratio[measured]
+    ) / FOLLOWED
+    stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
     state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
     ratio = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
     # Of a push that is hard to see, what is seen goes with the square of its variance: hence the half.
@@ -280,13 +281,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.changed_ns = state.seen_ns
     state.window_s = 0.0
     how = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
-    state.told.append(f"{how}; what was learned of it before is given up")
-
-
-def events(state: TrackerState) -> list[tuple[str, str]]:
-    """(kind, text) of what happened since the last call."""
-    told, state.told = state.told, []
-    return [("soil_change", text) for text in told]
+    state.events.append(("soil_change", f"{how}; what was learned of it before is given up"))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:
@@ -316,7 +311,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
 
 def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
     push_t, push_i, push_yaw = np.sqrt(state.push).tolist()
-    told = {
+    excitation = {
         "distance_m": state.distance,
         "soil_changes": float(state.changes),
         "restarts": float(state.restarts),
@@ -329,8 +324,8 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
         "push_yaw": push_yaw,
     }
     if state.changed_ns:
-        told[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
-    return told
+        excitation[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
+    return excitation
 
 
 assert NAMES[:6] == PARAMETERS

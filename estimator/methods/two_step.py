@@ -58,6 +58,7 @@ class TwoStepState:
     refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
     reason: str = ""  # why nothing is collected now
     nothing: str = ""  # why the last window gave nothing
+    events: list[tuple[str, str]] = field(default_factory=list)  # none so far
 
 
 def initial(machine: Machine) -> TwoStepState:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.dynamic import axle_arms, gravity_arms, inertia, turning
 from tilth.estimator.models.parameters import GEOMETRY as GEOMETRY
 from tilth.estimator.models.parameters import geometry_of as geometry_of
-from tilth.estimator.models.steady_turn import GRAVITY
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 

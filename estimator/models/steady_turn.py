@@ -10,7 +10,7 @@ it folds up from there. Not at standstill.
 import numpy as np
 from numpy.typing import NDArray
 
-GRAVITY = 9.80665  # m/s^2
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 

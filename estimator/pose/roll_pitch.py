@@ -11,7 +11,7 @@ SWAY_MEMORY = 50.0  # stretches (10 s) whose roll rates tell how much of one is 
 
 
 @dataclass(frozen=True, slots=True)
-class Lean:
+class RollPitch:
     """How a body stands at a pose (t) and half a pose before it, rad; 0 where nobody tells."""
 
     roll_before: float
@@ -21,7 +21,7 @@ class Lean:
     sd: float  # of a roll where only one of them tells it; else 0
 
 
-def lean_at(aligner: Aligner, body: int, t_ns: int) -> Lean:
+def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
     """From the rolls and pitches of a body's receivers at t and half a pose before."""
     rolls: list[tuple[float, float]] = []
     pitches: list[float] = []
@@ -43,11 +43,11 @@ def lean_at(aligner: Aligner, body: int, t_ns: int) -> Lean:
     before_mean = sum(before for before, _ in rolls) / max(len(rolls), 1)
     roll_mean = sum(roll for _, roll in rolls) / max(len(rolls), 1)
     if len(rolls) == 2:
-        return Lean(before_mean, roll_mean, pitch_mean, (rolls[0][0] - rolls[1][0]) / 2, 0.0)
-    return Lean(before_mean, roll_mean, pitch_mean, 0.0, sd)
+        return RollPitch(before_mean, roll_mean, pitch_mean, (rolls[0][0] - rolls[1][0]) / 2, 0.0)
+    return RollPitch(before_mean, roll_mean, pitch_mean, 0.0, sd)
 
 
-def noise_of_rate(one: Lean, other: Lean) -> float:
+def noise_of_rate(one: RollPitch, other: RollPitch) -> float:
     """Of the roll rate between two that are a pose apart, rad/s: two receivers differ by it."""
     sd = max(one.sd, other.sd)
     change = sd * math.sqrt(2) if sd else other.apart_before - one.apart_before

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.geometry import lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import Stamped
-from tilth.estimator.pose.roll_pitch import HALF_NS, Lean, noise_of_rate, share_of_sway
+from tilth.estimator.pose.roll_pitch import HALF_NS, RollPitch, noise_of_rate, share_of_sway
 from tilth.estimator.record.record import EAST, HEADING, NORTH, VELOCITY, YAW_RATE
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
@@ -18,7 +18,7 @@ _POSITION, _VELOCITY, _YAW_RATE, _HEADING = range(4)  # what is counted per rece
 COLOURED = 4.0  # what is left of a roll rate lasts for many samples: it counts as one error, not as many
 Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
 Line = tuple[float, float]  # value at the start and at the end of a stretch
-Bend = tuple[float, float, float]  # and in its middle
+Halves = tuple[float, float, float]  # and in its middle
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Knot:
     reason: str  # why nothing may be learned from what is next to it, or ""
     silent: tuple[int, ...]  # receivers that repeat old positions, as in flow.Mount
     values: tuple[float, ...]  # u, psi_t, psi_i, r_t, r_i; () if incomplete
-    leans: tuple[Lean, Lean]  # of tractor and implement
+    roll_pitch: tuple[RollPitch, RollPitch]  # of tractor and implement
 
 
 @dataclass(slots=True)
@@ -54,8 +54,8 @@ class _Span:
     psi: Line
     yaw_rate: Line
     pitch: Line
-    roll: Bend
-    roll_rate: Bend  # no more of it than is not noise
+    roll: Halves
+    roll_rate: Halves  # no more of it than is not noise
     sd_roll_rate: float  # of what is left
 
 
@@ -79,7 +79,7 @@ def _body(receiver: Receiver) -> int:
 
 
 def _span(swaying: list[float], body: int, start: Knot, end: Knot, after: Knot) -> _Span:
-    first, last, then = start.leans[body], end.leans[body], after.leans[body]
+    first, last, then = start.roll_pitch[body], end.roll_pitch[body], after.roll_pitch[body]
     psi = yaw_rate = (0.0, 0.0)
     if start.values and end.values:
         psi = (start.values[1 + body], end.values[1 + body])
@@ -104,7 +104,7 @@ def _of_receiver(used: Used, aligner: Aligner, receiver: Receiver, span: _Span, 
     out: list[Row] = []
 
     def fresh(samples: deque[Stamped], kind: int) -> list[Stamped]:
-        found = _fresh(samples, newest[kind], end_ns)
+        found = _new_samples(samples, newest[kind], end_ns)
         if found:
             newest[kind] = found[0][0]
         while found and found[-1][0] < start_ns - SLACK_NS:
@@ -117,11 +117,11 @@ def _of_receiver(used: Used, aligner: Aligner, receiver: Receiver, span: _Span, 
             out.append((max(0, t_ns - start_ns), YAW_RATE, body, rate, sd))
     for t_ns, north, east, sd in fresh(track.velocities, _VELOCITY):
         since = max(0, t_ns - start_ns)
-        across, sd_lean = _across(span, receiver, since, north, east)
+        across, sd_lean = _velocity_across(span, receiver, since, north, east)
         out.append((since, VELOCITY, index, across, math.hypot(sd, sd_lean)))
     for t_ns, north, east, sd in fresh(track.positions, _POSITION):
         since = max(0, t_ns - start_ns)
-        north, east = _upright(span, receiver, since, north, east)
+        north, east = _position_upright(span, receiver, since, north, east)
         out.append((since, NORTH, index, north, sd))
         out.append((since, EAST, index, east, sd))
     for t_ns, heading, sd in fresh(track.headings, _HEADING):
@@ -132,7 +132,7 @@ def _of_receiver(used: Used, aligner: Aligner, receiver: Receiver, span: _Span, 
     return out if track.usable() else []
 
 
-def _fresh(samples: deque[Stamped], newest_ns: int, end_ns: int) -> list[Stamped]:
+def _new_samples(samples: deque[Stamped], newest_ns: int, end_ns: int) -> list[Stamped]:
     """The samples before end that came after the one stamped newest_ns, the newest first.
 
     Times are the track's, with what has been learned of its latency still in them.
@@ -150,35 +150,37 @@ def _at(line: Line, since_ns: int) -> float:
     return line[0] + (line[1] - line[0]) * (since_ns / POSE_NS)
 
 
-def _bent(bend: Bend, since_ns: int) -> float:
+def _between_halves(values: Halves, since_ns: int) -> float:
     if since_ns < HALF_NS:
-        return bend[0] + (bend[1] - bend[0]) * (since_ns / HALF_NS)
-    return bend[1] + (bend[2] - bend[1]) * (since_ns / HALF_NS - 1.0)
+        return values[0] + (values[1] - values[0]) * (since_ns / HALF_NS)
+    return values[1] + (values[2] - values[1]) * (since_ns / HALF_NS - 1.0)
 
 
-def _leaning(span: _Span, receiver: Receiver, since_ns: int) -> tuple[float, float, float]:
+def _lean_displacement(span: _Span, receiver: Receiver, since_ns: int) -> tuple[float, float, float]:
     """(forward, right: how far lean moves what a receiver reports, m; the latter per rad of roll)."""
-    roll = _bent(span.roll, since_ns)
+    roll = _between_halves(span.roll, since_ns)
     forward, right = lever(receiver.position, 0.0, receiver.roll_corrected, roll, _at(span.pitch, since_ns))
     height = 0.0 if receiver.roll_corrected else receiver.position[2]
     per_roll = height * math.cos(roll) - receiver.position[1] * math.sin(roll)
     return forward - receiver.position[0], right - receiver.position[1], per_roll
 
 
-def _across(span: _Span, receiver: Receiver, since_ns: int, north: float, east: float) -> tuple[float, float]:
+def _velocity_across(
+    span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
+) -> tuple[float, float]:
     """(velocity to the right of psi of an antenna that does not lean, what its lean adds to the sd), m/s."""
     psi = _at(span.psi, since_ns)
-    forward, _, per_roll = _leaning(span, receiver, since_ns)
-    swaying = per_roll * _bent(span.roll_rate, since_ns) + forward * _at(span.yaw_rate, since_ns)
-    across = east * math.cos(psi) - north * math.sin(psi) - swaying
+    forward, _, per_roll = _lean_displacement(span, receiver, since_ns)
+    by_lean = per_roll * _between_halves(span.roll_rate, since_ns) + forward * _at(span.yaw_rate, since_ns)
+    across = east * math.cos(psi) - north * math.sin(psi) - by_lean
     return across, COLOURED * per_roll * span.sd_roll_rate
 
 
-def _upright(
+def _position_upright(
     span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
 ) -> tuple[float, float]:
     """Position of an antenna that does not lean, m."""
     psi = _at(span.psi, since_ns)
-    forward, right, _ = _leaning(span, receiver, since_ns)
+    forward, right, _ = _lean_displacement(span, receiver, since_ns)
     ahead, aside = rotate((forward, right), psi)
     return north - ahead, east - aside

@@ -13,7 +13,7 @@ import numpy as np
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.receiver_track import Sample
-from tilth.estimator.pose.roll_pitch import lean_at
+from tilth.estimator.pose.roll_pitch import roll_pitch_at
 from tilth.estimator.record.measured_rows import Knot, Row, Used, rows_between
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch
 from tilth.schemas.flow import Pose
@@ -26,7 +26,7 @@ ROUGHEST_HEADING = math.radians(2.0)  # sd: nothing is made linear about worse
 WHEEL_GAP_NS = 150_000_000  # longest that is interpolated: one sample of a sensor at 10 Hz, with its jitter
 SETTLING = 10  # stretches (2 s) that are driven after a refusal before anything is learned again
 
-_SHUT = (
+_REFUSING = (
     ({"swapped", "moved", "doubtful", "latency"}, "receivers do not fit the rig"),
     ({"floating", "no_rtk", "no_fix", "fix_unknown"}, "no RTK fix"),
     ({"no_roll"}, "roll not measured"),
@@ -78,7 +78,7 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
             reason = "no wheel angle"
         elif start.values and end.values:
             record = _assemble(start, end, wheel, rows)
-    reason = _judge(state, reason or _shut(start, end, after, record))
+    reason = _settle(state, reason or _why_refused(start, end, after, record))
     follows = state.taught and not reason
     state.taught = not reason
     if not reason:
@@ -87,7 +87,7 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
     return Stretch(record, follows, reason)
 
 
-def _judge(state: RecordState, reason: str) -> str:
+def _settle(state: RecordState, reason: str) -> str:
     """The reason with which a stretch is refused, counted; "" where it may teach."""
     if reason:
         state.settled = 0
@@ -108,7 +108,7 @@ def _unbroken(start: Knot, end: Knot, after: Knot) -> str:
     return ""
 
 
-def _shut(start: Knot, end: Knot, after: Knot, record: Record) -> str:
+def _why_refused(start: Knot, end: Knot, after: Knot, record: Record) -> str:
     """Why what was measured here may not teach, or ""."""
     # The pose after tells of a fix that was lost in between and of positions that it finds doubtful.
     reason = start.reason or end.reason or after.reason
@@ -137,7 +137,7 @@ def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
         _reason(pose),
         tuple(i for i, mount in enumerate(MOUNTS) if f"repeating:{mount.value}" in pose.flags),
         values,
-        (lean_at(aligner, 0, pose.t_ns), lean_at(aligner, 1, pose.t_ns)),
+        (roll_pitch_at(aligner, 0, pose.t_ns), roll_pitch_at(aligner, 1, pose.t_ns)),
     )
 
 
@@ -146,7 +146,7 @@ def _reason(pose: Pose) -> str:
     # A receiver that is lost gives no rows, so that its fix need not be known.
     lost = {flag.replace("lost:", "fix_unknown:") for flag in pose.flags if flag.startswith("lost:")}
     kinds = {flag.partition(":")[0] for flag in pose.flags if flag not in lost}
-    for shutting, reason in _SHUT:
+    for shutting, reason in _REFUSING:
         if kinds & shutting:
             return reason
     if pose.direction < 0:
@@ -170,7 +170,7 @@ def wheel_angles(samples: deque[Sample], t_ns: int) -> list[float] | None:
     so that a sensor's phase against the ticks is no delay.
     """
     # Where every tick has samples, the ticks next to them are enough to look at.
-    return _on_lines(_means(samples, t_ns, 1)) or _on_lines(
+    return _interpolate(_means(samples, t_ns, 1)) or _interpolate(
         _means(samples, t_ns, WHEEL_GAP_NS // TICK_NS + 1)
     )
 
@@ -191,7 +191,7 @@ def _means(samples: deque[Sample], t_ns: int, beyond: int) -> list[tuple[float, 
     return [(at / n, angle / n) for n, at, angle in zip(count, total_ns, total, strict=True) if n]
 
 
-def _on_lines(means: list[tuple[float, float]]) -> list[float] | None:
+def _interpolate(means: list[tuple[float, float]]) -> list[float] | None:
     """The value at each tick on the lines from mean to mean; None where one is too long or missing."""
     out: list[float] = []
     k = 1
@@ -213,7 +213,7 @@ def _assemble(start: Knot, end: Knot, wheel: list[float], rows: list[Row]) -> Re
     ticks = np.empty((TICKS, len(INPUTS)))
     ticks[:, 0] = wheel
     ticks[:, 1:6] = low + np.outer(shares, high - low)
-    for body, (first, last) in enumerate(zip(start.leans, end.leans, strict=True)):
+    for body, (first, last) in enumerate(zip(start.roll_pitch, end.roll_pitch, strict=True)):
         ticks[:, 6 + body] = np.interp(shares, _HALVES, (first.roll, last.roll_before, last.roll))
     rows.sort(key=_instant)
     table = [

@@ -63,7 +63,7 @@ def _close(state: Collecting, least_steering: float) -> None:
     state.window.clear()
 
 
-def said_of_late(late_ns: int, used: bool) -> str:
+def describe_late(late_ns: int, used: bool) -> str:
     """What a person should know of a fit that was late by so much, or of one that was lost at once."""
     if used:
         return (

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
-from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.rig_setup import rig_setup, slow_pair_sd
 from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
@@ -54,7 +54,6 @@ HERTZ: Final = 5.0  # of a receiver nobody has timed
 EVERY_NS: Final = 10_000_000_000
 MOVED: Final = 0.15  # of a logarithm, or of the speed as a share: then the table is made anew
 UNHEARD: Final = 1e6  # sd of a measurement that corrects nothing: its error shows what is expected
-SLOW_SHARE: Final = 0.4  # share of a position's sd that stays for long and does not cancel in a pair
 
 
 class Candidate(NamedTuple):
@@ -112,10 +111,10 @@ def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAM
         weights = _best(here, before)
         if weights is None:
             break
-        spread = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
-        words.append(f"{_combination(weights, [names[k] for k in rest])} {share(spread)}")
+        sd_combination = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
+        words.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
         # As if it were known: what comes next must be something else.
-        here, before = _given(here, weights), _given(before, weights)
+        here, before = _conditioned(here, weights), _conditioned(before, weights)
     return tuple(words)
 
 
@@ -132,18 +131,18 @@ def _best(posterior: Array, prior: Array) -> Array | None:
     values, vectors = np.linalg.eigh(prior)
     kept = values > 1e-9 * values[-1]
     root = vectors[:, kept] / np.sqrt(values[kept])
-    _, own = np.linalg.eigh(root.T @ posterior @ root)
-    general = root @ own[:, 0]
+    _, directions = np.linalg.eigh(root.T @ posterior @ root)
+    general = root @ directions[:, 0]
     general = np.round(general / np.abs(general).max(), 1)
     general *= np.sign(general[np.argmax(np.abs(general))])
-    score, k = min((_known(w, posterior, prior), k) for k, w in enumerate(pairs))
-    best = _known(general, posterior, prior)
+    score, k = min((_sd_ratio(w, posterior, prior), k) for k, w in enumerate(pairs))
+    best = _sd_ratio(general, posterior, prior)
     if score <= min(SUPPORTED, PLAIN * best):
         return pairs[k]
     return np.asarray(general) if best <= SUPPORTED else None
 
 
-def _known(weights: Array, posterior: Array, prior: Array) -> float:
+def _sd_ratio(weights: Array, posterior: Array, prior: Array) -> float:
     """Posterior over prior sd of a combination; 1 where the prior leaves nothing to learn."""
     before = float(weights @ prior @ weights)
     if before < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
@@ -151,7 +150,7 @@ def _known(weights: Array, posterior: Array, prior: Array) -> float:
     return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / before)
 
 
-def _given(covariance: Array, weights: Array) -> Array:
+def _conditioned(covariance: Array, weights: Array) -> Array:
     """The covariance once that combination were known exactly."""
     cross = covariance @ weights
     return np.asarray(covariance - np.outer(cross, cross) / max(float(weights @ cross), 1e-12))
@@ -187,9 +186,9 @@ def embedded(
     for name, (value, known) in (nuisances or {}).items():
         if name in AT and sd[AT[name]] > 0:
             whole[AT[name]], sd[AT[name]] = value, min(known, sd[AT[name]])
-    spread: Array = np.diag(sd**2)
-    whole[SIX], spread[SIX, SIX] = mean, covariance
-    return whole, spread
+    whole_covariance: Array = np.diag(sd**2)
+    whole[SIX], whole_covariance[SIX, SIX] = mean, covariance
+    return whole, whole_covariance
 
 
 def information(
@@ -211,44 +210,46 @@ def information(
     ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
     ticks[:, U] = speed
     watch = np.array([(k, 0.0, HEADING, body, 0.0, UNHEARD) for k in range(count) for body in (0, 1)])
-    predicted_values, _ = _errors(machine, ticks, watch, point[None], planar)
+    predicted_values, _ = _prediction_errors(machine, ticks, watch, point[None], planar)
     ticks[:, PSI : PSI + 2] = -predicted_values[0].reshape(count, 2)
-    rows = _rows(machine, count, hertz)
+    rows = _planned_rows(machine, count, hertz)
     silent = rows.copy()
     silent[:, SD] = UNHEARD
-    predicted_values, _ = _errors(machine, ticks, silent, point[None], planar)
+    predicted_values, _ = _prediction_errors(machine, ticks, silent, point[None], planar)
     rows[:, VALUE] = -predicted_values[0]
     _, prior_sd = unknowns.prior(machine)
     free = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
     nudges = 1e-3 * prior_sd[free]
     points = np.tile(point, (len(free) + 1, 1))
     points[np.arange(1, len(free) + 1), free] += nudges
-    errors, variances = _errors(machine, ticks, rows, points, planar)
+    errors, variances = _prediction_errors(machine, ticks, rows, points, planar)
     white = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
     whole = np.zeros((len(NAMES), len(NAMES)))
     whole[np.ix_(free, free)] = white.T @ white
     return whole
 
 
-def _rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
+def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
     """What the receivers would say, with the machine file's sds, no values yet, shape (m, 6)."""
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
-    said = []
+    rows = []
     for place, mount in enumerate(Mount):
         if mount not in by_mount:
             continue
         r, body = by_mount[mount], place // 2
         for k in range(0, count - 1, max(round(1.0 / hertz[place] / DT), 1)):
-            said += [
+            rows += [
                 (k, 0.0, NORTH, place, 0.0, r.position_sd),
                 (k, 0.0, EAST, place, 0.0, r.position_sd),
                 (k, 0.0, VELOCITY, place, 0.0, r.velocity_sd),
                 (k, 0.0, YAW_RATE, body, 0.0, math.radians(r.yaw_rate_sd)),
             ]
-    return np.array(sorted(said, key=lambda row: row[0]), dtype=np.float64)
+    return np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64)
 
 
-def _errors(machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool) -> tuple[Array, Array]:
+def _prediction_errors(
+    machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool
+) -> tuple[Array, Array]:
     """Prediction errors and their variances at each point, shape (q, m); all with the gains of the first."""
     e, S = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
     base = unknowns.base_geometry(machine)
@@ -263,21 +264,17 @@ def _errors(machine: Machine, ticks: Array, rows: Array, points: Array, planar: 
 
 def _sds(machine: Machine) -> Array:
     """Of the wheel angle and of both pairs' slow heading errors, rad, shape (3,)."""
-    slow = []
-    for body in ("tractor", "implement"):
-        pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
-        length = math.dist(pair[0].position[:2], pair[1].position[:2]) if len(pair) == 2 else math.inf
-        slow.append(SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length)
+    slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
     return np.array([math.radians(machine.wheel_angle.sd), *slow])
 
 
 def predicted(covariance: Array, information: Array) -> Array:
     """Sds of the six logarithms once the information has come in, shape (6,). Both (n, n) over NAMES."""
     known = np.flatnonzero((np.diag(covariance) > 0) & ~_is_noise())
-    held = covariance[np.ix_(known, known)]
-    scale = np.sqrt(np.diag(held))
-    told = information[np.ix_(known, known)] * np.outer(scale, scale)
-    total = np.linalg.inv(held / np.outer(scale, scale)) + told
+    prior = covariance[np.ix_(known, known)]
+    scale = np.sqrt(np.diag(prior))
+    added = information[np.ix_(known, known)] * np.outer(scale, scale)
+    total = np.linalg.inv(prior / np.outer(scale, scale)) + added
     sd = np.sqrt(np.diag(np.linalg.inv((total + total.T) / 2))) * scale
     return np.asarray(sd[: len(PARAMETERS)])
 
@@ -323,7 +320,7 @@ def advise(
     else:
         state = "is known least" if known else f"{'is' if len(asked) == 1 else 'are'} not determined"
         start = f"{names} {state}: {share(*now[asked])}"
-    after = {c: predicted(covariance, told)[asked] for c, told in table.items()}
+    after = {c: predicted(covariance, brought)[asked] for c, brought in table.items()}
     chosen = _choose(after, now[asked])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start

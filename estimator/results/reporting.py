@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 
 MODEL: Final = "relaxation"
 PUBLISH_NS: Final = 1_000_000_000
-DRIFT_M: Final = 50_000.0  # distance over which the soil forgets itself
 STALE_S: Final = 300.0
 LOST: Final = (
     0.6  # posterior over prior sd of a logarithm, beyond which a number that was given is taken back
@@ -39,9 +38,16 @@ class Learning(Protocol):
     reason: str  # why nothing is learned now, or ""
 
 
-def forgotten(metres: float) -> float:
-    """Share of what was known of the soil that is left after so many metres."""
-    return math.exp(-metres / DRIFT_M)
+class Reporting(Protocol):
+    """State of a method that reports events."""
+
+    events: list[tuple[str, str]]  # (kind, text), not taken yet
+
+
+def take_events(state: Reporting) -> list[tuple[str, str]]:
+    """(kind, text) of what a method noticed since the last call."""
+    events, state.events = state.events, []
+    return events
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:

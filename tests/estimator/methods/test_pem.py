@@ -23,6 +23,7 @@ from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
+from tilth.estimator.results.reporting import take_events
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
@@ -201,7 +202,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     assert state.late == 1
     assert np.array_equal(state.mean, before)
     assert {p.status for p in estimate.parameters} == {Status.UNESTIMATED}
-    assert pem.events(state) == [("fit", "a fit was not ready in time and was dropped")]
+    assert take_events(state) == [("fit", "a fit was not ready in time and was dropped")]
 
 
 def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -> None:
@@ -216,7 +217,7 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     made = pem.fit(machine, job)
     assert made.changed
     pem.adopt(state, machine, made, 6)
-    assert [kind for kind, _ in pem.events(state)] == ["soil_change"]
+    assert [kind for kind, _ in take_events(state)] == ["soil_change"]
     sd = np.sqrt(np.diag(state.covariance)[SIX])
     assert np.all(np.abs(state.mean[SIX] - truth) < 4.0 * sd)
 

@@ -14,6 +14,7 @@ from tilth.estimator.methods import steady_state
 from tilth.estimator.methods.stored_state import steady_state_json, steady_state_of
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.results.reporting import take_events
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 
 MACHINE = demo_machine()
@@ -343,23 +344,23 @@ def test_not_a_number_poisons_nothing() -> None:
 def test_a_soil_that_changed_is_an_event_once() -> None:
     poses = list(drive())
     state, _ = learn(poses)
-    assert steady_state.events(state) == []
+    assert take_events(state) == []
     after = [
         replace(p, t_ns=p.t_ns + poses[-1].t_ns - START_NS + 200_000_000)
         for p in drive(2, (0.33 * TRUTH[0], 0.33 * TRUTH[1], 0.33 * TRUTH[2]))
     ]
     for pose in after:
         steady_state.take(state, MACHINE, pose)
-    ((kind, text),) = steady_state.events(state)
+    ((kind, text),) = take_events(state)
     assert kind == "soil_change" and "learned anew" in text
-    assert steady_state.events(state) == []
+    assert take_events(state) == []
 
 
 def test_a_number_comes_and_goes_with_a_margin_between() -> None:
     state, _ = learn(drive())
     for share, expected in ((0.45, True), (0.55, True), (0.65, False), (0.55, False), (0.45, True)):
         state.log_p = np.diag((share * state.prior[:3]) ** 2)
-        steady_state._judge(state)
+        steady_state._support(state)
         assert state.supported == [expected] * 3
 
 

@@ -10,7 +10,8 @@ from tilth.estimator.models import linear_analysis as la
 from tilth.estimator.models.actuator import BOSSERD, Actuator, with_actuator
 from tilth.estimator.models.family import MODELS, Model, model_named
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, linear_tyres
-from tilth.estimator.models.steady_turn import GRAVITY, steady_turn
+from tilth.estimator.models.steady_turn import steady_turn
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 

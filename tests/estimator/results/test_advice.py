@@ -147,7 +147,7 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> tuple[Array,
         x[k + 1, 12] = x[k, 12] + DT * (SPEED * math.sin(psi) + v * math.cos(psi))
     ticks[:, 2:4] = x[:, 6:8]
     setup, unused = rig_setup(machine), np.zeros(N_STATES)
-    rows = advice._rows(machine, count, (advice.HERTZ,) * 4)
+    rows = advice._planned_rows(machine, count, (advice.HERTZ,) * 4)
     for row in rows:
         k, kind, place = int(row[0]), int(row[2]), int(row[3])
         body = place if kind == YAW_RATE else place // 2
@@ -164,7 +164,7 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
     points[np.arange(1, len(known) + 1), known] += nudges
     errors, variances = [], []
     for point in points:  # one by one: each with its own gains
-        e, s = advice._errors(machine, ticks, rows, point[None], planar=False)
+        e, s = advice._prediction_errors(machine, ticks, rows, point[None], planar=False)
         errors.append(e[0])
         variances.append(s[0])
     white = ((np.array(errors[1:]) - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
