@@ -33,6 +33,8 @@ from tilth.schemas.flow import (
     Estimate,
     Event,
     FitOutcome,
+    Flag,
+    FlagKind,
     Frame,
     Measurement,
     Pose,
@@ -44,18 +46,18 @@ from tilth.schemas.machine import Machine
 DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
 
 _FLAG_TEXT = {
-    "lost": "gives no usable position",
-    "waiting": "has given no position yet",
-    "floating": "lost its RTK fix (float)",
-    "no_rtk": "has no RTK fix",
-    "no_fix": "has no position fix",
-    "repeating": "repeats old positions",
-    "swapped": "stands in another's place: two receivers are exchanged",
-    "moved": "is not where the machine file says",
-    "doubtful": "does not fit the rig at this instant",
-    "late": "is late; its position is carried on",
-    "latency": "reports later than the machine file allows, or was moved along",
-    "fix_unknown": "has stopped telling its fix",
+    FlagKind.LOST: "gives no usable position",
+    FlagKind.WAITING: "has given no position yet",
+    FlagKind.FLOATING: "lost its RTK fix (float)",
+    FlagKind.NO_RTK: "has no RTK fix",
+    FlagKind.NO_FIX: "has no position fix",
+    FlagKind.REPEATING: "repeats old positions",
+    FlagKind.SWAPPED: "stands in another's place: two receivers are exchanged",
+    FlagKind.MOVED: "is not where the machine file says",
+    FlagKind.DOUBTFUL: "does not fit the rig at this instant",
+    FlagKind.LATE: "is late; its position is carried on",
+    FlagKind.LATENCY: "reports later than the machine file allows, or was moved along",
+    FlagKind.FIX_UNKNOWN: "has stopped telling its fix",
 }
 
 
@@ -79,7 +81,7 @@ class State:
     clock_steps: int = 0
     not_numbers: int = 0  # measurements that were refused for it
     time: LogTime = field(default_factory=LogTime)  # of the log
-    flags: tuple[str, ...] = ()  # of the last pose
+    flags: tuple[Flag, ...] = ()  # of the last pose
     place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
     disagree: bool = False  # whether the methods do
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest, as it was published
@@ -195,14 +197,12 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     out.append(Publication(t_ns, "/pose", pose))
     _draw(state, t_ns, pose, out)
     for flag in pose.flags:
-        kind, _, who = flag.partition(":")
-        if flag not in state.flags and kind in _FLAG_TEXT:
-            text = "is silent" if who == "wheel_angle" else _FLAG_TEXT[kind]
-            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who} {text}")))
+        if flag not in state.flags and flag.kind in _FLAG_TEXT:
+            text = "is silent" if flag.of == "wheel_angle" else _FLAG_TEXT[flag.kind]
+            out.append(Publication(t_ns, "/event", Event(t_ns, flag.kind, f"{flag.of} {text}")))
     for flag in state.flags:
-        kind, _, who = flag.partition(":")
-        if flag not in pose.flags and kind in _FLAG_TEXT:
-            out.append(Publication(t_ns, "/event", Event(t_ns, kind, f"{who}: over")))
+        if flag not in pose.flags and flag.kind in _FLAG_TEXT:
+            out.append(Publication(t_ns, "/event", Event(t_ns, flag.kind, f"{flag.of}: over")))
     state.flags = pose.flags
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg

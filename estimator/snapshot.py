@@ -17,6 +17,7 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_plain
 from tilth.estimator.warm_start import Kept
 from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Flag
 from tilth.schemas.machine import Machine
 
 VERSION: Final = 3
@@ -47,7 +48,7 @@ def snapshot(state: State) -> str:
         "clock_steps": state.clock_steps,
         "not_numbers": state.not_numbers,
         "time": to_plain(state.time),
-        "flags": list(state.flags),
+        "flags": to_plain(state.flags),
         "place": to_plain(state.place),
         "disagree": to_plain(state.disagree),
     }
@@ -127,7 +128,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         clock_steps=stored.value(int, "clock_steps"),
         not_numbers=stored.value(int, "not_numbers"),
         time=stored.value(LogTime, "time"),
-        flags=tuple(stored.value(list[str], "flags")),
+        flags=tuple(stored.value(list[Flag], "flags")),
         place=stored.maybe(tuple[float, float, float, float], "place"),
         disagree=stored.value(bool, "disagree"),
     )

@@ -251,7 +251,7 @@ class _Run:
 
     def _flag(self, pose: Pose) -> None:
         for flag in pose.flags:
-            seen = self.summary.flags.setdefault(flag, Flagged(0, pose.t_ns, pose.t_ns))
+            seen = self.summary.flags.setdefault(str(flag), Flagged(0, pose.t_ns, pose.t_ns))
             seen.poses += 1
             seen.last_ns = pose.t_ns
 

@@ -79,7 +79,7 @@ def _encode_pose(pose: flow.Pose) -> bytes:
         direction=pose.direction,
         receivers=pose.receivers,
         sd_time=pose.sd_time,
-        flags=pose.flags,
+        flags=map(str, pose.flags),
     )
     _set_present(message, pose, _POSE_FIELDS)
     message.tractor.SetInParent()

@@ -7,9 +7,10 @@ log's own clock. World frame W: x north, y east. Body frames: x forward, y right
 clockwise from north, right turns and right-hand wheel angles positive, roll positive right side down.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from typing import Final
 
 Word = float | int | str
 
@@ -211,6 +212,65 @@ class BodyPose:
     sd_roll: float | None
 
 
+class FlagKind(StrEnum):
+    """What may be unusual about a pose; docs/notation.md says what each means."""
+
+    CONTRADICTION = "contradiction"
+    DOUBTFUL = "doubtful"
+    FIX_UNKNOWN = "fix_unknown"
+    FLOATING = "floating"
+    HEADING_BY_HITCH = "heading_by_hitch"
+    HEADING_BY_REPORTED = "heading_by_reported"
+    HEADING_BY_YAW_RATE = "heading_by_yaw_rate"
+    LATE = "late"
+    LATENCY = "latency"
+    LOST = "lost"
+    MISSING = "missing"
+    MOVED = "moved"
+    NO_FIX = "no_fix"
+    NO_HEADING = "no_heading"
+    NO_ROLL = "no_roll"
+    NO_RTK = "no_rtk"
+    NO_YAW_RATE = "no_yaw_rate"
+    NOT_ROLL_CORRECTED = "not_roll_corrected"
+    REPEATING = "repeating"
+    ROLL_CORRECTED_TWICE = "roll_corrected_twice"
+    ROLL_CORRECTION = "roll_correction"
+    SMOOTHED_YAW_RATE = "smoothed_yaw_rate"
+    SWAPPED = "swapped"
+    WAITING = "waiting"
+    YAW_RATE_OF_HEADING = "yaw_rate_of_heading"
+
+
+WITHOUT_RTK: Final = frozenset({FlagKind.FLOATING, FlagKind.NO_RTK, FlagKind.NO_FIX, FlagKind.FIX_UNKNOWN})
+"""Of a receiver whose positions are not good to centimetres, or not known to be."""
+MISPLACED: Final = frozenset({FlagKind.SWAPPED, FlagKind.MOVED, FlagKind.DOUBTFUL, FlagKind.LATENCY})
+"""Of a receiver that does not fit the rig."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Flag:
+    """One thing that is unusual about a pose."""
+
+    kind: FlagKind
+    of: str  # a mount, a body, "wheel_angle", "rig", or the machine-file key that is contradicted
+
+    def __str__(self) -> str:
+        """As published: kind:of."""
+        return f"{self.kind}:{self.of}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Flag":
+        """Of what is published. Raises ValueError where the kind is not known."""
+        kind, _, of = text.partition(":")
+        return cls(FlagKind(kind), of)
+
+
+def known_flags(texts: Iterable[str]) -> tuple[Flag, ...]:
+    """Of a published pose; kinds that a later version may have added are left out."""
+    return tuple(Flag.parse(text) for text in texts if text.partition(":")[0] in set(FlagKind))
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
     """Both bodies at one instant. `t_ns` is the instant itself, on the clock of Frame.rx_ns."""
@@ -230,7 +290,7 @@ class Pose:
         float  # s, of the instant itself: latency that all receivers share; only in sd_position beyond this
     )
     receivers: int  # how many of them this pose rests on
-    flags: tuple[str, ...]  # e.g. "lost:implement_rear"; see docs/notation.md
+    flags: tuple[Flag, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,14 +24,14 @@ from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import StartUp
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import Stretch
-from tilth.schemas.flow import Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import WITHOUT_RTK, Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.spread import interval, plus_minus
 
 Array = NDArray[np.float64]
 
-CONTRADICTION: Final = "contradiction"
+CONTRADICTION: Final = FlagKind.CONTRADICTION
 REFUSED: Final = "the data contradict the machine file"
 BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
 BEGINS_TOTAL: Final = 90.0  # of all of them
@@ -60,7 +60,6 @@ _KEYS: Final = {
     "m_i": "implement.mass or tractor.mass", "I_t": "tractor.yaw_inertia or tractor.mass",
     "I_i": "implement.yaw_inertia or implement.mass",
 }  # fmt: skip
-_ROUGH: Final = frozenset({"floating", "no_rtk", "no_fix", "fix_unknown"})
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
 _OFFSETS: Final = (
     "length of the tractor's pair",
@@ -146,9 +145,9 @@ def stops_learning(state: Consistency) -> bool:
     return any(finding.counts and not finding.by_method for finding in state.findings.values())
 
 
-def flags(state: Consistency) -> list[str]:
-    """`contradiction:<key>` of all that counts now."""
-    return [f"{CONTRADICTION}:{finding.key}" for finding in state.findings.values() if finding.counts]
+def flags(state: Consistency) -> list[Flag]:
+    """Of the keys that are contradicted now."""
+    return [Flag(CONTRADICTION, finding.key) for finding in state.findings.values() if finding.counts]
 
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
@@ -197,9 +196,9 @@ def _found(
 ) -> dict[str, str]:
     found = {**_receivers(pose), **_parked(aligner), **_latencies(machine, aligner)}
     found |= {
-        f"receiver.{flag.partition(':')[2]}.roll_corrected": receiver_checks.in_words(checks, flag)
+        f"receiver.{flag.of}.roll_corrected": receiver_checks.in_words(checks, flag)
         for flag in receiver_checks.flags(checks)
-        if flag.partition(":")[0] in _ROLL
+        if flag.kind in _ROLL
     }
     key, text = wheel_check.verdict(state.wheel)
     found |= motion_check.found(state.motion)
@@ -212,18 +211,18 @@ def _found(
 
 def _receivers(pose: Pose) -> dict[str, str]:
     """What poses say of where receivers stand, while all of them have RTK."""
-    kinds = [flag.partition(":") for flag in pose.flags]
-    if any(kind in _ROUGH for kind, _, _ in kinds):
+    if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return {}
     found = {}
-    for kind, _, mount in kinds:
-        if kind == "moved":
+    for flag in pose.flags:
+        kind, mount = flag.kind, flag.of
+        if kind is FlagKind.MOVED:
             text = f"{mount} is not where the machine file says: its position, or the lengths to the hitch?"
             found[f"receiver.{mount}.position"] = text
-        elif kind == "swapped":
+        elif kind is FlagKind.SWAPPED:
             text = f"{mount} stands in another's place: are names or sources exchanged?"
             found[f"receiver.{mount}.name"] = text
-        elif kind == "latency":
+        elif kind is FlagKind.LATENCY:
             text = f"{mount} seems to report at another time than the file allows: its latency or position?"
             found[f"receiver.{mount}.latency"] = text
     return found

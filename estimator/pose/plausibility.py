@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import permutations
 
 from tilth.estimator.pose.geometry import Vector, rotate
-from tilth.schemas.flow import Mount
+from tilth.schemas.flow import Flag, FlagKind, Mount
 
 MISFIT = 0.6  # m: above, the arrangement is doubted
 SMEAR = 3.0  # and as many sd of what timing may still shift a point
@@ -66,10 +66,10 @@ class Lasting:
 class Suspicion:
     """What has looked wrong for how many poses in a row."""
 
-    verdict: tuple[str, ...] = ()
+    verdict: tuple[Flag, ...] = ()
     streak: int = 0
 
-    def judge(self, found: tuple[str, ...]) -> tuple[str, ...]:
+    def judge(self, found: tuple[Flag, ...]) -> tuple[Flag, ...]:
         """The flags to raise, once the same finding has persisted."""
         self.streak = self.streak + 1 if found == self.verdict else 1
         self.verdict = found
@@ -109,8 +109,8 @@ def misfit(points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: fl
 
 def examine(
     points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: float, d: float, sd_timing: float
-) -> tuple[str, ...]:
-    """Flags for one instant: (), ("swapped:…", …) or ("moved:…", …). sd_timing: of a point, m."""
+) -> tuple[Flag, ...]:
+    """Flags for one instant: none, all of kind SWAPPED, or all MOVED. sd_timing: of a point, m."""
     tolerance = MISFIT + SMEAR * sd_timing
     if misfit(points, levers, c, d) < tolerance:
         return ()
@@ -121,8 +121,10 @@ def examine(
         if score < best:
             best, arrangement = score, list(order)
     if best < tolerance / 2:
-        return tuple(f"swapped:{m.value}" for m, o in zip(mounts, arrangement, strict=True) if m != o)
-    return tuple(f"moved:{m.value}" for m in _culprits(points, levers, c, d, tolerance))
+        return tuple(
+            Flag(FlagKind.SWAPPED, m.value) for m, o in zip(mounts, arrangement, strict=True) if m != o
+        )
+    return tuple(Flag(FlagKind.MOVED, m.value) for m in _culprits(points, levers, c, d, tolerance))
 
 
 def _culprits(

@@ -18,7 +18,7 @@ from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, centre, centre_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.schemas.flow import BodyPose, FixType, Mount, Pose
+from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 MOVING = 0.3  # m/s
@@ -78,27 +78,27 @@ def _pose_at(state: Aligner, t_ns: int) -> Pose:
     return _assemble(state, bodies, t_ns, flags)
 
 
-def _receiver_flags(state: Aligner, t_ns: int) -> list[str]:
-    flags: list[str] = []
+def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
+    flags: list[Flag] = []
     for mount, track in state.tracks.items():
         index = MOUNTS.index(Mount(mount))
         excess_s = abs(state.latency.excess_ns(index)) * 1e-9
         if excess_s > LATENCY_SDS * _receiver(state.machine, MOUNTS[index]).latency.sd + LATENCY_SLACK_S:
-            flags.append(f"latency:{mount}")
+            flags.append(Flag(FlagKind.LATENCY, mount))
         if not track.usable():
-            flags.append(f"no_fix:{mount}")
+            flags.append(Flag(FlagKind.NO_FIX, mount))
         elif not track.positions:
-            flags.append(f"waiting:{mount}")
+            flags.append(Flag(FlagKind.WAITING, mount))
         if track.fix is not None and t_ns - track.fix_ns > FIX_NS:
-            flags.append(f"fix_unknown:{mount}")
+            flags.append(Flag(FlagKind.FIX_UNKNOWN, mount))
         elif track.fix is FixType.RTK_FLOAT:
-            flags.append(f"floating:{mount}")
+            flags.append(Flag(FlagKind.FLOATING, mount))
         elif track.fix in (FixType.GNSS, FixType.DGNSS, FixType.PRECISE):
-            flags.append(f"no_rtk:{mount}")
+            flags.append(Flag(FlagKind.NO_RTK, mount))
     return flags
 
 
-def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
+def _gather(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
     """What the receivers of one body say at t."""
     present = [
         (i, track, t_ns + state.latency.excess_ns(i))
@@ -116,11 +116,11 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[str]) -> _Body:
         if found is None:
             if track.usable() and track.positions:
                 repeating = track.repeated_ns > max(track.placed_ns, t_ns - LOST_NS)
-                flags.append(f"{'repeating' if repeating else 'lost'}:{MOUNTS[i].value}")
+                flags.append(Flag(FlagKind.REPEATING if repeating else FlagKind.LOST, MOUNTS[i].value))
             continue
         point, sd, extrapolated = found
         if extrapolated:
-            flags.append(f"late:{MOUNTS[i].value}")
+            flags.append(Flag(FlagKind.LATE, MOUNTS[i].value))
         receiver = _receiver(state.machine, MOUNTS[i])
         arm = lever(receiver.position, section.cg_height.value, receiver.roll_corrected, *tilt)
         moving = track.velocity_at(at)
@@ -149,7 +149,7 @@ def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
     return sum(w * v for w, (v, _) in zip(weights, values, strict=True)) / total, math.sqrt(1 / total)
 
 
-def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[str]:
+def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[Flag]:
     """Take out the receivers that do not fit the surveyed rig; say so."""
     antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
     speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
@@ -161,14 +161,14 @@ def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[str]:
     if not found:
         timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
         wrong = [*state.lasting.bodies(timing), *_backwards(state, bodies)]
-        found = tuple(f"moved:{MOUNTS[i].value}" for body in wrong for i in bodies[body].antennas)
+        found = tuple(Flag(FlagKind.MOVED, MOUNTS[i].value) for body in wrong for i in bodies[body].antennas)
     persistent = state.suspicion.judge(found)
     for flag in found:
-        index = MOUNTS.index(Mount(flag.partition(":")[2]))
+        index = MOUNTS.index(Mount(flag.of))
         body = bodies[index // 2]
         body.antennas.pop(index, None)
         body.pair = body.going = body.heading = None
-    return list(persistent) or [f"doubtful:{flag.partition(':')[2]}" for flag in found]
+    return list(persistent) or [Flag(FlagKind.DOUBTFUL, flag.of) for flag in found]
 
 
 def _look_long(state: Aligner, bodies: list[_Body]) -> None:
@@ -222,22 +222,24 @@ def _sd_tilt(state: Aligner, body: _Body) -> float:
     return abs(heights[0] - heights[1]) * (body.roll[1] if body.roll else UNKNOWN_TILT)
 
 
-def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[str]) -> None:
+def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[Flag]) -> None:
     """Heading of a body with one receiver: by the hitch, by its own word, or carried on by the yaw rate."""
     ((index, antenna),) = body.antennas.items()
     track = state.tracks[MOUNTS[index].value]
     whole = other.heading is not None and len(other.antennas) == 2
     ways = {
-        "hitch": _by_hitch(state, body, other, antenna) if whole else None,
-        "reported": angle_at(track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS),
-        "yaw_rate": _carried_on(state, body, t_ns),
+        FlagKind.HEADING_BY_HITCH: _by_hitch(state, body, other, antenna) if whole else None,
+        FlagKind.HEADING_BY_REPORTED: angle_at(
+            track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS
+        ),
+        FlagKind.HEADING_BY_YAW_RATE: _carried_on(state, body, t_ns),
     }
     for way, found in ways.items():
         if found is not None:
-            flags.append(f"heading_by_{way}:{NAMES[body.index]}")
+            flags.append(Flag(way, NAMES[body.index]))
             body.heading, body.sd_heading = wrap(found[0]), found[1]
             return
-    flags.append(f"no_heading:{NAMES[body.index]}")
+    flags.append(Flag(FlagKind.NO_HEADING, NAMES[body.index]))
 
 
 def _carried_on(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
@@ -299,15 +301,15 @@ def _learn_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
     state.latency.observe(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
 
 
-def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[str]) -> None:
+def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[Flag]) -> None:
     name = NAMES[body.index]
     if body.roll is None:
-        flags.append(f"no_roll:{name}")
+        flags.append(Flag(FlagKind.NO_ROLL, name))
     if body.yaw_rate is None:
         body.yaw_rate = _rate_of_heading(state, body, t_ns)
-        flags.append(f"yaw_rate_of_heading:{name}" if body.yaw_rate else f"no_yaw_rate:{name}")
+        flags.append(Flag(FlagKind.YAW_RATE_OF_HEADING if body.yaw_rate else FlagKind.NO_YAW_RATE, name))
     if body.heading is None:
-        flags.append(f"missing:{name}")
+        flags.append(Flag(FlagKind.MISSING, name))
         return
     antennas = list(body.antennas.values())
     rate, sd_rate = body.yaw_rate or (0.0, 0.0)
@@ -348,7 +350,7 @@ def _direction(state: Aligner, tractor: _Body, t_ns: int) -> int:
     return state.direction if abs(t_ns - state.direction_ns) < LOST_NS else 0
 
 
-def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) -> Pose:
+def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag]) -> Pose:
     tractor, implement = bodies
     articulation, sd_articulation = None, None
     if tractor.heading is not None and implement.heading is not None:
@@ -356,7 +358,7 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[str]) 
         sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
     wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
     if wheel is None:
-        flags.append("lost:wheel_angle" if state.wheel_ns else "waiting:wheel_angle")
+        flags.append(Flag(FlagKind.LOST if state.wheel_ns else FlagKind.WAITING, "wheel_angle"))
     finest = min(
         (track.utc for track in state.tracks.values() if track.utc.offset_ns is not None),
         key=lambda utc: utc.resolution_s,

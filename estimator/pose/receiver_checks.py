@@ -23,7 +23,7 @@ from tilth.estimator.pose.body import ReportedPoint, baseline
 from tilth.estimator.pose.geometry import rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, judge, regress, settled, time_constant
-from tilth.schemas.flow import Pose
+from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
 
@@ -37,13 +37,12 @@ OFFSET_SD: Final = 0.04  # m, of the hitch by the survey of antennas and by yaw 
 RESPONSE: Final = (0.5, 0.5)  # mean and sd of c before any data
 LARGER: Final = 3.0  # mean square of rolls over that of their noise, from which on they tell
 LEAST_ROLL_NOISE: Final = math.radians(0.05)
-SMOOTHED: Final = "smoothed_yaw_rate"
-TWICE: Final = "roll_corrected_twice"
-NOT: Final = "not_roll_corrected"
-UNCLEAR: Final = "roll_correction"
+SMOOTHED: Final = FlagKind.SMOOTHED_YAW_RATE
+TWICE: Final = FlagKind.ROLL_CORRECTED_TWICE
+NOT: Final = FlagKind.NOT_ROLL_CORRECTED
+UNCLEAR: Final = FlagKind.ROLL_CORRECTION
 KINDS: Final = (SMOOTHED, TWICE, NOT, UNCLEAR)  # of what is found
 _SET: Final = {TWICE: "true", NOT: "false"}
-_NO_RTK: Final = frozenset({"floating", "no_rtk", "no_fix", "fix_unknown"})
 
 
 @dataclass(slots=True)
@@ -67,10 +66,12 @@ class StartUp:
     rolls: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """Of both bodies: sums of squares of rolls and of their noise, rad^2, where they were looked at."""
     looks: int = 0
-    wrong: list[str] = field(default_factory=lambda: [""] * 4)  # as in flow.Mount: a key of _SET, or ""
+    wrong: list[FlagKind | None] = field(
+        default_factory=lambda: [None] * 4
+    )  # as in flow.Mount: a key of _SET
     unclear: bool = False  # it is wrong somewhere, but not to be told where
     seen_ns: int = 0
-    told: list[str] = field(default_factory=list)  # flags of what has been said
+    reported: list[Flag] = field(default_factory=list)  # flags of which an event was given
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +94,10 @@ def observe(state: StartUp, aligner: Aligner, pose: Pose) -> None:
     follows = pose.t_ns - state.seen_ns == POSE_NS
     state.seen_ns = pose.t_ns
     t_ns = pose.t_ns - POSE_NS
-    kinds = {flag.partition(":")[0] for flag in pose.flags}
+    kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
     pairs: list[_Pair | None] = [None, None]
-    if speed is not None and speed > SLOWEST and not kinds & _NO_RTK:
+    if speed is not None and speed > SLOWEST and not kinds & WITHOUT_RTK:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
@@ -117,23 +118,23 @@ def turn_rates_known(state: StartUp) -> bool:
     return bool(compared) and all(settled(lag) for lag in compared)
 
 
-def flags(state: StartUp) -> list[str]:
-    """kind:who of all that is wrong now; who is a mount, or `rig` where it is not known."""
-    out = [f"{SMOOTHED}:{mount.value}" for mount, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed]
-    out += [f"{kind}:{mount.value}" for mount, kind in zip(MOUNTS, state.wrong, strict=True) if kind]
-    return [*out, f"{UNCLEAR}:rig"] if state.unclear else out
+def flags(state: StartUp) -> list[Flag]:
+    """Of all that is wrong now; of a mount, or of `rig` where it is not known which."""
+    out = [Flag(SMOOTHED, mount.value) for mount, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed]
+    out += [Flag(kind, mount.value) for mount, kind in zip(MOUNTS, state.wrong, strict=True) if kind]
+    return [*out, Flag(UNCLEAR, "rig")] if state.unclear else out
 
 
 def events(state: StartUp) -> list[tuple[str, str]]:
-    """(kind, what is wrong and what to do) of what has been found since this was last asked."""
-    now, before = flags(state), state.told
-    state.told = now
-    return [(flag.partition(":")[0], in_words(state, flag)) for flag in now if flag not in before]
+    """(kind, what is wrong and what to do) of what has been found since the last call."""
+    now, before = flags(state), state.reported
+    state.reported = now
+    return [(flag.kind, in_words(state, flag)) for flag in now if flag not in before]
 
 
-def in_words(state: StartUp, flag: str) -> str:
+def in_words(state: StartUp, flag: Flag) -> str:
     """What a flag of `flags` means, and what to do."""
-    kind, _, who = flag.partition(":")
+    kind, who = flag.kind, flag.of
     if kind == UNCLEAR:
         return (
             "the hitch moves with roll as if roll_corrected were wrong on the tractor or on the implement: "
@@ -365,11 +366,11 @@ def _judge_rolls(state: StartUp, machine: Machine) -> None:
     scores = np.array([_explains(state, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
     if scores[0] == scores.max():
-        state.wrong, state.unclear = [""] * 4, False
+        state.wrong, state.unclear = [None] * 4, False
     elif scores[0] < scores.max() - SURE**2 / 2:
         sure = np.all(likely != told, axis=0)
         kinds = [TWICE if t == 1.0 else NOT for t in told]
-        state.wrong = [kind if yes else "" for kind, yes in zip(kinds, sure, strict=True)]
+        state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]
         state.unclear = not sure.any()
 
 

@@ -6,7 +6,7 @@ differences then, and what was late by less than the aligner's deadline has come
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from tilth.estimator.pose.receiver_track import Sample
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
 from tilth.estimator.record.measured_rows import Knot, Row, Used, rows_between
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch
-from tilth.schemas.flow import Pose
+from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 
 TICKS = POSE_NS // TICK_NS  # of a stretch
@@ -27,9 +27,9 @@ WHEEL_GAP_NS = 150_000_000  # longest that is interpolated: one sample of a sens
 SETTLING = 10  # stretches (2 s) that are driven after a refusal before anything is learned again
 
 _REFUSING = (
-    ({"swapped", "moved", "doubtful", "latency"}, "receivers do not fit the rig"),
-    ({"floating", "no_rtk", "no_fix", "fix_unknown"}, "no RTK fix"),
-    ({"no_roll"}, "roll not measured"),
+    (MISPLACED, "receivers do not fit the rig"),
+    (WITHOUT_RTK, "no RTK fix"),
+    ({FlagKind.NO_ROLL}, "roll not measured"),
 )
 _HALVES = (0.0, 0.5, 1.0)
 
@@ -135,7 +135,7 @@ def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
         pose.t_ns,
         (pose.origin_latitude_deg, pose.origin_longitude_deg),
         _reason(pose),
-        tuple(i for i, mount in enumerate(MOUNTS) if f"repeating:{mount.value}" in pose.flags),
+        tuple(i for i, mount in enumerate(MOUNTS) if Flag(FlagKind.REPEATING, mount.value) in pose.flags),
         values,
         (roll_pitch_at(aligner, 0, pose.t_ns), roll_pitch_at(aligner, 1, pose.t_ns)),
     )
@@ -144,8 +144,8 @@ def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
 def _reason(pose: Pose) -> str:
     """Why nothing may be learned about this pose, or ""."""
     # A receiver that is lost gives no rows, so that its fix need not be known.
-    lost = {flag.replace("lost:", "fix_unknown:") for flag in pose.flags if flag.startswith("lost:")}
-    kinds = {flag.partition(":")[0] for flag in pose.flags if flag not in lost}
+    lost = {replace(flag, kind=FlagKind.FIX_UNKNOWN) for flag in pose.flags if flag.kind is FlagKind.LOST}
+    kinds = {flag.kind for flag in pose.flags if flag not in lost}
     for shutting, reason in _REFUSING:
         if kinds & shutting:
             return reason

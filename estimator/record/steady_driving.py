@@ -8,7 +8,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-from tilth.schemas.flow import Pose
+from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 
 SLOWEST = 2.0  # m/s: below, slip is too small against noise
 BLOCK = 5  # poses that are averaged into one sample
@@ -21,11 +21,14 @@ LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle mod
 LONGEST_GAP_S = 1.0
 
 _DISQUALIFYING = (
-    ({"swapped", "moved", "doubtful", "latency"}, "receivers do not fit the rig"),
-    ({"floating", "no_rtk", "no_fix", "fix_unknown"}, "no RTK fix"),
-    ({"late"}, "late receiver"),
-    ({"no_roll"}, "roll not measured"),  # unseen, a side slope of 3 degrees moves C_ai by a third
-    ({"heading_by_hitch", "heading_by_reported", "heading_by_yaw_rate"}, "heading not from two receivers"),
+    (MISPLACED, "receivers do not fit the rig"),
+    (WITHOUT_RTK, "no RTK fix"),
+    ({FlagKind.LATE}, "late receiver"),
+    ({FlagKind.NO_ROLL}, "roll not measured"),  # unseen, a side slope of 3 degrees moves C_ai by a third
+    (
+        {FlagKind.HEADING_BY_HITCH, FlagKind.HEADING_BY_REPORTED, FlagKind.HEADING_BY_YAW_RATE},
+        "heading not from two receivers",
+    ),
 )
 
 
@@ -128,7 +131,7 @@ def _mean(block: list[Sample]) -> Sample:
 
 def _sample(pose: Pose) -> tuple[Sample | None, str]:
     """The pose's numbers, or why it cannot teach."""
-    kinds = {flag.partition(":")[0] for flag in pose.flags}
+    kinds = {flag.kind for flag in pose.flags}
     for disqualifying, reason in _DISQUALIFYING:
         if kinds & disqualifying:
             return None, reason

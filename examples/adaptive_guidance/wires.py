@@ -16,7 +16,7 @@ from tilth.adaptive_guidance.controller import STALE
 from tilth.client import Client, HeardRig, Latest
 from tilth.client.link import Link, base_key, open_session
 from tilth.client.received import Refused, parse
-from tilth.schemas.flow import BodyPose, Pose
+from tilth.schemas.flow import BodyPose, Pose, known_flags
 from tilth.schemas.proto import tilth_pb2 as pb
 
 UNHEARD: Final = 1000  # frames, at most, thrown away before a command
@@ -34,7 +34,7 @@ def pose_of(data: bytes, encoding: str) -> Pose:
         message.t_ns, *origin, _body(message.tractor), _body(message.implement),
         _number(message, "articulation"), _number(message, "sd_articulation"),
         _number(message, "wheel_angle"), _number(message, "sd_wheel_angle"),
-        message.direction, None, message.sd_time, message.receivers, tuple(message.flags),
+        message.direction, None, message.sd_time, message.receivers, known_flags(message.flags),
     )  # fmt: skip
 
 

@@ -13,7 +13,18 @@ from tilth.estimator.methods import estimators
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.channels import CHANNEL, payload
-from tilth.schemas.flow import Estimate, Event, Frame, Mount, Pose, Position, Publication, Status
+from tilth.schemas.flow import (
+    Estimate,
+    Event,
+    Flag,
+    FlagKind,
+    Frame,
+    Mount,
+    Pose,
+    Position,
+    Publication,
+    Status,
+)
 from tilth.schemas.machine import Machine
 from tilth.simulator.tractor import Fault, Reclaim, Scenario, drive
 from tilth.simulator.traffic import simulate
@@ -125,7 +136,7 @@ def test_all_receivers_not_available_gives_reasons_and_no_pose() -> None:
 def test_one_receiver_silent_is_flagged_at_the_sample_and_back() -> None:
     scenario = replace(QUIET, faults=(Fault(Mount.IMPLEMENT_REAR, 8.0, 12.0, "silent"),))
     _, out = run(frames(16.0, scenario))
-    flagged = [p.t_ns for p in poses(out) if "lost:implement_rear" in p.flags]
+    flagged = [p.t_ns for p in poses(out) if Flag.parse("lost:implement_rear") in p.flags]
     start = frames(16.0, scenario)[0].t_ns
     assert 8.2e9 < flagged[-1] - start < 12.6e9
     assert (flagged[-1] - flagged[0]) * 1e-9 == pytest.approx(3.2, abs=0.4)
@@ -207,9 +218,9 @@ def test_two_receivers_that_send_from_one_address_are_not_taken_for_one() -> Non
     state, out = run(frames(12.0, scenario))
     assert state.rejected["address_conflict"] > 0
     late = [p for p in poses(out) if p.t_ns > frames(12.0, scenario)[0].t_ns + 8_000_000_000]
-    assert all("lost:tractor_rear" in p.flags for p in late)
+    assert all(Flag.parse("lost:tractor_rear") in p.flags for p in late)
     assert all(p.tractor.heading is None for p in late)
-    assert all(any(f.startswith(("moved", "doubtful")) for f in p.flags) for p in late)
+    assert all(any(f.kind in (FlagKind.MOVED, FlagKind.DOUBTFUL) for f in p.flags) for p in late)
 
 
 def test_another_estimator_is_one_row(

@@ -45,7 +45,7 @@ def _pose_row(pose: Pose, start: int) -> list[str]:
         tractor.lateral_velocity, tractor.yaw_rate, pose.wheel_angle,
     )  # fmt: skip
     numbers = ["" if v is None else f"{v:.5f}" for v in values]
-    return [f"{(pose.t_ns - start) * 1e-9:.1f}", *numbers, " ".join(pose.flags)]
+    return [f"{(pose.t_ns - start) * 1e-9:.1f}", *numbers, " ".join(map(str, pose.flags))]
 
 
 def test_the_demo_behaves_as_it_did(request: pytest.FixtureRequest) -> None:

@@ -23,7 +23,16 @@ from websockets.sync.client import ClientConnection, connect
 
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Event, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import (
+    PARAMETERS,
+    BodyPose,
+    Estimate,
+    Event,
+    ParameterEstimate,
+    Pose,
+    Status,
+    known_flags,
+)
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -77,7 +86,7 @@ def pose(t_ns: int, at: Point, lost: str, flag: str = "") -> Pose:
     wheel = math.atan(at.yaw_rate * 2.9 / SPEED)
     return Pose(
         t_ns, 43.5, -83.4, tractor, implement, articulation, 0.003, wheel, 0.002, 1, None, 0.01,
-        4 - bool(lost), flags,
+        4 - bool(lost), known_flags(flags),
     )  # fmt: skip
 
 

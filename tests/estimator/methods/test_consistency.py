@@ -129,7 +129,7 @@ def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
         assert all(p.status is Status.INVALID and p.value is None for p in estimate.parameters)
         assert word in estimate.parameters[0].reason
     poses = [p.value for p in out if isinstance(p.value, Pose)]
-    assert any(flag.startswith("contradiction:") for flag in poses[-1].flags)
+    assert any(flag.kind is CONTRADICTION for flag in poses[-1].flags)
 
 
 def test_numbers_come_back_when_the_contradiction_is_gone() -> None:

@@ -36,7 +36,7 @@ from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.results.recommend import PREFERRED
 from tilth.estimator.state_json import to_plain
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Estimate, Frame, Measurement, Mount, Pose, Status
+from tilth.schemas.flow import Estimate, Flag, Frame, Measurement, Mount, Pose, Status
 from tilth.schemas.flow import Velocity as VelocityMeasurement
 from tilth.schemas.flow import YawRate as YawRateMeasurement
 from tilth.simulator.tractor import Fault, draw
@@ -255,7 +255,7 @@ FLOATING = replace(
 @each_method
 def test_a_floating_receiver_teaches_nothing(method: str) -> None:
     run = driven(FLOATING, 60.0)
-    floating = [run.at(p.t_ns) for p in run.poses() if "floating:tractor_rear" in p.flags]
+    floating = [run.at(p.t_ns) for p in run.poses() if Flag.parse("floating:tractor_rear") in p.flags]
     assert 41.6 < floating[0] < 43.2 and 53.6 < floating[-1] < 55.2  # the host's clock is some 0.1 s off
     assert len(floating) == pytest.approx(5 * (floating[-1] - floating[0]), abs=2)
     # A fit that was asked for before may still land, 3 s after.

@@ -15,7 +15,7 @@ from tilth.estimator.methods.stored_state import steady_state_json, steady_state
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.results.reporting import take_events
-from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
+from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
 
 MACHINE = demo_machine()
 TRUTH = (200e3, 560e3, 150e3)
@@ -229,18 +229,21 @@ REFUSED = [
     ("reverse", lambda p: replace(_body(p, forward_velocity=-4.5), direction=-1)),
     ("too slow", lambda p: _body(p, forward_velocity=1.0)),
     ("too slow", lambda p: replace(_body(p, forward_velocity=0.0), direction=0)),
-    ("no RTK fix", lambda p: replace(p, flags=("floating:tractor_rear",))),
-    ("no RTK fix", lambda p: replace(p, flags=("no_rtk:tractor_rear",))),
-    ("receivers do not fit the rig", lambda p: replace(p, flags=("swapped:tractor_rear",))),
-    ("receivers do not fit the rig", lambda p: replace(p, flags=("moved:tractor_rear",))),
-    ("late receiver", lambda p: replace(p, flags=("late:implement_front",))),
+    ("no RTK fix", lambda p: replace(p, flags=(Flag.parse("floating:tractor_rear"),))),
+    ("no RTK fix", lambda p: replace(p, flags=(Flag.parse("no_rtk:tractor_rear"),))),
+    ("receivers do not fit the rig", lambda p: replace(p, flags=(Flag.parse("swapped:tractor_rear"),))),
+    ("receivers do not fit the rig", lambda p: replace(p, flags=(Flag.parse("moved:tractor_rear"),))),
+    ("late receiver", lambda p: replace(p, flags=(Flag.parse("late:implement_front"),))),
     ("no wheel angle", lambda p: replace(p, wheel_angle=None)),
-    ("roll not measured", lambda p: replace(p, flags=("no_roll:implement",))),
-    ("receivers do not fit the rig", lambda p: replace(p, flags=("latency:tractor_rear",))),
-    ("no RTK fix", lambda p: replace(p, flags=("fix_unknown:tractor_rear",))),
+    ("roll not measured", lambda p: replace(p, flags=(Flag.parse("no_roll:implement"),))),
+    ("receivers do not fit the rig", lambda p: replace(p, flags=(Flag.parse("latency:tractor_rear"),))),
+    ("no RTK fix", lambda p: replace(p, flags=(Flag.parse("fix_unknown:tractor_rear"),))),
     ("pose incomplete", lambda p: replace(p, articulation=None)),
     ("pose incomplete", lambda p: _body(p, yaw_rate=None)),
-    ("heading not from two receivers", lambda p: replace(p, flags=("heading_by_hitch:implement",))),
+    (
+        "heading not from two receivers",
+        lambda p: replace(p, flags=(Flag.parse("heading_by_hitch:implement"),)),
+    ),
     ("outside the small-angle model", lambda p: replace(p, wheel_angle=0.4)),
 ]
 

@@ -23,7 +23,7 @@ from tilth.estimator.warm_start import Kept
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Event, Frame, Measurement, Mount, Pose, YawRate
+from tilth.schemas.flow import Event, Flag, FlagKind, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import Ground, Scenario
 from tilth.simulator.traffic import simulate
@@ -146,7 +146,7 @@ def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
     for lag in state.lags[:2]:
         tau, sd = time_constant(lag)
         assert abs(tau - 1.0) < 0.15 and sd < 0.1
-    assert receiver_checks.flags(state) == [f"smoothed_yaw_rate:{m.value}" for m in TRACTOR]
+    assert receiver_checks.flags(state) == [Flag(receiver_checks.SMOOTHED, m.value) for m in TRACTOR]
 
 
 def test_one_of_four_that_is_a_mean_over_two_seconds_is_told_from_the_others() -> None:
@@ -167,7 +167,7 @@ def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float
     ((at, kind, text),) = found
     assert (kind, who(text)) == (receiver_checks.SMOOTHED, "implement_front") and at < 35.0
     assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
-    assert receiver_checks.flags(state) == ["smoothed_yaw_rate:implement_front"]
+    assert receiver_checks.flags(state) == [Flag.parse("smoothed_yaw_rate:implement_front")]
     lag, sd = time_constant(state.lags[2])
     assert abs(lag - tau) < max(0.25 * tau, 4 * sd)
 
@@ -215,14 +215,14 @@ def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
     assert told.keys() == {m.value for m in mounts}
     for k, text in told.values():
         assert k == kind and text.endswith(f"set roll_corrected = {word} in the machine file")
-    assert set(receiver_checks.flags(state)) == {f"{kind}:{m.value}" for m in mounts}
+    assert set(receiver_checks.flags(state)) == {Flag(FlagKind(kind), m.value) for m in mounts}
 
 
 def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_knows() -> None:
     """Both bodies lean alike: either of the two explains where they see the hitch."""
     state, found = drive(HILL, 40.0, really=turned_round(IMPLEMENT))
     assert [kind for _, kind, _ in found] == [receiver_checks.UNCLEAR]
-    assert receiver_checks.flags(state) == ["roll_correction:rig"]
+    assert receiver_checks.flags(state) == [Flag.parse("roll_correction:rig")]
 
 
 def test_on_even_ground_nothing_can_be_said_of_roll() -> None:
@@ -301,10 +301,10 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     found = out.index(events[0])
     before = [value for value in out[:found] if isinstance(value, Pose)]
     after = [value for value in out[found:] if isinstance(value, Pose)]
-    told = {f"{receiver_checks.SMOOTHED}:{m.value}" for m in IMPLEMENT}
+    told = {Flag(receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT}
     assert all(told <= set(pose.flags) for pose in after) and len(after) > 20
     assert not any(told & set(pose.flags) for pose in before[:-1])
-    assert any("yaw_rate_of_heading:implement" in pose.flags for pose in after)
+    assert any(Flag.parse("yaw_rate_of_heading:implement") in pose.flags for pose in after)
     own = state.estimators[pem.METHOD]
     assert own.mean[:6] == pytest.approx(learned_before()[pem.METHOD].mean[:6], abs=1e-3)
     kinds = concatenate(own.window).rows[:, 2:4]

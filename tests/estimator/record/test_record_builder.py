@@ -27,6 +27,7 @@ from tilth.schemas.flow import (
     Attitude,
     Fix,
     FixType,
+    Flag,
     Heading,
     Measurement,
     Mount,
@@ -36,6 +37,7 @@ from tilth.schemas.flow import (
     Velocity,
     WheelAngle,
     YawRate,
+    known_flags,
 )
 from tilth.schemas.machine import Machine
 from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
@@ -272,15 +274,15 @@ def tractor(**changes: float | None) -> Change:
 
 
 REFUSED: list[tuple[Change, str]] = [
-    (lambda p: replace(p, flags=("swapped:tractor_front",)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=("moved:implement_rear",)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=("doubtful:implement_rear",)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=("latency:implement_rear",)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=("floating:tractor_rear",)), "no RTK fix"),
-    (lambda p: replace(p, flags=("no_rtk:tractor_rear",)), "no RTK fix"),
-    (lambda p: replace(p, flags=("no_fix:tractor_rear",)), "no RTK fix"),
-    (lambda p: replace(p, flags=("fix_unknown:tractor_rear",)), "no RTK fix"),
-    (lambda p: replace(p, flags=("no_roll:implement",)), "roll not measured"),
+    (lambda p: replace(p, flags=(Flag.parse("swapped:tractor_front"),)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=(Flag.parse("moved:implement_rear"),)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=(Flag.parse("doubtful:implement_rear"),)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=(Flag.parse("latency:implement_rear"),)), "receivers do not fit the rig"),
+    (lambda p: replace(p, flags=(Flag.parse("floating:tractor_rear"),)), "no RTK fix"),
+    (lambda p: replace(p, flags=(Flag.parse("no_rtk:tractor_rear"),)), "no RTK fix"),
+    (lambda p: replace(p, flags=(Flag.parse("no_fix:tractor_rear"),)), "no RTK fix"),
+    (lambda p: replace(p, flags=(Flag.parse("fix_unknown:tractor_rear"),)), "no RTK fix"),
+    (lambda p: replace(p, flags=(Flag.parse("no_roll:implement"),)), "roll not measured"),
     (lambda p: replace(p, direction=-1), "reverse"),
     (tractor(forward_velocity=0.9), "too slow"),
     (tractor(heading=None, sd_heading=None), "no heading"),
@@ -313,7 +315,7 @@ def test_a_refusal_lasts_for_the_poses_beside_it_and_two_seconds_of_driving(
     ],
 )
 def test_a_receiver_that_is_late_or_lost_refuses_nothing(flags: tuple[str, ...]) -> None:
-    _, out = edited({30: lambda p: replace(p, flags=flags)})
+    _, out = edited({30: lambda p: replace(p, flags=known_flags(flags))})
     assert {s.reason for s in out[10:]} == {""}
 
 
@@ -371,7 +373,9 @@ def test_a_receiver_without_a_fix_or_silent_gives_no_rows() -> None:
 
 
 def test_a_repeating_receiver_gives_no_rows() -> None:
-    _, out = edited({k: lambda p: replace(p, flags=("repeating:tractor_rear",)) for k in range(30, 33)})
+    _, out = edited(
+        {k: lambda p: replace(p, flags=(Flag.parse("repeating:tractor_rear"),)) for k in range(30, 33)}
+    )
     for number in (29, 30, 31, 32):
         rows = out[number].record.rows
         assert not ((rows[:, 3] == 1) & (rows[:, 2] != YAW_RATE)).any()
