@@ -124,12 +124,12 @@ def keep(state: State, t_ns: int) -> dict[str, Kept]:
 
 def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
     """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
-    told = warm_start.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
+    refusals = warm_start.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
     state.time.latest_ns = t_ns
-    state.kept = {method: before for method, before in kept.items() if told.get(method) == ""}
+    state.kept = {method: before for method, before in kept.items() if refusals.get(method) == ""}
     state.consistency.confirmed = bool(state.kept)  # only then something had been kept
     state.kept_ns = t_ns - round(elapsed_s * 1e9)
-    return told
+    return refusals
 
 
 def _learn_anew(state: State, t_ns: int) -> None:
@@ -216,8 +216,8 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
     given = []
     for row in rows_for(state.machine):
-        own = state.estimators[row.method]
-        estimate = row.take(own, state.machine, pose, stretch)
+        method_state = state.estimators[row.method]
+        estimate = row.take(method_state, state.machine, pose, stretch)
         if estimate is not None:
             given.append(estimate)
         _events_of(state, t_ns, row, out)
@@ -319,9 +319,9 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
 
 def decide(state: State, outcome: FitOutcome) -> None:
     """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
-    own = state.estimators[outcome.method]
-    own.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
-    own.late_ns = outcome.late_ns
+    method_state = state.estimators[outcome.method]
+    method_state.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
+    method_state.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
@@ -329,8 +329,8 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out
-    own = state.estimators[method]
-    given = row.fitting.adopt(own, state.machine, made, t_ns)
+    method_state = state.estimators[method]
+    given = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _events_of(state, t_ns, row, out)
     _estimates(state, t_ns, [given], out)
     return out

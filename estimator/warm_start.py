@@ -45,7 +45,7 @@ class Kept:
     @classmethod
     def from_json(cls, plain: Any) -> "Kept":
         """What `to_json` gave. Raises ValueError."""
-        stored = Stored(plain, "what was kept")
+        stored = Stored(plain, "what was stored")
         kept = cls(
             tuple(stored.value(list[str], "names")),
             stored.array("mean", -1),
@@ -64,11 +64,11 @@ def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str
     """
     kept = {}
     for row in rows_for(machine):
-        memory, own = row.memory, estimators[row.method]
-        if memory is None or not own.informed_ns:
+        memory, method_state = row.memory, estimators[row.method]
+        if memory is None or not method_state.informed_ns:
             continue
-        learned = memory.learned(own)
-        age_s = max(t_ns - own.informed_ns, 0) * 1e-9
+        learned = memory.learned(method_state)
+        age_s = max(t_ns - method_state.informed_ns, 0) * 1e-9
         kept[row.method] = Kept(memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts))
     return kept
 
@@ -80,18 +80,18 @@ def warm(
 
     Method -> why it could not be used, "" where it is.
     """
-    told = {}
+    refusals = {}
     for row in rows_for(machine):
         before = kept.get(row.method)
         if row.memory is None or before is None:
             continue
-        own = estimators[row.method]
-        fresh = row.memory.learned(own)
-        told[row.method] = _why_not(row.memory, fresh, before)
-        if not told[row.method]:
-            row.memory.resume(own, _faded(row.memory, fresh, before, elapsed_s))
-            own.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
-    return told
+        method_state = estimators[row.method]
+        fresh = row.memory.learned(method_state)
+        refusals[row.method] = _why_not(row.memory, fresh, before)
+        if not refusals[row.method]:
+            row.memory.resume(method_state, _faded(row.memory, fresh, before, elapsed_s))
+            method_state.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
+    return refusals
 
 
 def _why_not(memory: Memory, fresh: Learned, kept: Kept) -> str:

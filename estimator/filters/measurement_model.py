@@ -52,27 +52,27 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 
 @kernel
-def predict_measurement(x: Array, seen: Observation, point: Point, setup: RigSetup, h: Array) -> float:
+def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
     """What a measurement shows at state x; fills h (15,), its slope."""
     h[:] = 0.0
-    if seen.kind == YAW_RATE:
-        h[X_R + seen.place] = 1.0
-        return float(x[X_R + seen.place])
-    if seen.kind == HEADING:
-        h[X_PSI + seen.place] = 1.0
-        return float(x[X_PSI + seen.place])
-    body = body_of(seen.kind, seen.place)
-    lever = setup.levers[seen.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
-    if seen.kind == VELOCITY:
-        return predict_velocity(x, seen, body, lever, point, h)
-    return predict_position(x, seen, body, lever, point, setup, h)
+    if obs.kind == YAW_RATE:
+        h[X_R + obs.place] = 1.0
+        return float(x[X_R + obs.place])
+    if obs.kind == HEADING:
+        h[X_PSI + obs.place] = 1.0
+        return float(x[X_PSI + obs.place])
+    body = body_of(obs.kind, obs.place)
+    lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
+    if obs.kind == VELOCITY:
+        return predict_velocity(x, obs, body, lever, point, h)
+    return predict_position(x, obs, body, lever, point, setup, h)
 
 
 @kernel
-def predict_velocity(x: Array, seen: Observation, body: int, lever: float, point: Point, h: Array) -> float:
+def predict_velocity(x: Array, obs: Observation, body: int, lever: float, point: Point, h: Array) -> float:
     """Of a receiver, to the right of psi_ref, m/s. lever: how far it is ahead of its body's CG, m."""
-    u, c, d = seen.u, point.geometry[2], point.geometry[3]
-    angle = x[X_PSI] - seen.psi_ref
+    u, c, d = obs.u, point.geometry[2], point.geometry[3]
+    angle = x[X_PSI] - obs.psi_ref
     sine, cosine = math.sin(angle), math.cos(angle)
     h[X_V] = cosine
     if body == 0:
@@ -89,12 +89,12 @@ def predict_velocity(x: Array, seen: Observation, body: int, lever: float, point
 
 @kernel
 def predict_position(
-    x: Array, seen: Observation, body: int, lever: float, point: Point, setup: RigSetup, h: Array
+    x: Array, obs: Observation, body: int, lever: float, point: Point, setup: RigSetup, h: Array
 ) -> float:
     """North or east of a receiver, m. lever: as of `predict_velocity`."""
     c, d = point.geometry[2], point.geometry[3]
-    arm = setup.levers[seen.place, 0] - setup.middles[body, 0]
-    aside = setup.levers[seen.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
+    arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
+    aside = setup.levers[obs.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
     if body == 1:
         aside += point.unknowns[AT_ASIDE]
     psi = x[X_PSI + body]
@@ -102,7 +102,7 @@ def predict_position(
     sine_t, cosine_t = math.sin(x[X_PSI]), math.cos(x[X_PSI])
     ahead = lever if body == 0 else lever - d
     hitch = 0.0 if body == 0 else c
-    if seen.kind == NORTH:
+    if obs.kind == NORTH:
         h[X_POSITION] = 1.0
         h[X_PSI + body] = -ahead * sine - aside * cosine
         h[X_PAIR + body] = -arm * sine

@@ -152,11 +152,11 @@ def filtered(
                 e[row], S[row] = 0.0, 1.0
                 row += 1
                 continue
-            seen = observation(ticks, rows[row], k, u)
-            share = seen.share
+            obs = observation(ticks, rows[row], k, u)
+            share = obs.share
             for j in range(N_STATES):
                 x_at[j] = x[j] + share * (following[j] - x[j])
-            error = readings[row] - predict_measurement(x_at, seen, point, setup, h)
+            error = readings[row] - predict_measurement(x_at, obs, point, setup, h)
             if mode != FOLLOW:
                 for j in range(N_STATES):
                     H[j] = (1.0 - share) * h[j]
@@ -170,7 +170,7 @@ def filtered(
                     if part != 0.0:
                         for i in range(N_STATES):
                             P_H[i] += part * P[j, i]
-                variance = (rows[row, SD] * noise_factor(seen.kind, point.unknowns)) ** 2
+                variance = (rows[row, SD] * noise_factor(obs.kind, point.unknowns)) ** 2
                 for i in range(N_STATES):
                     variance += H[i] * P_H[i]
                 for i in range(N_STATES):

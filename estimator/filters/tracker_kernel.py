@@ -160,28 +160,28 @@ def propagate_joint_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: fl
 
 
 @kernel
-def lever_arms(x: Array, seen: Observation, body: int) -> tuple[float, float, float]:
+def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, float]:
     """By how much what a receiver shows changes per metre: of it further forward, of the hitch further back
     from the tractor's CG, of it further right."""
-    if seen.kind == VELOCITY:
-        cosine = math.cos(x[X_PSI] - seen.psi_ref)
+    if obs.kind == VELOCITY:
+        cosine = math.cos(x[X_PSI] - obs.psi_ref)
         return (x[X_R] * cosine, 0.0, 0.0) if body == 0 else (x[X_R + 1], -x[X_R] * cosine, 0.0)
     sine, cosine = math.sin(x[X_PSI + body]), math.cos(x[X_PSI + body])
-    if seen.kind == NORTH:
+    if obs.kind == NORTH:
         return cosine, 0.0 if body == 0 else -math.cos(x[X_PSI]), -sine
     return sine, 0.0 if body == 0 else -math.sin(x[X_PSI]), cosine
 
 
 @kernel
 def predict_joint_measurement(
-    x: Array, seen: Observation, point: Point, active: Active, setup: RigSetup, h: Array
+    x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
     """What a measurement shows; fills h (16 + a,), its slope over the joint state."""
-    value: float = predict_measurement(x, seen, point, setup, h)
-    if seen.kind == YAW_RATE or seen.kind == HEADING:
+    value: float = predict_measurement(x, obs, point, setup, h)
+    if obs.kind == YAW_RATE or obs.kind == HEADING:
         return value
-    body = body_of(seen.kind, seen.place)
-    ahead, back, aside = lever_arms(x, seen, body)
+    body = body_of(obs.kind, obs.place)
+    ahead, back, aside = lever_arms(x, obs, body)
     if body == 1:
         h[X_ASIDE] = aside
         value += aside * x[X_ASIDE]
@@ -355,27 +355,27 @@ def tracked(
         propagate_mean(x, drive.u, rates, step, following)
         complete_jacobian(x, following, drive, active, step)
         while row < m and rows[row, TICK] <= k - first:
-            seen = observation(ticks, rows[row], k, drive.u)
+            obs = observation(ticks, rows[row], k, drive.u)
             for i in range(N_TRACKER):
-                x_at[i] = x[i] + seen.share * (following[i] - x[i])
-            error = rows[row, VALUE] - predict_joint_measurement(x_at, seen, point, active, setup, h)
-            noise_variance = (rows[row, SD] * noise_factor(seen.kind, unknowns)) ** 2
+                x_at[i] = x[i] + obs.share * (following[i] - x[i])
+            error = rows[row, VALUE] - predict_joint_measurement(x_at, obs, point, active, setup, h)
+            noise_variance = (rows[row, SD] * noise_factor(obs.kind, unknowns)) ** 2
             row += 1
             if not (math.isfinite(error) and math.isfinite(noise_variance)):
                 counts[BAD] += 1.0
                 continue
             for j in range(n):
-                H[j] = (1.0 - seen.share) * h[j] if j < N_TRACKER else h[j]
+                H[j] = (1.0 - obs.share) * h[j] if j < N_TRACKER else h[j]
             for i in range(N_TRACKER):
                 if h[i] != 0.0:
                     for j in range(n):
-                        H[j] += seen.share * h[i] * step.F[i, j]
+                        H[j] += obs.share * h[i] * step.F[i, j]
             variance = update(error, noise_variance, H, state, step.F_T, work)
             if variance < 0.0:
                 counts[GATED] += 1.0
                 continue
             counts[USED] += 1.0
-            group = 0 if seen.kind == YAW_RATE else (1 if seen.kind == VELOCITY else 2)
+            group = 0 if obs.kind == YAW_RATE else (1 if obs.kind == VELOCITY else 2)
             left = noise_variance / variance
             residual = left * left * error * error + (1.0 - left) * noise_variance
             sums[group, 0] += residual / rows[row - 1, SD] ** 2

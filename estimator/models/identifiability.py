@@ -148,14 +148,14 @@ def whitened(
     p, x = np.zeros((n, n)), np.zeros((n, slopes.shape[2]))
     rows = []
     for k in range(len(slopes)):
-        heard = np.flatnonzero(k % every == 0)
-        if len(heard):
-            c = sys.c[heard]
-            spread = c @ p @ c.T + np.diag(variance[heard])
-            surprise = slopes[k, heard] - c @ x
-            rows.append(np.linalg.solve(np.linalg.cholesky(spread), surprise))
-            gain = np.linalg.solve(spread, c @ p).T
-            x, p = x + gain @ surprise, p - gain @ c @ p
+        sampled = np.flatnonzero(k % every == 0)
+        if len(sampled):
+            c = sys.c[sampled]
+            covariance = c @ p @ c.T + np.diag(variance[sampled])
+            innovation = slopes[k, sampled] - c @ x
+            rows.append(np.linalg.solve(np.linalg.cholesky(covariance), innovation))
+            gain = np.linalg.solve(covariance, c @ p).T
+            x, p = x + gain @ innovation, p - gain @ c @ p
         x, p = f @ x, f @ p @ f.T + q
     return np.concatenate(rows)
 

@@ -69,7 +69,7 @@ class StartUp:
     wrong: list[FlagKind | None] = field(
         default_factory=lambda: [None] * 4
     )  # as in flow.Mount: a key of _SET
-    unclear: bool = False  # it is wrong somewhere, but not to be told where
+    unclear: bool = False  # it is wrong somewhere, but it is not known where
     seen_ns: int = 0
     reported: list[Flag] = field(default_factory=list)  # flags of which an event was given
 
@@ -206,18 +206,19 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
 
 def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
     """(roll, variance of its noise) of a body: two receivers show by their difference how noisy they are."""
-    told = []
+    found_rolls = []
     for index in (2 * body, 2 * body + 1):
         track = aligner.tracks.get(MOUNTS[index].value)
         at_ns = t_ns + aligner.latency.excess_ns(index)
         found = sample_at(track.rolls, at_ns, SLOW_HOLD_NS) if track is not None else None
         if found is not None:
-            told.append(found)
-    if not told:
+            found_rolls.append(found)
+    if not found_rolls:
         return None
-    if len(told) == 2:
-        return (told[0][0] + told[1][0]) / 2, max(((told[0][0] - told[1][0]) / 2) ** 2, LEAST_ROLL_NOISE**2)
-    return told[0][0], told[0][1] ** 2
+    if len(found_rolls) == 2:
+        one, other = found_rolls[0][0], found_rolls[1][0]
+        return (one + other) / 2, max(((one - other) / 2) ** 2, LEAST_ROLL_NOISE**2)
+    return found_rolls[0][0], found_rolls[0][1] ** 2
 
 
 def _turn(
@@ -318,12 +319,12 @@ def _look_at_hitch(
         for k in (0, 1):
             arm[2 * body + k] = across[body] * pair.weights[k] * heights[2 * body + k]
         arms.append(arm)
-    told = [rolls[0], rolls[1]]
-    row = sum((arm * math.sin(roll) for arm, (roll, _) in zip(arms, told, strict=True)), np.zeros(5))
+    both = [rolls[0], rolls[1]]
+    row = sum((arm * math.sin(roll) for arm, (roll, _) in zip(arms, both, strict=True)), np.zeros(5))
     row[4] = 1.0
     variance = tractor.sd_hitch**2 + implement.sd_hitch**2
-    _add(state, row, arms, [noise for _, noise in told], gap, variance)
-    for body, (roll, noise) in enumerate(told):
+    _add(state, row, arms, [noise for _, noise in both], gap, variance)
+    for body, (roll, noise) in enumerate(both):
         state.rolls[body] += roll**2, noise
     state.looks += 1
 
@@ -350,26 +351,26 @@ def _judge(state: StartUp, machine: Machine) -> None:
 
 def _judge_rolls(state: StartUp, machine: Machine) -> None:
     """Which settings of roll_corrected explain the data, of all there are."""
-    told = np.zeros(4)
+    declared = np.zeros(4)
     free = []
     for receiver in machine.receiver:
         k = MOUNTS.index(receiver.mount)
-        told[k] = 0.0 if receiver.roll_corrected else 1.0
+        declared[k] = 0.0 if receiver.roll_corrected else 1.0
         if _rolls_tell(state, k // 2):
             free.append(k)
     if not free:
         return
-    settings = [told.copy() for _ in range(2 ** len(free))]
+    settings = [declared.copy() for _ in range(2 ** len(free))]
     for number, setting in enumerate(settings):
         for bit, k in enumerate(free):
-            setting[k] = abs(told[k] - (number >> bit & 1))  # number 0 is as told
+            setting[k] = abs(declared[k] - (number >> bit & 1))  # number 0 is as declared
     scores = np.array([_explains(state, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
     if scores[0] == scores.max():
         state.wrong, state.unclear = [None] * 4, False
     elif scores[0] < scores.max() - SURE**2 / 2:
-        sure = np.all(likely != told, axis=0)
-        kinds = [TWICE if t == 1.0 else NOT for t in told]
+        sure = np.all(likely != declared, axis=0)
+        kinds = [TWICE if t == 1.0 else NOT for t in declared]
         state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]
         state.unclear = not sure.any()
 

@@ -310,22 +310,22 @@ def advise(
     if table is None:
         table = {c: information(machine, mean, speed, c, hertz) for c in gentle(machine, speed)}
     now, prior_sd = np.sqrt(np.diag(covariance)[SIX]), unknowns.prior(machine)[1][SIX]
-    asked = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
-    known = not asked
+    undetermined = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
+    known = not undetermined
     if known:
-        asked = [int(np.argmax(now))]
-    names = _and([PARAMETERS[k] for k in asked])
-    if len(asked) == len(PARAMETERS):
+        undetermined = [int(np.argmax(now))]
+    names = _and([PARAMETERS[k] for k in undetermined])
+    if len(undetermined) == len(PARAMETERS):
         start = f"none of {names} is determined"
     else:
-        state = "is known least" if known else f"{'is' if len(asked) == 1 else 'are'} not determined"
-        start = f"{names} {state}: {share(*now[asked])}"
-    after = {c: predicted(covariance, brought)[asked] for c, brought in table.items()}
-    chosen = _choose(after, now[asked])
+        state = "is known least" if known else f"{'is' if len(undetermined) == 1 else 'are'} not determined"
+        start = f"{names} {state}: {share(*now[undetermined])}"
+    after = {c: predicted(covariance, brought)[undetermined] for c, brought in table.items()}
+    chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
     words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
-    them = "it" if len(asked) == 1 else "them"
+    them = "it" if len(undetermined) == 1 else "them"
     return f"{start}; {SECONDS:g} s of {words} would bring {them} to {share(*after[chosen])}"
 
 
