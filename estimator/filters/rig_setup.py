@@ -12,8 +12,7 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own, as pem and tracker have it
-PAIR_SHARE: Final = 0.4  # the same for who takes a pair's heading error as one: steady_state, and advice
+SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
 
 
 class RigSetup(NamedTuple):
@@ -28,22 +27,20 @@ class RigSetup(NamedTuple):
 
 
 def slow_pair_sd(machine: Machine, body: str) -> float | None:
-    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline. None without a pair."""
+    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline.
+
+    None without a pair, or where its antennas are at one place.
+    """
     pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
     if len(pair) != 2:
         return None
     length = math.dist(pair[0].position[:2], pair[1].position[:2])
-    return PAIR_SHARE * math.hypot(*(r.position_sd for r in pair)) / length
+    return SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length if length > 0.1 else None
 
 
 def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
     """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
-    position_sds = [r.position_sd for r in machine.receiver]
-    middles = unknowns.pair_middles(machine)
-    levers = unknowns.levers(machine)
-    sds = [np.radians(machine.wheel_angle.sd) / np.sqrt(2.0)]
-    for body in range(2):
-        length = float(np.hypot(*(levers[2 * body] - levers[2 * body + 1])))
-        slow = SLOW_SHARE * np.sqrt(2.0) * float(np.mean(position_sds)) / length if length > 0.1 else 0.0
-        sds.append(slow)
-    return RigSetup(unknowns.base_geometry(machine), levers, middles, np.array(sds), rig_of(machine), planar)
+    slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
+    sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
+    middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
+    return RigSetup(unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), planar)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
-from tilth.estimator.filters.rig_setup import rig_setup, slow_pair_sd
+from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
@@ -257,15 +257,9 @@ def _prediction_errors(
     measured = Measured(ticks, rows, np.tile(rows[:, VALUE], (len(points), 1)), np.ones(len(rows)))
     geometries = np.array([unknowns.geometry(base, point) for point in points])
     at = Point(points, np.exp(points[:, SIX]), geometries)
-    setup = rig_setup(machine, planar)._replace(sds=_sds(machine))
+    setup = rig_setup(machine, planar)
     innovations(measured, np.zeros(N_STATES), at, modes, setup, Innovations(e, S))
     return e, S
-
-
-def _sds(machine: Machine) -> Array:
-    """Of the wheel angle and of both pairs' slow heading errors, rad, shape (3,)."""
-    slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
-    return np.array([math.radians(machine.wheel_angle.sd), *slow])
 
 
 def predicted(covariance: Array, information: Array) -> Array:
