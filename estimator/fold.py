@@ -18,7 +18,7 @@ from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
-from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Stretch
 from tilth.estimator.record.record_builder import RecordState
@@ -71,7 +71,7 @@ class State:
     record: RecordState
     consistency: Consistency  # of the data with the machine file
     estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
-    checks: StartUp = field(default_factory=StartUp)
+    checks: ReceiverChecks = field(default_factory=ReceiverChecks)
     kept: dict[str, Kept] = field(default_factory=dict)  # what the run before had learned, by method
     kept_ns: int = 0  # when that was
     frames: int = 0
@@ -124,7 +124,7 @@ def keep(state: State, t_ns: int) -> dict[str, Kept]:
 
 def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
     """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
-    refusals = warm_start.warm(state.machine, state.estimators, kept, elapsed_s, t_ns)
+    refusals = warm_start.resume(state.machine, state.estimators, kept, elapsed_s, t_ns)
     state.time.latest_ns = t_ns
     state.kept = {method: before for method, before in kept.items() if refusals.get(method) == ""}
     state.consistency.confirmed = bool(state.kept)  # only then something had been kept
@@ -136,7 +136,7 @@ def _learn_anew(state: State, t_ns: int) -> None:
     """As at the beginning of the run, since it was learned from what is no measurement."""
     state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
     elapsed_s = max(0, t_ns - state.kept_ns) * 1e-9
-    warm_start.warm(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
+    warm_start.resume(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
     state.estimates = estimates_now(state)
 
 

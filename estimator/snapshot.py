@@ -12,7 +12,7 @@ from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.methods.stored_state import consistency_json, consistency_of
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
-from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_plain
 from tilth.estimator.warm_start import Kept
@@ -118,7 +118,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         record=stored.value(RecordState, "record"),
         consistency=consistency_of(stored.plain("consistency")),
         estimators=_estimators_of(machine, stored.plain("estimators")),
-        checks=stored.value(StartUp, "checks"),
+        checks=stored.value(ReceiverChecks, "checks"),
         kept={method: Kept.from_json(one) for method, one in stored.plain("kept").items()},
         kept_ns=stored.value(int, "kept_ns"),
         frames=stored.value(int, "frames"),

@@ -73,7 +73,7 @@ def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str
     return kept
 
 
-def warm(
+def resume(
     machine: Machine, estimators: Mapping[str, Any], kept: Mapping[str, Kept], elapsed_s: float, t_ns: int
 ) -> dict[str, str]:
     """Let fresh methods go on from what was kept elapsed_s before t_ns.

@@ -21,7 +21,7 @@ from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import latency, motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
-from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import Stretch
 from tilth.schemas.flow import WITHOUT_RTK, Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
@@ -107,7 +107,7 @@ def initial(machine: Machine) -> Consistency:
 
 
 def observe(
-    state: Consistency, machine: Machine, aligner: Aligner, checks: StartUp, pose: Pose,
+    state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose,
     stretch: Stretch | None,
 ) -> list[tuple[str, str]]:  # fmt: skip
     """Take one pose and the stretch that ended with it. (kind, text) of what has begun or is over."""
@@ -192,7 +192,7 @@ def clock_stepped(state: Consistency) -> None:
 
 
 def _found(
-    state: Consistency, machine: Machine, aligner: Aligner, checks: StartUp, pose: Pose
+    state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose
 ) -> dict[str, str]:
     found = {**_receivers(pose), **_parked(aligner), **_latencies(machine, aligner)}
     found |= {

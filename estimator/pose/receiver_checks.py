@@ -46,7 +46,7 @@ _SET: Final = {TWICE: "true", NOT: "false"}
 
 
 @dataclass(slots=True)
-class Turned:
+class TurnInterval:
     """Of one body, since an interval began."""
 
     heading: float = 0.0  # rad, where it began
@@ -55,11 +55,11 @@ class Turned:
 
 
 @dataclass(slots=True)
-class StartUp:
+class ReceiverChecks:
     """Plain data."""
 
     lags: list[Lag] = field(default_factory=lambda: [Lag() for _ in MOUNTS])
-    turned: list[Turned] = field(default_factory=lambda: [Turned(), Turned()])
+    turns: list[TurnInterval] = field(default_factory=lambda: [TurnInterval(), TurnInterval()])
     information: Array = field(default_factory=lambda: np.zeros((5, 5)))
     """What the data say of c of each receiver, as in flow.Mount, and of the hitch's offset, m."""
     vector: Array = field(default_factory=lambda: np.zeros(5))
@@ -86,7 +86,7 @@ class _Pair:
     length: float
 
 
-def observe(state: StartUp, aligner: Aligner, pose: Pose) -> None:
+def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     """Take one pose, and from the aligner what each receiver said at the instant of the one before.
 
     By then all has been heard: a pose is due at a position, and turn rate and roll come after it.
@@ -107,32 +107,32 @@ def observe(state: StartUp, aligner: Aligner, pose: Pose) -> None:
         _judge(state, aligner.machine)
 
 
-def usable_yaw_rates(state: StartUp) -> frozenset[str]:
+def usable_yaw_rates(state: ReceiverChecks) -> frozenset[str]:
     """Mounts of the receivers whose turn rates may be used: all but those found to be smoothed."""
     return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if not lag.smoothed)
 
 
-def turn_rates_known(state: StartUp) -> bool:
+def turn_rates_known(state: ReceiverChecks) -> bool:
     """Whether of every turn rate that can be compared with a heading it is known how much it lags."""
     compared = [lag for lag in state.lags if lag.intervals]
     return bool(compared) and all(settled(lag) for lag in compared)
 
 
-def flags(state: StartUp) -> list[Flag]:
+def flags(state: ReceiverChecks) -> list[Flag]:
     """Of all that is wrong now; of a mount, or of `rig` where it is not known which."""
     out = [Flag(SMOOTHED, mount.value) for mount, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed]
     out += [Flag(kind, mount.value) for mount, kind in zip(MOUNTS, state.wrong, strict=True) if kind]
     return [*out, Flag(UNCLEAR, "rig")] if state.unclear else out
 
 
-def events(state: StartUp) -> list[tuple[str, str]]:
+def events(state: ReceiverChecks) -> list[tuple[str, str]]:
     """(kind, what is wrong and what to do) of what has been found since the last call."""
     now, before = flags(state), state.reported
     state.reported = now
     return [(flag.kind, in_words(state, flag)) for flag in now if flag not in before]
 
 
-def in_words(state: StartUp, flag: Flag) -> str:
+def in_words(state: ReceiverChecks, flag: Flag) -> str:
     """What a flag of `flags` means, and what to do."""
     kind, who = flag.kind, flag.of
     if kind == UNCLEAR:
@@ -152,12 +152,12 @@ def in_words(state: StartUp, flag: Flag) -> str:
     return f"{leans}: set roll_corrected = {_SET[kind]} in the machine file"
 
 
-def clock_stepped(state: StartUp) -> None:
+def clock_stepped(state: ReceiverChecks) -> None:
     """Time ran back: intervals under way are given up; what was found stays."""
     state.seen_ns = 0
 
 
-def responses(state: StartUp) -> tuple[Array, Array]:
+def responses(state: ReceiverChecks) -> tuple[Array, Array]:
     """(c, its sd) of each receiver, shape (4,), as in flow.Mount; infinite where rolls tell nothing."""
     prior = np.array([*[RESPONSE[1] ** -2] * 4, OFFSET_SD**-2])
     values, vectors = np.linalg.eigh(state.information)
@@ -197,9 +197,9 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
     # The hitch is on the line through both antennas, or beside it: so many lengths from the rear one.
     behind = rear.lever
     share = ((place - behind[0]) * arm[0] - behind[1] * arm[1]) / length**2
-    turned = rotate((place - behind[0], -behind[1]), pair.heading)
+    to_hitch = rotate((place - behind[0], -behind[1]), pair.heading)
     return _Pair(
-        pair.heading, pair.sd_heading, (rear.at[0] + turned[0], rear.at[1] + turned[1]),
+        pair.heading, pair.sd_heading, (rear.at[0] + to_hitch[0], rear.at[1] + to_hitch[1]),
         max(front.sd, rear.sd) * math.hypot(share, 1 - share), (share, 1 - share), length,
     )  # fmt: skip
 
@@ -222,7 +222,7 @@ def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None
 
 
 def _turn(
-    state: StartUp,
+    state: ReceiverChecks,
     aligner: Aligner,
     body: int,
     pair: _Pair | None,
@@ -231,18 +231,18 @@ def _turn(
     follows: bool,
 ) -> None:
     """Carry on a body's interval and its receivers'; at their end they are looked at."""
-    turned = state.turned[body]
+    interval = state.turns[body]
     facing = _own_heading(aligner, body, t_ns) if pair is None else (pair.heading, pair.sd_heading)
     rates = [_rate(aligner, index, t_ns) for index in (2 * body, 2 * body + 1)]
     if facing is None or not follows:
-        turned.poses = -1
+        interval.poses = -1
     else:
-        turned.poses += turned.poses >= 0
-    ended = turned.poses >= INTERVAL
-    change = wrap(facing[0] - turned.heading) if facing is not None else 0.0
+        interval.poses += interval.poses >= 0
+    ended = interval.poses >= INTERVAL
+    change = wrap(facing[0] - interval.heading) if facing is not None else 0.0
     whole = []
     for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
-        if rate is None or turned.poses < 0:
+        if rate is None or interval.poses < 0:
             lag.poses = -1
         elif lag.poses >= 0:
             lag.integral += (lag.rate + rate) / 2 * POSE_NS * 1e-9
@@ -255,8 +255,8 @@ def _turn(
     if ended and pair is not None and roll is not None and whole:
         beyond = change - sum(whole) / len(whole)
         _look_at_heading(state, aligner.machine, body, beyond, pair, roll)
-    if facing is not None and (ended or turned.poses < 0):
-        turned.heading, turned.roll, turned.poses = facing[0], roll[0] if roll else 0.0, 0
+    if facing is not None and (ended or interval.poses < 0):
+        interval.heading, interval.roll, interval.poses = facing[0], roll[0] if roll else 0.0, 0
         for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
             lag.integral, lag.first_rate, lag.poses = 0.0, rate or 0.0, -1 if rate is None else 0
 
@@ -286,19 +286,19 @@ def _arms(machine: Machine) -> list[float]:
 
 
 def _look_at_heading(
-    state: StartUp, machine: Machine, body: int, beyond: float, pair: _Pair, roll: tuple[float, float]
+    state: ReceiverChecks, machine: Machine, body: int, beyond: float, pair: _Pair, roll: tuple[float, float]
 ) -> None:
     """beyond: by how much the antennas' heading changed more than the turn rate says, rad."""
     front, rear = 2 * body, 2 * body + 1
     heights = _arms(machine)
     arm = np.zeros(5)
     arm[front], arm[rear] = heights[front] / pair.length, -heights[rear] / pair.length
-    sway = math.sin(roll[0]) - math.sin(state.turned[body].roll)
+    sway = math.sin(roll[0]) - math.sin(state.turns[body].roll)
     _add(state, arm * sway, [arm], [2 * roll[1]], beyond, 2 * pair.sd_heading**2)
 
 
 def _look_at_hitch(
-    state: StartUp,
+    state: ReceiverChecks,
     machine: Machine,
     pairs: list[_Pair | None],
     rolls: list[tuple[float, float] | None],
@@ -330,7 +330,7 @@ def _look_at_hitch(
 
 
 def _add(
-    state: StartUp, row: Array, arms: list[Array], noises: list[float], seen: float, variance: float
+    state: ReceiverChecks, row: Array, arms: list[Array], noises: list[float], seen: float, variance: float
 ) -> None:
     """One look, without what the noise of the rolls adds to the squares of the row."""
     if not (math.isfinite(seen) and np.all(np.isfinite(row))):
@@ -342,14 +342,14 @@ def _add(
     state.vector += row * seen / variance
 
 
-def _judge(state: StartUp, machine: Machine) -> None:
+def _judge(state: ReceiverChecks, machine: Machine) -> None:
     """A fault is found once it is sure, and stays until the opposite is."""
     for lag in state.lags:
         judge(lag)
     _judge_rolls(state, machine)
 
 
-def _judge_rolls(state: StartUp, machine: Machine) -> None:
+def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     """Which settings of roll_corrected explain the data, of all there are."""
     declared = np.zeros(4)
     free = []
@@ -375,7 +375,7 @@ def _judge_rolls(state: StartUp, machine: Machine) -> None:
         state.unclear = not sure.any()
 
 
-def _explains(state: StartUp, setting: Array) -> float:
+def _explains(state: ReceiverChecks, setting: Array) -> float:
     """Log-likelihood of a setting of c, shape (4,), but for a constant; the offset is what fits best."""
     free = state.vector[4] - state.information[4, :4] @ setting
     total = state.information[4, 4] + OFFSET_SD**-2
@@ -383,6 +383,6 @@ def _explains(state: StartUp, setting: Array) -> float:
     return float(fits + free**2 / total / 2)
 
 
-def _rolls_tell(state: StartUp, body: int) -> bool:
+def _rolls_tell(state: ReceiverChecks, body: int) -> bool:
     """Whether a body has rolled by clearly more than the noise of its rolls."""
     return bool(0.0 < state.rolls[body, 0] > LARGER * state.rolls[body, 1])

@@ -15,7 +15,7 @@ from tilth.estimator import fold
 from tilth.estimator.methods import pem
 from tilth.estimator.pose import aligner, receiver_checks
 from tilth.estimator.pose.pose import poses
-from tilth.estimator.pose.receiver_checks import StartUp
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant
 from tilth.estimator.record.record import YAW_RATE, concatenate
 from tilth.estimator.state_json import from_plain, to_plain
@@ -84,10 +84,10 @@ def drive(
     really: Machine = MACHINE,
     stored_at: int = -1,
     told: Machine = MACHINE,
-) -> tuple[StartUp, list[tuple[float, str, str]]]:
+) -> tuple[ReceiverChecks, list[tuple[float, str, str]]]:
     """(state, (s since the first pose, kind, text) of events), seed 1. stored_at: pose at which
     it is stored and taken up again. told: the machine file that it goes by."""
-    decoder, tracks, state = Decoder(told), aligner.initial(told), StartUp()
+    decoder, tracks, state = Decoder(told), aligner.initial(told), ReceiverChecks()
     found: list[tuple[float, str, str]] = []
     first_ns = count = 0
     for frame in simulate(really, 1, seconds, scenario):
@@ -98,7 +98,7 @@ def drive(
             receiver_checks.observe(state, tracks, pose)
             count += 1
             if count == stored_at:
-                state = from_plain(StartUp, json.loads(json.dumps(to_plain(state))))
+                state = from_plain(ReceiverChecks, json.loads(json.dumps(to_plain(state))))
             for kind, text in receiver_checks.events(state):
                 found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
     return state, found
