@@ -189,14 +189,14 @@ def maximise_posterior(
     point = mean.copy()
     point[_PUSHES] += np.where(np.diag(covariance)[_PUSHES] > 1.0, ROUGH, 0.0)
     found = _minimise(search, point)
-    gradient, information = _gradient_and_information(search, found, _scores(search, found))
+    gradient, information = gradient_and_information(search, found, scores_at(search, found))
     remaining = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
     converged = found.converged or bool(np.max(remaining[search.active < 6], initial=0.0) < NEAR)
     autocorrelation = whiteness(record.rows, search.judged, found.e, found.S)
     if setup.planar:
         found.jacobian = _steering_jacobian(search, found)
-    scores = _scores(search, found)
-    _, counted = _gradient_and_information(search, found, scores)
+    scores = scores_at(search, found)
+    _, counted = gradient_and_information(search, found, scores)
     record_information = np.zeros_like(covariance)
     record_information[np.ix_(search.active, search.active)] = information - search.prior_information
     return Posterior(
@@ -209,9 +209,9 @@ def maximise_posterior(
 def _minimise(search: Search, point: Array) -> Iterate:
     """Where steps from a point end."""
     active, damping = search.active, 1e-3
-    at = _iterate_at(search, point)
+    at = iterate_at(search, point)
     for at.iterations in range(1, MOST_ITERATIONS + 1):
-        gradient, information = _gradient_and_information(search, at, _scores(search, at))
+        gradient, information = gradient_and_information(search, at, scores_at(search, at))
         step, tried, predicted = _step(search, at, gradient, information, damping)
         if predicted is None:
             break
@@ -236,15 +236,9 @@ def _minimise(search: Search, point: Array) -> Iterate:
     return at
 
 
-def _iterate_at(search: Search, point: Array) -> Iterate:
+def iterate_at(search: Search, point: Array) -> Iterate:
     e, S = _errors_at(search, point)
     return Iterate(point, e, S, _error_jacobian(search, point), _cost(search, point, e, S))
-
-
-def at_point(search: Search, point: Array) -> tuple[Array, Array]:
-    """(gradient, information) of the cost over the active unknowns, with the prior's, shapes (a,), (a, a)."""
-    at = _iterate_at(search, point)
-    return _gradient_and_information(search, at, _scores(search, at))
 
 
 def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
@@ -290,7 +284,7 @@ def _difference_steps(search: Search) -> Array:
     return np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
 
 
-def _scores(search: Search, at: Iterate) -> Array:
+def scores_at(search: Search, at: Iterate) -> Array:
     """Derivative of each row's negative log-likelihood, shape (a, m)."""
     ratio = at.e / at.S
     scores: Array = at.jacobian.de * ratio + at.jacobian.dS * (0.5 * (1.0 - at.e * ratio) / at.S)
@@ -298,7 +292,7 @@ def _scores(search: Search, at: Iterate) -> Array:
     return scores
 
 
-def _gradient_and_information(search: Search, at: Iterate, scores: Array) -> tuple[Array, Array]:
+def gradient_and_information(search: Search, at: Iterate, scores: Array) -> tuple[Array, Array]:
     """(gradient, information) of the cost, with the prior's."""
     judged = search.judged
     whitened, relative = at.jacobian.de * (judged / np.sqrt(at.S)), at.jacobian.dS * (judged / at.S)

@@ -25,7 +25,6 @@ CONSTANTS: Final = (
 """Of unknowns.NAMES, where they are defined: what a steady turn depends on. A lever of the implement's
 antennas shows in none of OUTPUTS."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
-NOISY: Final = ("u", "wheel_angle", "roll_t", "roll_i")  # inputs of a Sample, each with a white noise
 STEP: Final = 1e-4  # of the central differences
 PASSES: Final = 4  # of the tyre curve; each leaves a tenth of the error of the one before
 

@@ -188,13 +188,3 @@ def steady_sensitivities(rig: Rig, speed: float) -> Array:
     at = np.log(rig.theta[:3])
     nudges = np.eye(3) * STEP
     return np.column_stack([(logs(at + n) - logs(at - n)) / (2 * STEP) for n in nudges])
-
-
-def steady_bound(rig: Rig, speeds: Sequence[float], outputs: Sequence[int] = (0, 1, 2)) -> Bound:
-    """Rank and condition of the three stiffnesses from steady turns at several speeds.
-
-    outputs: rows of `steady_sensitivities`, each known to the same share. With (0, 1), yaw rate and
-    articulation, the rank is 2 at any set of speeds.
-    """
-    rows = np.concatenate([steady_sensitivities(rig, speed)[list(outputs)] for speed in speeds])
-    return bound(rows, PARAMETERS[:3])

@@ -204,11 +204,6 @@ def static_loads(rig: Rig) -> tuple[float, float, float]:
     return axle_loads(rig.a, rig.b, rig.c, rig.d, rig.e, rig.m_t, rig.m_i, rig.g)
 
 
-def linear_tyres(rig: Rig) -> Rig:
-    """The same rig on tyres without a limit whose stiffness does not depend on load: F = −C α."""
-    return rig._replace(grip_f=math.inf, grip_r=math.inf, grip_i=math.inf, load_exponent=0.0)
-
-
 def loaded(
     rig: Rig,
     payload: float,

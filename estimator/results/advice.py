@@ -20,7 +20,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES, Point
-from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
 from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
 from tilth.estimator.record.record import (
@@ -172,23 +172,6 @@ def _power(name: str, exponent: float) -> str:
 
 
 # What would help.
-
-
-def embedded(
-    machine: Machine,
-    mean: Array,
-    covariance: Array,
-    nuisances: Mapping[str, tuple[float, float]] | None = None,
-) -> tuple[Array, Array]:
-    """(mean [n], covariance [n, n]) over unknowns.NAMES of an estimate that has only the six logarithms,
-    shapes (6,), (6, 6), and perhaps some nuisances by name, (value, sd); else the machine file's."""
-    whole, sd = unknowns.prior(machine)
-    for name, (value, known) in (nuisances or {}).items():
-        if name in AT and sd[AT[name]] > 0:
-            whole[AT[name]], sd[AT[name]] = value, min(known, sd[AT[name]])
-    whole_covariance: Array = np.diag(sd**2)
-    whole[SIX], whole_covariance[SIX, SIX] = mean, covariance
-    return whole, whole_covariance
 
 
 def information(

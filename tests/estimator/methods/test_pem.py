@@ -249,7 +249,8 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
         point[SIX], point[AT["wheel_zero"]] = np.log(run.rig.theta), run.zero
         point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.PUSHES, linear_plant.MEMORY_S])
         search = likelihood.search_of(linear_plant.record_of(run), setup, point, covariance)
-        scores, own = likelihood.at_point(search, point)
-        gradient += scores[SIX]
-        information += (own - search.prior_information)[SIX, SIX]
+        at = likelihood.iterate_at(search, point)
+        slope, known = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
+        gradient += slope[SIX]
+        information += (known - search.prior_information)[SIX, SIX]
     assert gradient @ np.linalg.solve(information, gradient) < 22.5

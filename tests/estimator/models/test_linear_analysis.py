@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from linear_tyres import linear_tyres
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -9,7 +10,7 @@ from scipy.linalg import expm
 from tilth.estimator.models import linear_analysis as la
 from tilth.estimator.models.actuator import BOSSERD, Actuator, with_actuator
 from tilth.estimator.models.family import MODELS, Model, model_named
-from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, linear_tyres
+from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig
 from tilth.estimator.models.steady_turn import steady_turn
 from tilth.schemas.plausible import GRAVITY
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from linear_tyres import linear_tyres
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
@@ -13,7 +14,7 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate as simulate_linear
 from tilth.estimator.models.linear_analysis import steady_gains
 from tilth.estimator.models.nonlinear import STATES, derivative, inputs_of, running, simulate, wheels
-from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, linear_tyres, loaded, static_loads
+from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, loaded, static_loads
 
 Array = NDArray[np.float64]
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from linear_tyres import linear_tyres
 from paths import ROOT
 
 from tilth.estimator.models.parameters import (
@@ -14,7 +15,6 @@ from tilth.estimator.models.parameters import (
     Parameter,
     Rig,
     checked,
-    linear_tyres,
     loaded,
     rig_of,
     static_loads,

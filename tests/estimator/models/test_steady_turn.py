@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 from circle import demo_machine
+from linear_tyres import linear_tyres
 
 from tilth.estimator.models import nonlinear
-from tilth.estimator.models.parameters import linear_tyres, rig_of
+from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.models.steady_turn import steady_turn
 
 RIG = linear_tyres(rig_of(demo_machine()))

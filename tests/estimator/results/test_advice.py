@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -34,6 +35,23 @@ MEAN, SD = unknowns.prior(MACHINE)
 LINEAR = MEAN.copy()
 LINEAR[AT["curvature"]] = 0.0
 PRIOR_6 = np.full(6, 0.7)
+
+
+def embedded(
+    machine: Machine,
+    mean: Array,
+    covariance: Array,
+    nuisances: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[Array, Array]:
+    """(mean [n], covariance [n, n]) over unknowns.NAMES of an estimate that has only the six logarithms,
+    shapes (6,), (6, 6), and perhaps some nuisances by name, (value, sd); else the machine file's."""
+    whole, sd = unknowns.prior(machine)
+    for name, (value, known) in (nuisances or {}).items():
+        if name in AT and sd[AT[name]] > 0:
+            whole[AT[name]], sd[AT[name]] = value, min(known, sd[AT[name]])
+    whole_covariance: Array = np.diag(sd**2)
+    whole[SIX], whole_covariance[SIX, SIX] = mean, covariance
+    return whole, whole_covariance
 
 
 def told(*rows: tuple[dict[str, float], float]) -> Array:
@@ -246,7 +264,7 @@ def test_more_is_known_after_a_wilder_manoeuvre_and_never_less_than_before() -> 
 
 
 def test_an_estimate_of_six_alone_is_taken_with_the_nuisances_of_the_machine_file() -> None:
-    mean, covariance = advice.embedded(
+    mean, covariance = embedded(
         MACHINE, MEAN[SIX] + 0.1, 0.01 * np.eye(6), {"wheel_zero": (0.004, 0.001), "odd": (1.0, 1.0)}
     )
     np.testing.assert_allclose(mean[SIX], MEAN[SIX] + 0.1)
