@@ -20,7 +20,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from tilth.estimator.models.relaxation import input_matrix, system_matrix
 from tilth.estimator.models.steady_turn import steady_turn
@@ -206,6 +205,8 @@ def _stiffnesses(
         return np.asarray(((measured - turn[:, 1:]) * scale).ravel())
 
     began = np.log(window.start[:3])
+    from scipy.optimize import least_squares  # takes half a second: only who fits this form pays for it
+
     found = least_squares(residuals, began, bounds=(began - FREEDOM, began + FREEDOM), x_scale="jac")
     values = np.exp(found.x)
     _, singular, directions = np.linalg.svd(found.jac, full_matrices=False)
@@ -294,6 +295,8 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
 
     derivative: Any = slopes  # scipy's types know of names only
     far = np.concatenate([np.full(3, FREEDOM), np.full(40, np.inf)])
+    from scipy.optimize import least_squares  # as above
+
     found = least_squares(
         residuals,
         point,

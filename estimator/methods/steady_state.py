@@ -19,7 +19,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from filterpy.kalman import update
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
@@ -172,13 +171,23 @@ def _update(state: SteadyState, machine: Machine, sample: Sample) -> bool:
         _learn_anew(state)
     if distance > GATE[len(rows)]:
         return _refuse(state, "outlier")
-    x, p = update(state.x, state.p, innovation + slope @ state.x, noise, slope)[:2]
-    state.x, state.p = x, (p + p.T) / 2
+    state.x, state.p = kalman_update(state.x, state.p, innovation, slope, noise)
     _find_posterior(state)
     if teaches:
         state.steady_s += BLOCK * POSE_NS * 1e-9
         state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
     return teaches
+
+
+def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> tuple[Array, Array]:
+    """(mean, covariance) after one measurement, (n,) and (n, n); P by Joseph's form, which stays positive.
+
+    innovation: (m,), measured less predicted. H: (m, n). R: (m, m), of the measurement's noise.
+    """
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    remaining = np.eye(len(x)) - gain @ H
+    covariance = remaining @ P @ remaining.T + gain @ R @ gain.T
+    return x + gain @ innovation, (covariance + covariance.T) / 2
 
 
 def _refuse(state: SteadyState, reason: str) -> bool:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from tilth.estimator.compiled import kernel
 from tilth.estimator.models import actuator as steering
@@ -136,6 +135,8 @@ def discretise(a: Array, b: Array, dt: float) -> tuple[Array, Array, Array]:
     block = np.zeros((*a.shape[:-2], n + 2 * m, n + 2 * m))
     block[..., :n, :n], block[..., :n, n : n + m] = a * dt, b * dt
     block[..., n : n + m, n + m :] = np.eye(m)  # the input's slope, per step
+    from scipy.linalg import expm  # takes half a second: only who discretises pays for it
+
     whole = np.asarray(expm(block), dtype=np.float64)
     slope = whole[..., :n, n + m :]
     return whole[..., :n, :n], whole[..., :n, n : n + m] - slope, slope

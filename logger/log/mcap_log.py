@@ -31,7 +31,7 @@ CAN_TOPIC = "/can/"
 SNAPSHOT_TOPIC = "/snapshot"
 PACKAGES = (
     "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
-    "scipy", "filterpy", "pyproj", "pydantic",
+    "scipy", "pyproj", "pydantic",
 )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from circle import START_NS, demo_machine
+from filterpy.kalman import update as filterpy_update
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.steady_outputs import CONSTANTS, outputs
@@ -378,3 +379,14 @@ def test_its_state_is_plain_data() -> None:
     state, said = learn(drive())
     back = steady_state_of(steady_state_json(state))
     assert steady_state.estimate(back, MACHINE, said.t_ns) == said
+
+
+def test_an_update_is_that_of_an_independent_filter() -> None:
+    rng = np.random.default_rng(4)
+    for n, m in ((1, 1), (4, 2), (21, 3)):
+        root, H = rng.normal(size=(n, n)), rng.normal(size=(m, n))
+        x, P, R = rng.normal(size=n), root @ root.T, np.diag(rng.uniform(0.1, 2.0, m))
+        innovation = rng.normal(size=m)
+        expected = filterpy_update(x, P, innovation + H @ x, R, H)[:2]
+        for found, wanted in zip(steady_state.kalman_update(x, P, innovation, H, R), expected, strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
