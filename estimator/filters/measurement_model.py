@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_V, Point
+from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_ROLL, X_V, Point
 from tilth.estimator.filters.unknowns import (
     AT_ASIDE,
     AT_CG,
@@ -64,12 +64,14 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     body = body_of(obs.kind, obs.place)
     lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
     if obs.kind == VELOCITY:
-        return predict_velocity(x, obs, body, lever, point, h)
+        return predict_velocity(x, obs, body, lever, point, setup.rig.h_h, h)
     return predict_position(x, obs, body, lever, point, setup, h)
 
 
 @kernel
-def predict_velocity(x: Array, obs: Observation, body: int, lever: float, point: Point, h: Array) -> float:
+def predict_velocity(
+    x: Array, obs: Observation, body: int, lever: float, point: Point, drawbar: float, h: Array
+) -> float:
     """Of a receiver, to the right of psi_ref, m/s. lever: how far it is ahead of its body's CG, m."""
     u, c, d = obs.u, point.geometry[2], point.geometry[3]
     angle = x[X_PSI] - obs.psi_ref
@@ -80,11 +82,12 @@ def predict_velocity(x: Array, obs: Observation, body: int, lever: float, point:
         across = x[X_V] + x[X_R] * lever
         h[X_PSI] = u * cosine - across * sine
         return float(u * sine + across * cosine)
-    across = x[X_V] - c * x[X_R]
+    across = x[X_V] - c * x[X_R] + drawbar * x[X_ROLL + 2]
+    h[X_ROLL + 2], h[X_ROLL + 3] = drawbar * cosine, -drawbar
     h[X_R] = -c * cosine
     h[X_R + 1] = lever - d
     h[X_PSI] = u * cosine - across * sine
-    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1])
+    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1] - drawbar * x[X_ROLL + 3])
 
 
 @kernel
@@ -102,19 +105,28 @@ def predict_position(
     sine_t, cosine_t = math.sin(x[X_PSI]), math.cos(x[X_PSI])
     ahead = lever if body == 0 else lever - d
     hitch = 0.0 if body == 0 else c
+    drawbar = 0.0 if body == 0 else setup.rig.h_h
+    sway_t, sway_i = drawbar * x[X_ROLL], drawbar * x[X_ROLL + 1]
     if obs.kind == NORTH:
         h[X_POSITION] = 1.0
         h[X_PSI + body] = -ahead * sine - aside * cosine
         h[X_PAIR + body] = -arm * sine
         if body == 1:
             h[X_PSI] = hitch * sine_t
-        return float(x[X_POSITION] - hitch * cosine_t + ahead * cosine - aside * sine)
+        h[X_ROLL], h[X_ROLL + 1] = -drawbar * sine_t, drawbar * sine
+        return float(
+            x[X_POSITION] - hitch * cosine_t + ahead * cosine - aside * sine - sway_t * sine_t + sway_i * sine
+        )
     h[X_POSITION + 1] = 1.0
     h[X_PSI + body] = ahead * cosine - aside * sine
     h[X_PAIR + body] = arm * cosine
     if body == 1:
         h[X_PSI] = -hitch * cosine_t
-    return float(x[X_POSITION + 1] - hitch * sine_t + ahead * sine + aside * cosine)
+    h[X_ROLL], h[X_ROLL + 1] = drawbar * cosine_t, -drawbar * cosine
+    return float(
+        x[X_POSITION + 1] - hitch * sine_t + ahead * sine + aside * cosine
+        + sway_t * cosine_t - sway_i * cosine
+    )
 
 
 @kernel

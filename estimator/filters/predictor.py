@@ -22,6 +22,7 @@ from tilth.estimator.filters.propagation import (
     propagate_covariance,
     propagate_state,
     rig_at,
+    roll_at,
     transition_jacobian,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
@@ -99,12 +100,16 @@ def filtered(
     e, S = out
     n = ticks.shape[0]
     model = RelaxationModel(
-        np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((8, 3))
+        np.zeros((X_PUSH, X_PUSH)),
+        np.zeros((X_PUSH, 3)),
+        np.zeros((X_PUSH, X_PUSH)),
+        np.zeros((X_PUSH, 3)),
+        np.zeros((X_PUSH, 3)),
     )
     shape = (N_STATES, N_STATES)
     F, F_T, P, F_P = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     following, x_at = np.zeros(N_STATES), np.zeros(N_STATES)
-    inputs, correction = np.zeros(3), np.zeros(6)
+    inputs, correction = np.zeros(3), np.zeros(X_PSI)
     h, H = (
         np.zeros(N_STATES),
         np.zeros(N_STATES),
@@ -124,7 +129,11 @@ def filtered(
         P[X_PAIR + i, X_PAIR + i] = pair_sd * pair_sd
         q[4 + i] = (1.0 - PAIR_DECAY * PAIR_DECAY) * pair_sd * pair_sd
     rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
-    plant = plant_of(point.theta, rig_at(setup.rig, point.geometry, rolling, curvature))
+    plant = plant_of(
+        point.theta,
+        rig_at(setup.rig, point.geometry, rolling, curvature),
+        roll_at(setup.roll, point.unknowns),
+    )
     latency, zero = point.unknowns[AT_LATENCY], point.unknowns[AT_WHEEL_ZERO]
     scale = math.exp(-point.unknowns[AT_WHEEL_GAIN])
     known_u = -1e9
@@ -134,7 +143,7 @@ def filtered(
         nxt = k if last else k + 1
         u = 0.5 * (ticks[k, U] + ticks[nxt, U])
         if abs(u - known_u) > SAME_SPEED:
-            discretise(u, point, setup.rig, model)
+            discretise(u, point, setup.rig, model, plant)
             known_u = u
             q[0] = (u / point.theta[3] * setup.sds[0] * DT) ** 2
         reading = 0.5 * (wheel_angle_at(ticks, k, latency) + wheel_angle_at(ticks, nxt, latency))

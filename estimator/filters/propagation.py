@@ -24,15 +24,18 @@ from tilth.estimator.filters.states import (
     X_PSI,
     X_PUSH,
     X_R,
+    X_ROLL,
     X_V,
     Point,
 )
-from tilth.estimator.filters.unknowns import AT_ROLLING
-from tilth.estimator.models.nonlinear import rates
+from tilth.estimator.filters.unknowns import AT_ROLL_MODES
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.models.relaxation import input_matrix, system_matrix
+from tilth.estimator.models.rolling import N_ROLLING, RollModes, RollWork, rates_rolling, roll_work
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
+
+NUDGE_LINEAR = 1e-6
 
 
 class RelaxationModel(NamedTuple):
@@ -50,25 +53,37 @@ class Plant(NamedTuple):
 
     theta: Array  # (6,)
     rig: Rig
-    x: Array  # (13,), its state
+    x: Array  # (15,), its state
     w: Array  # (9,), its inputs
     forces: Array  # (6, 3)
-    rates: Array  # (13,), x'
+    rates: Array  # (15,), x'
+    roll: RollModes
+    work: RollWork
 
 
 @kernel
-def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel) -> None:
-    """Fill the model at speed u, m/s."""
+def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: Plant) -> None:
+    """Fill the model at speed u, m/s, about straight driving."""
     A, B, F = model.A, model.B, model.F
-    rolling, heights = point.unknowns[AT_ROLLING], (rig.h_t, rig.h_i)
-    system = system_matrix(u, point.geometry, point.theta, rolling, heights)
-    inputs = input_matrix(u, point.geometry, point.theta, rolling, heights)
-    for i in range(X_PUSH):
-        row = i if i < X_PSI else i + 1
-        for j in range(X_PUSH):
-            A[i, j] = system[row, j if j < X_PSI else j + 1]
-        for j in range(3):
-            B[i, j] = inputs[row, j]
+    at = np.zeros(N_STATES)
+    A[:, :] = 0.0
+    for j in range(X_PUSH):
+        for side in (-1.0, 1.0):
+            at[j] = side * NUDGE_LINEAR
+            plant.w[:3] = 0.0
+            plant_rates(at, u, plant)
+            for i in range(X_PSI):
+                A[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
+        at[j] = 0.0
+    A[X_PSI, X_R] = A[X_PSI + 1, X_R + 1] = 1.0
+    B[:, :] = 0.0
+    for j in range(3):
+        for side in (-1.0, 1.0):
+            plant.w[:3] = 0.0
+            plant.w[j] = side * NUDGE_LINEAR
+            plant_rates(at, u, plant)
+            for i in range(X_PSI):
+                B[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
     F[:] = np.eye(X_PUSH)
     held = DT * np.eye(X_PUSH)
     power = np.eye(X_PUSH)
@@ -129,7 +144,9 @@ def plant_rates(x: Array, u: float, plant: Plant) -> None:
     for i in range(X_PSI):
         state[5 + i] = x[i]
     plant.w[3] = u
-    rates(state, plant.w, plant.theta, plant.rig, (0.0, 0.0), plant.forces, plant.rates)
+    for i in range(2):  # of what is measured, lean is no slope
+        plant.w[1 + i] -= GRAVITY * x[X_ROLL + i]
+    rates_rolling(state, plant.w, plant.theta, plant.rig, plant.roll, plant.forces, plant.work, plant.rates)
 
 
 @kernel
@@ -257,6 +274,19 @@ def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
 
 
 @kernel
-def plant_of(theta: Array, rig: Rig) -> Plant:
+def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
+    """The roll modes at a point of the unknowns."""
+    k = np.exp(unknowns[AT_ROLL_MODES : AT_ROLL_MODES + 6])
+    return RollModes(
+        roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
+        roll.inertia_t * k[4], roll.inertia_i * k[5],
+        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0],
+    )  # fmt: skip
+
+
+@kernel
+def plant_of(theta: Array, rig: Rig, roll: RollModes) -> Plant:
     """The nonlinear model with these parameters."""
-    return Plant(theta, rig, np.zeros(13), np.zeros(9), np.zeros((6, 3)), np.zeros(13))
+    return Plant(
+        theta, rig, np.zeros(N_ROLLING), np.zeros(9), np.zeros((6, 3)), np.zeros(N_ROLLING), roll, roll_work()
+    )

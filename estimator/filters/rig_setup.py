@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.models.parameters import Rig, rig_of, static_loads
+from tilth.estimator.models.rolling import RollModes
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ class RigSetup(NamedTuple):
     middles: Array  # (2, 2), of the middle of each body's receivers
     sds: Array  # (3,), of the wheel angle of a tick and of both pairs' slow heading errors, rad
     rig: Rig
+    roll: RollModes
     planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
 
 
@@ -38,9 +40,28 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
     return SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length if length > 0.1 else None
 
 
+DEFLECTION: Final = 0.06  # m, of tyres under their static load
+PIN: Final = 0.7  # of the front wheels' pin above the ground, m
+DAMPING: Final = 0.12  # of the roll modes
+
+
+def nominal_roll(machine: Machine) -> RollModes:
+    """What mass, CG and track let expect."""
+    rig = rig_of(machine)
+    front, rear, implement = static_loads(rig)
+    k_t = rear / DEFLECTION * (rig.w_r / 2) ** 2
+    k_i = implement / DEFLECTION * (rig.w_i / 2) ** 2
+    j_t, j_i = rig.m_t * rig.h_t**2, rig.m_i * rig.h_i**2
+    d_t, d_i = 2 * DAMPING * math.sqrt(2 * k_t * j_t), 2 * DAMPING * math.sqrt(2 * k_i * j_i)
+    k_f = front / DEFLECTION * (rig.w_f / 2) ** 2
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
+
+
 def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
     """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
-    return RigSetup(unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), planar)
+    return RigSetup(
+        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine), planar
+    )

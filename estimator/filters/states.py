@@ -20,20 +20,34 @@ Places = NDArray[np.int64]
 X_V: Final = 0
 X_R: Final = 1  # of the tractor; each body's states stand side by side
 X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
-X_PSI: Final = 6
-X_PUSH: Final = 8  # on the tractor, on the implement, about the tractor's vertical axis
-X_POSITION: Final = 11  # north, east
-X_PAIR: Final = 13
-X_ASIDE: Final = 15
-N_STATES: Final = 15
-N_TRACKER: Final = 16
+X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
+X_PSI: Final = 10
+X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
+X_POSITION: Final = 15  # north, east
+X_PAIR: Final = 17
+X_ASIDE: Final = 19
+N_STATES: Final = 19
+N_TRACKER: Final = 20
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
 PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
 ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
 ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
-START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05)  # sds of the states before X_PUSH, at first
+START: Final = (
+    0.4,
+    0.1,
+    0.1,
+    0.1,
+    0.1,
+    0.1,
+    0.02,
+    0.01,
+    0.05,
+    0.02,
+    0.05,
+    0.05,
+)  # sds of the states before X_PUSH, at first
 START_PLACE: Final = 1.0  # m
 
 

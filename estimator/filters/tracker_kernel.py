@@ -19,7 +19,7 @@ from tilth.estimator.filters.measurement_model import (
     predict_measurement,
 )
 from tilth.estimator.filters.predictor import wheel_angle_at
-from tilth.estimator.filters.propagation import Plant, add_position_noise, plant_of, rig_at
+from tilth.estimator.filters.propagation import Plant, add_position_noise, plant_of, rig_at, roll_at
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
     DT,
@@ -28,6 +28,7 @@ from tilth.estimator.filters.states import (
     X_ALPHA,
     X_ASIDE,
     X_PAIR,
+    X_POSITION,
     X_PSI,
     X_PUSH,
     X_R,
@@ -323,10 +324,18 @@ def tracked(
     active = Active(places, np.zeros((na, 9)))
     point = Point(unknowns, np.zeros(6), geometry_at(setup.geometry, unknowns))
     theta = point.theta
-    plant = plant_of(theta, rig_at(setup.rig, point.geometry, unknowns[AT_ROLLING], unknowns[AT_CURVATURE]))
+    plant = plant_of(
+        theta,
+        rig_at(setup.rig, point.geometry, unknowns[AT_ROLLING], unknowns[AT_CURVATURE]),
+        roll_at(setup.roll, unknowns),
+    )
     geometry_jacobian(setup.geometry, unknowns, point.geometry, active)
     jacobians = RateJacobians(
-        np.zeros((X_PUSH, 11)), np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros(X_PUSH)
+        np.zeros((X_PUSH, X_POSITION)),
+        np.zeros(X_PUSH),
+        np.zeros((X_PUSH, na)),
+        np.zeros(X_PUSH),
+        np.zeros(X_PUSH),
     )
     q = np.zeros(N_TRACKER)
     step = transition(n, setup.sds, noise, q)
@@ -341,13 +350,14 @@ def tracked(
         if (k - first) % EVERY == 0:
             point = Point(unknowns, theta, geometry_at(setup.geometry, unknowns))
             here = rig_at(setup.rig, point.geometry, unknowns[AT_ROLLING], unknowns[AT_CURVATURE])
-            plant = Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates)
+            modes = roll_at(setup.roll, unknowns)
+            plant = Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates, modes, plant.work)
             state_rates(x, drive_at(ticks, k, unknowns), plant, rates)
             x_at[:] = x
             for i in range(X_PUSH):  # about where x is in the middle of these ticks
                 x_at[i] += 0.5 * EVERY * DT * rates[i]
             middle = drive_at(ticks, k + EVERY // 2, unknowns)
-            rate_jacobians(x_at, middle, point, plant, setup.rig, active, jacobians)
+            rate_jacobians(x_at, middle, point, plant, setup, active, jacobians)
             integrate_exponential(jacobians.x, step.held)
             joint_jacobian(jacobians, active, step)
         drive = drive_at(ticks, k, unknowns)

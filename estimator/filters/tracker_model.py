@@ -19,7 +19,9 @@ from tilth.estimator.filters.propagation import (
     position_jacobian,
     propagate_position,
     rig_at,
+    roll_at,
 )
+from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
     DT,
     N_TRACKER,
@@ -36,12 +38,12 @@ from tilth.estimator.filters.unknowns import (
     AT_CURVATURE,
     AT_GEOMETRY,
     AT_LATENCY,
+    AT_ROLL_MODES,
     AT_ROLLING,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
 from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
 
@@ -100,7 +102,13 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
 
 @kernel
 def rate_jacobians(
-    x: Array, drive: DriveInputs, point: Point, plant: Plant, rig: Rig, active: Active, out: RateJacobians
+    x: Array,
+    drive: DriveInputs,
+    point: Point,
+    plant: Plant,
+    setup: RigSetup,
+    active: Active,
+    out: RateJacobians,
 ) -> None:
     """Fill out, by differences. rig: the machine file's, of which the plant is made."""
     base, near = out.rates, out.nudged
@@ -124,22 +132,33 @@ def rate_jacobians(
     for i in range(X_PUSH):
         out.wheel[i] = (near[i] - base[i]) / NUDGE
     for j in range(active.places.shape[0]):
-        moves = nudged_rates(x, drive, point, plant, rig, active, j, near)
+        moves = nudged_rates(x, drive, point, plant, setup, active, j, near)
         for i in range(X_PUSH):
             out.unknowns[i, j] = (near[i] - base[i]) / NUDGE if moves else 0.0
 
 
 @kernel
 def nudged_rates(
-    x: Array, drive: DriveInputs, point: Point, plant: Plant, rig: Rig, active: Active, j: int, out: Array
+    x: Array,
+    drive: DriveInputs,
+    point: Point,
+    plant: Plant,
+    setup: RigSetup,
+    active: Active,
+    j: int,
+    out: Array,
 ) -> bool:
     """Fill out (8,), the rates with the j-th active unknown nudged; whether they depend on it."""
-    place = active.places[j]
-    theta, here = plant.theta, plant.rig
+    place, rig = active.places[j], setup.rig
+    theta, here, roll = plant.theta, plant.rig, plant.roll
     rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
     if place < 6:
         theta = plant.theta.copy()
         theta[place] = plant.theta[place] * (1.0 + NUDGE)
+    elif AT_ROLL_MODES <= place < AT_ROLL_MODES + 7:
+        nudged = point.unknowns.copy()
+        nudged[place] += NUDGE
+        roll = roll_at(setup.roll, nudged)
     elif place == AT_ROLLING:
         here = rig_at(rig, point.geometry, rolling + NUDGE, curvature)
     elif place == AT_CURVATURE:
@@ -151,7 +170,9 @@ def nudged_rates(
         here = rig_at(rig, geometry, rolling, curvature)
     else:
         return False
-    state_rates(x, drive, Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates), out)
+    state_rates(
+        x, drive, Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates, roll, plant.work), out
+    )
     return True
 
 
