@@ -8,17 +8,29 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_ROLL, X_V, Point
+from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_ROLL, X_SLOPE, X_V, Point
 from tilth.estimator.filters.unknowns import (
     AT_ASIDE,
     AT_CG,
     AT_LEVER,
     AT_PAIR,
+    AT_ROLL_MODES,
     AT_S_POSITION,
     AT_S_VELOCITY,
     AT_S_YAW_RATE,
 )
-from tilth.estimator.record.record import HEADING, KIND, NORTH, OFFSET, PLACE, PSI, VELOCITY, YAW_RATE
+from tilth.estimator.record.record import (
+    HEADING,
+    KIND,
+    NORTH,
+    OFFSET,
+    PLACE,
+    PSI,
+    ROLL_ANGLE,
+    VELOCITY,
+    YAW_RATE,
+)
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -36,7 +48,7 @@ class Observation(NamedTuple):
 @kernel
 def body_of(kind: int, place: int) -> int:
     """0 for the tractor, 1 for the implement."""
-    if kind in (YAW_RATE, HEADING):
+    if kind in (YAW_RATE, HEADING, ROLL_ANGLE):
         return place
     return 0 if place < 2 else 1
 
@@ -61,6 +73,10 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     if obs.kind == HEADING:
         h[X_PSI + obs.place] = 1.0
         return float(x[X_PSI + obs.place])
+    if obs.kind == ROLL_ANGLE:
+        h[X_ROLL + obs.place], h[X_SLOPE + obs.place] = 1.0, 1.0 / GRAVITY
+        zero = point.unknowns[AT_ROLL_MODES + 7 + obs.place]
+        return float(x[X_ROLL + obs.place] + x[X_SLOPE + obs.place] / GRAVITY + zero)
     body = body_of(obs.kind, obs.place)
     lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
     if obs.kind == VELOCITY:
@@ -134,6 +150,8 @@ def noise_factor(kind: int, unknowns: Array) -> float:
     """By what the stated sd of a measurement is multiplied."""
     if kind == YAW_RATE:
         return math.exp(unknowns[AT_S_YAW_RATE])
+    if kind == ROLL_ANGLE:
+        return 1.0
     if kind == VELOCITY:
         return math.exp(unknowns[AT_S_VELOCITY])
     return math.exp(unknowns[AT_S_POSITION])

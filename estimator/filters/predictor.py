@@ -28,8 +28,11 @@ from tilth.estimator.filters.propagation import (
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
     DT,
+    N_PUSH,
     N_STATES,
     PAIR_DECAY,
+    SLOPE_LENGTH,
+    SLOPE_SD,
     START,
     START_PLACE,
     X_PAIR,
@@ -47,8 +50,7 @@ from tilth.estimator.filters.unknowns import (
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
-from tilth.estimator.record.record import ROLL, SD, TICK, WHEEL_ANGLE, U
-from tilth.schemas.plausible import GRAVITY
+from tilth.estimator.record.record import SD, TICK, WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
@@ -104,7 +106,7 @@ def filtered(
         np.zeros((X_PUSH, 3)),
         np.zeros((X_PUSH, X_PUSH)),
         np.zeros((X_PUSH, 3)),
-        np.zeros((X_PUSH, 3)),
+        np.zeros((X_PUSH, N_PUSH)),
     )
     shape = (N_STATES, N_STATES)
     F, F_T, P, F_P = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -115,19 +117,23 @@ def filtered(
         np.zeros(N_STATES),
     )  # slope over the state at the instant, over that at the tick
     P_H, gain, gain_after = np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES)
-    q = np.zeros(6)
+    q = np.zeros(8)
     for i in range(X_PUSH):
         P[i, i] = START[i] * START[i]
-    push_decay = math.exp(-DT / math.exp(point.unknowns[AT_MEMORY]))
+    push_decay = np.full(N_PUSH, math.exp(-DT / math.exp(point.unknowns[AT_MEMORY])))
+    push_decay[3:] = math.exp(-DT * max(ticks[0, U], 1.0) / SLOPE_LENGTH)
     for i in range(3):
         variance = math.exp(2.0 * point.unknowns[AT_PUSH + i])
         P[X_PUSH + i, X_PUSH + i] = variance
-        q[1 + i] = (1.0 - push_decay * push_decay) * variance
+        q[1 + i] = (1.0 - push_decay[i] * push_decay[i]) * variance
+    for i in range(3, N_PUSH):
+        P[X_PUSH + i, X_PUSH + i] = SLOPE_SD**2
+        q[1 + i] = (1.0 - push_decay[i] * push_decay[i]) * SLOPE_SD**2
     for i in range(2):
         pair_sd = setup.sds[1 + i]
         P[X_POSITION + i, X_POSITION + i] = START_PLACE * START_PLACE
         P[X_PAIR + i, X_PAIR + i] = pair_sd * pair_sd
-        q[4 + i] = (1.0 - PAIR_DECAY * PAIR_DECAY) * pair_sd * pair_sd
+        q[6 + i] = (1.0 - PAIR_DECAY * PAIR_DECAY) * pair_sd * pair_sd
     rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
     plant = plant_of(
         point.theta,
@@ -148,8 +154,6 @@ def filtered(
             q[0] = (u / point.theta[3] * setup.sds[0] * DT) ** 2
         reading = 0.5 * (wheel_angle_at(ticks, k, latency) + wheel_angle_at(ticks, nxt, latency))
         inputs[0] = (reading - zero) * scale
-        for i in range(2):
-            inputs[1 + i] = GRAVITY * math.sin(0.5 * (ticks[k, ROLL + i] + ticks[nxt, ROLL + i]))
         propagate_state(x, u, inputs, model, correction, push_decay, following)
         if setup.planar and k % 2 == 0:
             nonlinear_correction(following, u, inputs, model, plant, correction)

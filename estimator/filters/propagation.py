@@ -16,8 +16,10 @@ from tilth.estimator.filters.states import (
     ACROSS,
     ALONG,
     DT,
+    N_PUSH,
     N_STATES,
     PAIR_DECAY,
+    ROLL_PUSH,
     X_ALPHA,
     X_PAIR,
     X_POSITION,
@@ -31,7 +33,6 @@ from tilth.estimator.filters.states import (
 from tilth.estimator.filters.unknowns import AT_ROLL_MODES
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.rolling import N_ROLLING, RollModes, RollWork, rates_rolling, roll_work
-from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ class RelaxationModel(NamedTuple):
     B: Array  # (8, 3), of relaxation.INPUTS
     F: Array  # (8, 8), of the state over DT
     G: Array  # (8, 3), of inputs that are held
-    G_push: Array  # (8, 3), of the ground's pushes, held
+    G_push: Array  # (12, 5), of the ground's pushes, held
 
 
 class Plant(NamedTuple):
@@ -94,8 +95,9 @@ def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: 
         F += factor * power
         held += (factor * DT / (order + 1)) * power
     model.G[:] = held @ B
-    model.G_push[:, :2] = model.G[:, 1:]
+    model.G_push[:, 0:2] = model.G[:, 1:]
     model.G_push[:, 2] = held[:, 1]
+    model.G_push[:, 3:5] = model.G[:, 1:]
 
 
 @kernel
@@ -109,7 +111,7 @@ def propagate_position(x: Array, u: float, out: Array) -> None:
 
 @kernel
 def propagate_state(
-    x: Array, u: float, inputs: Array, model: RelaxationModel, correction: Array, push_decay: float,
+    x: Array, u: float, inputs: Array, model: RelaxationModel, correction: Array, push_decay: Array,
     out: Array,
 ) -> None:  # fmt: skip
     """Fill out (15,), the state one tick later.
@@ -121,7 +123,9 @@ def propagate_state(
     for i in range(X_PUSH):
         total = 0.0
         for j in range(3):
-            total += G[i, j] * inputs[j] + G_push[i, j] * x[X_PUSH + j]
+            total += G[i, j] * inputs[j]
+        for j in range(N_PUSH):
+            total += G_push[i, j] * x[X_PUSH + j]
         for j in range(X_PUSH):
             total += F[i, j] * x[j]
         out[i] = total
@@ -130,7 +134,7 @@ def propagate_state(
     for i in range(2):  # r' acts on the heading within the tick too
         out[X_PSI + i] += 0.5 * DT * DT * correction[X_R + i]
     for i in range(X_PUSH, X_POSITION):
-        out[i] = push_decay * x[i]
+        out[i] = push_decay[i - X_PUSH] * x[i]
     propagate_position(x, u, out)
     for i in range(X_PAIR, N_STATES):
         out[i] = PAIR_DECAY * x[i]
@@ -144,8 +148,6 @@ def plant_rates(x: Array, u: float, plant: Plant) -> None:
     for i in range(X_PSI):
         state[5 + i] = x[i]
     plant.w[3] = u
-    for i in range(2):  # of what is measured, lean is no slope
-        plant.w[1 + i] -= GRAVITY * x[X_ROLL + i]
     rates_rolling(state, plant.w, plant.theta, plant.rig, plant.roll, plant.forces, plant.work, plant.rates)
 
 
@@ -181,7 +183,7 @@ def position_jacobian(u: float, psi: float, v: float, columns: int, F: Array) ->
 
 @kernel
 def transition_jacobian(
-    x: Array, u: float, model: RelaxationModel, push_decay: float, F: Array, F_T: Array
+    x: Array, u: float, model: RelaxationModel, push_decay: Array, F: Array, F_T: Array
 ) -> None:
     """Fill F (15, 15), how a small change of the state goes on over one tick, and its transpose.
 
@@ -190,14 +192,14 @@ def transition_jacobian(
     for i in range(X_PUSH):
         for j in range(X_PUSH):
             F[i, j] = F_T[j, i] = model.F[i, j]
-        for j in range(3):
+        for j in range(N_PUSH):
             F[i, X_PUSH + j] = F_T[X_PUSH + j, i] = model.G_push[i, j]
     position_jacobian(u, x[X_PSI], x[X_V], X_PUSH, F)
     for j in range(X_PUSH):
         F_T[j, X_POSITION] = F[X_POSITION, j]
         F_T[j, X_POSITION + 1] = F[X_POSITION + 1, j]
     for i in range(X_PUSH, N_STATES):
-        F[i, i] = F_T[i, i] = push_decay if i < X_POSITION else (1.0 if i < X_PAIR else PAIR_DECAY)
+        F[i, i] = F_T[i, i] = push_decay[i - X_PUSH] if i < X_POSITION else (1.0 if i < X_PAIR else PAIR_DECAY)
 
 
 @kernel
@@ -254,10 +256,11 @@ def propagate_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F
     for i in range(N_STATES):
         propagate_change(F_P[i], F_T, P[i])
     P[X_ALPHA, X_ALPHA] += q[0]
-    for i in range(3):
+    for i in range(N_PUSH):
         P[X_PUSH + i, X_PUSH + i] += q[1 + i]
     for i in range(2):
-        P[X_PAIR + i, X_PAIR + i] += q[4 + i]
+        P[X_PAIR + i, X_PAIR + i] += q[6 + i]
+        P[X_ROLL + 2 + i, X_ROLL + 2 + i] += ROLL_PUSH * ROLL_PUSH * DT
     add_position_noise(P, psi)
 
 

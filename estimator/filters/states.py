@@ -23,11 +23,13 @@ X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
 X_PSI: Final = 10
 X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
-X_POSITION: Final = 15  # north, east
-X_PAIR: Final = 17
-X_ASIDE: Final = 19
-N_STATES: Final = 19
-N_TRACKER: Final = 20
+N_PUSH: Final = 5  # of which the last two are gravity along the cross slope of both bodies
+X_SLOPE: Final = 15
+X_POSITION: Final = 17  # north, east
+X_PAIR: Final = 19
+X_ASIDE: Final = 21
+N_STATES: Final = 21
+N_TRACKER: Final = 22
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
@@ -49,6 +51,9 @@ START: Final = (
     0.05,
 )  # sds of the states before X_PUSH, at first
 START_PLACE: Final = 1.0  # m
+SLOPE_SD: Final = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
+SLOPE_LENGTH: Final = 12.0  # m, over which it changes
+ROLL_PUSH: Final = 0.02  # rad/s per sqrt(s), by uneven ground
 
 
 class Point(NamedTuple):

@@ -25,6 +25,9 @@ from tilth.estimator.filters.states import (
     DT,
     N_TRACKER,
     PAIR_DECAY,
+    ROLL_PUSH,
+    SLOPE_LENGTH,
+    SLOPE_SD,
     X_ALPHA,
     X_ASIDE,
     X_PAIR,
@@ -32,6 +35,8 @@ from tilth.estimator.filters.states import (
     X_PSI,
     X_PUSH,
     X_R,
+    X_ROLL,
+    X_SLOPE,
     Places,
     Point,
 )
@@ -55,12 +60,24 @@ from tilth.estimator.filters.unknowns import (
     AT_LATENCY,
     AT_LEVER,
     AT_PAIR,
+    AT_ROLL_MODES,
     AT_ROLLING,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
 from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.record.record import HEADING, NORTH, ROLL, SD, TICK, VALUE, VELOCITY, YAW_RATE, U
+from tilth.estimator.record.record import (
+    HEADING,
+    NORTH,
+    ROLL,
+    ROLL_ANGLE,
+    SD,
+    TICK,
+    VALUE,
+    VELOCITY,
+    YAW_RATE,
+    U,
+)
 from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
@@ -179,6 +196,11 @@ def predict_joint_measurement(
 ) -> float:
     """What a measurement shows; fills h (16 + a,), its slope over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
+    if obs.kind == ROLL_ANGLE:
+        for j in range(active.places.shape[0]):
+            if active.places[j] == AT_ROLL_MODES + 7 + obs.place:
+                h[N_TRACKER + j] = 1.0
+        return value
     if obs.kind == YAW_RATE or obs.kind == HEADING:
         return value
     body = body_of(obs.kind, obs.place)
@@ -296,6 +318,10 @@ def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
         push, pair = i, X_PAIR - X_PUSH + i
         decay[push], decay[pair] = math.exp(-DT / noise.push_memory_s), PAIR_DECAY
         q[X_PUSH + i] = (1.0 - decay[push] ** 2) * noise.push[i] ** 2
+        if i < 2:
+            decay[3 + i] = math.exp(-DT * 4.5 / SLOPE_LENGTH)
+            q[X_SLOPE + i] = (1.0 - decay[3 + i] ** 2) * SLOPE_SD**2
+            q[X_ROLL + 2 + i] = ROLL_PUSH**2 * DT
         q[X_PAIR + i] = (1.0 - PAIR_DECAY**2) * (sds[1 + i] if i < 2 else noise.aside) ** 2
     return Transition(
         np.zeros((X_PUSH, X_PUSH)),
@@ -385,6 +411,8 @@ def tracked(
                 counts[GATED] += 1.0
                 continue
             counts[USED] += 1.0
+            if obs.kind == ROLL_ANGLE:
+                continue
             group = 0 if obs.kind == YAW_RATE else (1 if obs.kind == VELOCITY else 2)
             left = noise_variance / variance
             residual = left * left * error * error + (1.0 - left) * noise_variance

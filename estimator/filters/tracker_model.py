@@ -29,6 +29,7 @@ from tilth.estimator.filters.states import (
     X_PSI,
     X_PUSH,
     X_R,
+    X_SLOPE,
     X_V,
     Places,
     Point,
@@ -92,7 +93,7 @@ class Transition(NamedTuple):
 def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     """Fill out (8,), the rates of the states before X_PUSH."""
     plant.w[0] = drive.wheel
-    plant.w[1], plant.w[2] = drive.gravity_t + x[X_PUSH], drive.gravity_i + x[X_PUSH + 1]
+    plant.w[1], plant.w[2] = x[X_PUSH] + x[X_SLOPE], x[X_PUSH + 1] + x[X_SLOPE + 1]
     plant_rates(x, drive.u, plant)
     for i in range(X_PSI):
         out[i] = plant.rates[5 + i]
@@ -125,6 +126,7 @@ def rate_jacobians(
     for i in range(X_PUSH):
         out.x[i, X_PSI + 1] = -out.x[i, X_PSI]
         out.x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
+        out.x[i, X_SLOPE], out.x[i, X_SLOPE + 1] = out.x[i, X_PUSH], out.x[i, X_PUSH + 1]
     turned = DriveInputs(
         drive.u, drive.wheel + NUDGE, drive.wheel_rate, drive.gravity_t, drive.gravity_i, drive.wheel_scale
     )

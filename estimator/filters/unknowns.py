@@ -37,6 +37,7 @@ NAMES: Final = (
     "roll_d_t", "roll_d_i",  # the same of roll damping
     "roll_j_t", "roll_j_i",  # the same of roll inertia
     "roll_pin",  # m: pin higher than nominal
+    "roll_zero_t", "roll_zero_i",  # rad: measured roll less true
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
     *NOISES,
     *GEOMETRY,  # logarithms of true over surveyed; e as m
@@ -67,7 +68,7 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_LOG_SD: Final = (0.5, 0.6, 0.6, 0.6, 0.4, 0.4, 0.15)
+ROLL_LOG_SD: Final = (0.5, 0.6, 0.6, 0.6, 0.4, 0.4, 0.15, 0.01, 0.01)
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
 MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
@@ -93,7 +94,7 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
-    sd[AT["roll_k_t"] : AT["roll_pin"] + 1] = ROLL_LOG_SD
+    sd[AT["roll_k_t"] : AT["roll_zero_i"] + 1] = ROLL_LOG_SD
     mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0])
     sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1]] + [SENSOR_LOG_SD] * 3
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]

@@ -24,7 +24,7 @@ stretch's last two ticks holds to its end; rolls are given twice as often.
 """
 WHEEL_ANGLE, U, PSI, R, ROLL = 0, 1, 2, 4, 6
 """The same columns by number; of PSI, R and ROLL the tractor's, with the implement's beside it."""
-YAW_RATE, VELOCITY, NORTH, EAST, HEADING = 0, 1, 2, 3, 4
+YAW_RATE, VELOCITY, NORTH, EAST, HEADING, ROLL_ANGLE = 0, 1, 2, 3, 4, 5
 ROWS = ("tick", "offset", "kind", "place", "value", "sd")
 """Columns of Record.rows, one row per measurement, sorted by instant.
 
