@@ -35,6 +35,8 @@ from tilth.estimator.filters.states import (
     SLOPE_SD,
     START,
     START_PLACE,
+    UNEVEN_LENGTH,
+    UNEVEN_SD,
     X_PAIR,
     X_POSITION,
     X_PSI,
@@ -47,6 +49,7 @@ from tilth.estimator.filters.unknowns import (
     AT_MEMORY,
     AT_PUSH,
     AT_ROLLING,
+    AT_UNEVEN,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
@@ -103,9 +106,9 @@ def filtered(
     n = ticks.shape[0]
     model = RelaxationModel(
         np.zeros((X_PUSH, X_PUSH)),
-        np.zeros((X_PUSH, 3)),
+        np.zeros((X_PUSH, 5)),
         np.zeros((X_PUSH, X_PUSH)),
-        np.zeros((X_PUSH, 3)),
+        np.zeros((X_PUSH, 5)),
         np.zeros((X_PUSH, N_PUSH)),
     )
     shape = (N_STATES, N_STATES)
@@ -117,23 +120,25 @@ def filtered(
         np.zeros(N_STATES),
     )  # slope over the state at the instant, over that at the tick
     P_H, gain, gain_after = np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES)
-    q = np.zeros(8)
+    q = np.zeros(10)
     for i in range(X_PUSH):
         P[i, i] = START[i] * START[i]
     push_decay = np.full(N_PUSH, math.exp(-DT / math.exp(point.unknowns[AT_MEMORY])))
-    push_decay[3:] = math.exp(-DT * max(ticks[0, U], 1.0) / SLOPE_LENGTH)
+    push_decay[3:5] = math.exp(-DT * max(ticks[0, U], 1.0) / SLOPE_LENGTH)
+    push_decay[5:] = math.exp(-DT * max(ticks[0, U], 1.0) / UNEVEN_LENGTH)
     for i in range(3):
         variance = math.exp(2.0 * point.unknowns[AT_PUSH + i])
         P[X_PUSH + i, X_PUSH + i] = variance
         q[1 + i] = (1.0 - push_decay[i] * push_decay[i]) * variance
     for i in range(3, N_PUSH):
-        P[X_PUSH + i, X_PUSH + i] = SLOPE_SD**2
-        q[1 + i] = (1.0 - push_decay[i] * push_decay[i]) * SLOPE_SD**2
+        variance = SLOPE_SD**2 if i < 5 else UNEVEN_SD**2 * math.exp(2.0 * point.unknowns[AT_UNEVEN])
+        P[X_PUSH + i, X_PUSH + i] = variance
+        q[1 + i] = (1.0 - push_decay[i] * push_decay[i]) * variance
     for i in range(2):
         pair_sd = setup.sds[1 + i]
         P[X_POSITION + i, X_POSITION + i] = START_PLACE * START_PLACE
         P[X_PAIR + i, X_PAIR + i] = pair_sd * pair_sd
-        q[6 + i] = (1.0 - PAIR_DECAY * PAIR_DECAY) * pair_sd * pair_sd
+        q[8 + i] = (1.0 - PAIR_DECAY * PAIR_DECAY) * pair_sd * pair_sd
     rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
     plant = plant_of(
         point.theta,

@@ -19,14 +19,12 @@ from tilth.estimator.filters.states import (
     N_PUSH,
     N_STATES,
     PAIR_DECAY,
-    ROLL_PUSH,
     X_ALPHA,
     X_PAIR,
     X_POSITION,
     X_PSI,
     X_PUSH,
     X_R,
-    X_ROLL,
     X_V,
     Point,
 )
@@ -71,17 +69,18 @@ def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: 
     for j in range(X_PUSH):
         for side in (-1.0, 1.0):
             at[j] = side * NUDGE_LINEAR
-            plant.w[:3] = 0.0
+            plant.w[:] = 0.0
             plant_rates(at, u, plant)
             for i in range(X_PSI):
                 A[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
         at[j] = 0.0
     A[X_PSI, X_R] = A[X_PSI + 1, X_R + 1] = 1.0
     B[:, :] = 0.0
-    for j in range(3):
+    for j in range(5):
+        place = j if j < 3 else 6 + j
         for side in (-1.0, 1.0):
-            plant.w[:3] = 0.0
-            plant.w[j] = side * NUDGE_LINEAR
+            plant.w[:] = 0.0
+            plant.w[place] = side * NUDGE_LINEAR
             plant_rates(at, u, plant)
             for i in range(X_PSI):
                 B[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
@@ -95,9 +94,10 @@ def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: 
         F += factor * power
         held += (factor * DT / (order + 1)) * power
     model.G[:] = held @ B
-    model.G_push[:, 0:2] = model.G[:, 1:]
+    model.G_push[:, 0:2] = model.G[:, 1:3]
     model.G_push[:, 2] = held[:, 1]
-    model.G_push[:, 3:5] = model.G[:, 1:]
+    model.G_push[:, 3:5] = model.G[:, 1:3]
+    model.G_push[:, 5:7] = model.G[:, 3:5]
 
 
 @kernel
@@ -156,6 +156,7 @@ def nonlinear_correction(
     x: Array, u: float, inputs: Array, model: RelaxationModel, plant: Plant, out: Array
 ) -> None:
     """Fill out (6,): rates of the nonlinear model less those of the relaxation model at state x."""
+    plant.w[:] = 0.0
     plant.w[0], plant.w[1], plant.w[2] = inputs[0], inputs[1], inputs[2]
     plant_rates(x, u, plant)
     A, B = model.A, model.B
@@ -259,8 +260,7 @@ def propagate_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F
     for i in range(N_PUSH):
         P[X_PUSH + i, X_PUSH + i] += q[1 + i]
     for i in range(2):
-        P[X_PAIR + i, X_PAIR + i] += q[6 + i]
-        P[X_ROLL + 2 + i, X_ROLL + 2 + i] += ROLL_PUSH * ROLL_PUSH * DT
+        P[X_PAIR + i, X_PAIR + i] += q[8 + i]
     add_position_noise(P, psi)
 
 
@@ -291,5 +291,5 @@ def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
 def plant_of(theta: Array, rig: Rig, roll: RollModes) -> Plant:
     """The nonlinear model with these parameters."""
     return Plant(
-        theta, rig, np.zeros(N_ROLLING), np.zeros(9), np.zeros((6, 3)), np.zeros(N_ROLLING), roll, roll_work()
+        theta, rig, np.zeros(N_ROLLING), np.zeros(11), np.zeros((6, 3)), np.zeros(N_ROLLING), roll, roll_work()
     )

@@ -23,13 +23,14 @@ X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
 X_PSI: Final = 10
 X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
-N_PUSH: Final = 5  # of which the last two are gravity along the cross slope of both bodies
+N_PUSH: Final = 7  # of which the last two are gravity along the cross slope of both bodies
 X_SLOPE: Final = 15
-X_POSITION: Final = 17  # north, east
-X_PAIR: Final = 19
-X_ASIDE: Final = 21
-N_STATES: Final = 21
-N_TRACKER: Final = 22
+X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
+X_POSITION: Final = 19  # north, east
+X_PAIR: Final = 21
+X_ASIDE: Final = 23
+N_STATES: Final = 23
+N_TRACKER: Final = 24
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
@@ -53,7 +54,8 @@ START: Final = (
 START_PLACE: Final = 1.0  # m
 SLOPE_SD: Final = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
 SLOPE_LENGTH: Final = 12.0  # m, over which it changes
-ROLL_PUSH: Final = 0.02  # rad/s per sqrt(s), by uneven ground
+UNEVEN_SD: Final = 0.006  # rad
+UNEVEN_LENGTH: Final = 1.5  # m
 
 
 class Point(NamedTuple):

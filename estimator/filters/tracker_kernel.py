@@ -25,9 +25,10 @@ from tilth.estimator.filters.states import (
     DT,
     N_TRACKER,
     PAIR_DECAY,
-    ROLL_PUSH,
     SLOPE_LENGTH,
     SLOPE_SD,
+    UNEVEN_LENGTH,
+    UNEVEN_SD,
     X_ALPHA,
     X_ASIDE,
     X_PAIR,
@@ -35,8 +36,8 @@ from tilth.estimator.filters.states import (
     X_PSI,
     X_PUSH,
     X_R,
-    X_ROLL,
     X_SLOPE,
+    X_UNEVEN,
     Places,
     Point,
 )
@@ -321,7 +322,8 @@ def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
         if i < 2:
             decay[3 + i] = math.exp(-DT * 4.5 / SLOPE_LENGTH)
             q[X_SLOPE + i] = (1.0 - decay[3 + i] ** 2) * SLOPE_SD**2
-            q[X_ROLL + 2 + i] = ROLL_PUSH**2 * DT
+            decay[5 + i] = math.exp(-DT * 4.5 / UNEVEN_LENGTH)
+            q[X_UNEVEN + i] = (1.0 - decay[5 + i] ** 2) * UNEVEN_SD**2
         q[X_PAIR + i] = (1.0 - PAIR_DECAY**2) * (sds[1 + i] if i < 2 else noise.aside) ** 2
     return Transition(
         np.zeros((X_PUSH, X_PUSH)),

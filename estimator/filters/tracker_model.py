@@ -30,6 +30,7 @@ from tilth.estimator.filters.states import (
     X_PUSH,
     X_R,
     X_SLOPE,
+    X_UNEVEN,
     X_V,
     Places,
     Point,
@@ -94,6 +95,7 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     """Fill out (8,), the rates of the states before X_PUSH."""
     plant.w[0] = drive.wheel
     plant.w[1], plant.w[2] = x[X_PUSH] + x[X_SLOPE], x[X_PUSH + 1] + x[X_SLOPE + 1]
+    plant.w[9], plant.w[10] = x[X_UNEVEN], x[X_UNEVEN + 1]
     plant_rates(x, drive.u, plant)
     for i in range(X_PSI):
         out[i] = plant.rates[5 + i]
@@ -115,8 +117,8 @@ def rate_jacobians(
     base, near = out.rates, out.nudged
     state_rates(x, drive, plant, base)
     at = x.copy()
-    for j in range(X_PUSH + 2):
-        if j == X_PSI + 1:
+    for j in range(X_POSITION):
+        if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN:
             continue  # of the headings only the difference matters
         at[j] += NUDGE
         state_rates(at, drive, plant, near)

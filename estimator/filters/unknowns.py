@@ -17,7 +17,7 @@ from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
 Array = NDArray[np.float64]
 
-NOISES: Final = ("push_t", "push_i", "push_yaw", "memory", "s_yaw_rate", "s_velocity", "s_position")
+NOISES: Final = ("push_t", "push_i", "push_yaw", "memory", "uneven", "s_yaw_rate", "s_velocity", "s_position")
 """Natural logarithms: sds of how the ground pushes across the tractor and the implement (m/s^2) and turns the
 tractor (rad/s^2), and how long that lasts (s, of a first-order Gauss-Markov process; white where that is less
 than a tick); factors on the sds that the machine file states for yaw rates, velocities, and positions and
@@ -61,6 +61,7 @@ AT_CURVATURE: Final = AT["curvature"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
 AT_PUSH: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
+AT_UNEVEN: Final = AT["uneven"]
 AT_S_YAW_RATE: Final = AT["s_yaw_rate"]
 AT_S_VELOCITY: Final = AT["s_velocity"]
 AT_S_POSITION: Final = AT["s_position"]
@@ -95,8 +96,8 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
     sd[AT["roll_k_t"] : AT["roll_zero_i"] + 1] = ROLL_LOG_SD
-    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0])
-    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1]] + [SENSOR_LOG_SD] * 3
+    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0, 1.0])
+    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], 1.5] + [SENSOR_LOG_SD] * 3
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
     return mean, sd
 

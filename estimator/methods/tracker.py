@@ -17,7 +17,7 @@ from tilth.estimator.filters.drift import added_covariance, drift, kept_over
 from tilth.estimator.filters.predictor import innovations
 from tilth.estimator.filters.rig_setup import SLOW_SHARE, RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Mark
-from tilth.estimator.filters.states import DT, N_STATES, N_TRACKER, SLOPE_SD, START, START_PLACE
+from tilth.estimator.filters.states import DT, N_STATES, N_TRACKER, SLOPE_SD, START, START_PLACE, UNEVEN_SD
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -202,7 +202,7 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) 
     state.x = np.zeros(N_TRACKER)
     state.x[:N_STATES] = likelihood.first_state(record, setup)
     pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
-    state.P_xx = np.diag([*np.square(START), *state.push, SLOPE_SD**2, SLOPE_SD**2, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
+    state.P_xx = np.diag([*np.square(START), *state.push, SLOPE_SD**2, SLOPE_SD**2, UNEVEN_SD**2, UNEVEN_SD**2, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
     state.P_xtheta = np.zeros((N_TRACKER, len(NAMES)))
     state.running, state.since, state.steering = True, 0, 0.0
     state.restarts += 1
