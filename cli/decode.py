@@ -124,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
             status = max(status, 1)
     decoding.close_counts()
     _tell_counts(decoding.count)
-    for text in decoding.turn_rates.told():
+    for text in decoding.turn_rates.sentences():
         _say(text)
     tell_unread(decoding.unread, decoding.decoder, _say)
     return status

@@ -17,7 +17,9 @@ LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
 EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
 DATED_NS = 315_532_800_000_000_000  # 1980-01-01: a time before is of a clock that nobody has set
-HEARD = 8  # times told by receivers before they are believed, and at most so many times that are remembered:
+LEAST_TIMES = (
+    8  # times told by receivers before they are believed, and at most so many times that are remembered:
+)
 REMEMBERED = 64
 
 
@@ -86,7 +88,7 @@ class Clock:
     @property
     def gnss_ahead_ns(self) -> int | None:
         """UTC by the receivers less this clock; None until enough of them agree. Good to about a second."""
-        if len(self._gnss_ahead) < HEARD:
+        if len(self._gnss_ahead) < LEAST_TIMES:
             return None
         return int(statistics.median(self._gnss_ahead))
 

@@ -21,17 +21,17 @@ from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
 TEXT: Final = "compiling kernels, once per machine: half a minute, a few minutes on a small computer"
-UNKEPT: Final = (
+NO_CACHE_FOLDER: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
 )
 NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
-Told = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1
+Progress = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1
 
 
-class Unkept(Exception):
+class NoCacheFolder(Exception):
     """There is no place for compiled kernels; one sentence that says what to set."""
 
 
@@ -62,13 +62,15 @@ def load(machine: Machine) -> bool:
     return True
 
 
-def prepare(machine: Machine, told: Told) -> float:
+def prepare(machine: Machine, progress: Progress) -> float:
     """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
 
     told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
     """
     began: list[float] = []
-    left = set[CodeType]()  # functions still to be compiled; the second kernel to call one finds it kept
+    uncompiled = set[
+        CodeType
+    ]()  # functions still to be compiled; the second kernel to call one finds it kept
     work = 0
 
     def begins(code: CodeType) -> None:
@@ -76,14 +78,14 @@ def prepare(machine: Machine, told: Told) -> float:
         if not began:
             began.append(time.monotonic())
             waiting = [kernel for kernel in kernels_of(machine) if kernel.how == "not called yet"]
-            left.update(f.__code__ for kernel in waiting for f in kernel.functions())
-            work = _size(left)
-            told(0.0)
+            uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
+            work = _size(uncompiled)
+            progress(0.0)
 
     def ended(code: CodeType) -> None:
-        if code in left:  # not one of numba's own, nor one for other types
-            left.remove(code)
-            told(min(1.0 - _size(left) / work, MOST))
+        if code in uncompiled:  # not one of numba's own, nor one for other types
+            uncompiled.remove(code)
+            progress(min(1.0 - _size(uncompiled) / work, MOST))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
@@ -127,7 +129,7 @@ def _compiles() -> bool:
     return not getattr(config, "DISABLE_JIT", 0)  # set at run time
 
 
-def kept_in(machine: Machine) -> str:
+def cache_folder(machine: Machine) -> str:
     """The folder where compiled kernels are kept; "" where nothing is compiled. Raises Unkept."""
     if not _compiles():
         return ""
@@ -137,7 +139,7 @@ def kept_in(machine: Machine) -> str:
     try:
         return str(FunctionCache(kernels[0].function).cache_path) if kernels else ""
     except RuntimeError:
-        raise Unkept(UNKEPT) from None
+        raise NoCacheFolder(NO_CACHE_FOLDER) from None
 
 
 @contextlib.contextmanager
@@ -146,16 +148,16 @@ def keeping_in(folder: str) -> Iterator[None]:
     from numba.core import config
 
     settings: Any = config  # numba sets its attributes itself
-    before, told = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
+    variable_before, setting_before = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
     os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
     try:
         yield
     finally:
-        settings.CACHE_DIR = told
-        if before is None:
+        settings.CACHE_DIR = setting_before
+        if variable_before is None:
             os.environ.pop("NUMBA_CACHE_DIR", None)
         else:
-            os.environ["NUMBA_CACHE_DIR"] = before
+            os.environ["NUMBA_CACHE_DIR"] = variable_before
 
 
 def main(words: list[str]) -> int:

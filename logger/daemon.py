@@ -210,9 +210,9 @@ def run_daemon(
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
     suffix = prefix_suffix if zenoh else None
-    shown = status or NoDisplay()
+    display = status or NoDisplay()
     daemon = Daemon(
-        machine, machine_text, folder, suffix, shown,
+        machine, machine_text, folder, suffix, display,
         keep=keep, fresh=fresh, note=note, supervisor=supervisor, events=events,
     )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.

@@ -40,14 +40,14 @@ def main() -> None:
     os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
-    asked = sys.stdin.buffer
+    requests = sys.stdin.buffer
     try:
-        machine, in_advance = pickle.load(asked)
+        machine, in_advance = pickle.load(requests)
         with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
             if in_advance:
                 rehearse(machine)
         while True:
-            ticket, method, job = pickle.load(asked)
+            ticket, method, job = pickle.load(requests)
             started = time.perf_counter()
             made, error = make(machine, method, job)
             answer: Answer = (ticket, made, error, time.perf_counter() - started)

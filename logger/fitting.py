@@ -152,8 +152,8 @@ class Worker:
         try:
             with contextlib.suppress(OSError):  # told at the first job
                 self._running()
-            while (asked := self._asks.get()) is not None:
-                self._answer(*asked)
+            while (request := self._asks.get()) is not None:
+                self._answer(*request)
         finally:
             self._end()
 
@@ -232,23 +232,23 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
     process.stdin.flush()
 
 
-class Retold:
+class ReplayedFits:
     """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time."""
 
     def __init__(self, machine: Machine, report: Report) -> None:
-        self.own = False  # whether the log is one that says so
+        self.holds_outcomes = False  # whether the log is one that says so
         self._worker = Worker(machine, report, patient=True)
-        self._told: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
+        self._outcomes: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
         self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
 
-    def tell(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
+    def add_outcome(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
         """What the log says."""
-        self._told[method, asked_ns] = adopted, awaited
+        self._outcomes[method, asked_ns] = adopted, awaited
 
     def forget(self) -> None:
         """The log goes on with another state, or another run."""
         self._worker.forget()
-        self._told.clear()
+        self._outcomes.clear()
         self._first.clear()
 
     def ask(self, method: str, job: Any) -> None:
@@ -258,10 +258,12 @@ class Retold:
         """UNDECIDED until the log has told, which it does right after the frame at which a fit is due, and
         for one that is late whenever it was ready."""
         key = (method, job.asked_ns)
-        if key not in self._told and (awaited or (self.own and t_ns <= self._first.setdefault(key, t_ns))):
+        if key not in self._outcomes and (
+            awaited or (self.holds_outcomes and t_ns <= self._first.setdefault(key, t_ns))
+        ):
             return UNDECIDED
         self._first.pop(key, None)
-        adopted, late = self._told.pop(key, (True, False))
+        adopted, late = self._outcomes.pop(key, (True, False))
         return self._worker.made(method, job) if adopted else LATE if late else None
 
     def made(self, method: str, job: Any) -> Any:

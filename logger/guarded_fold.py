@@ -117,14 +117,14 @@ class GuardedFold:
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
             publications += self.decided(frame.t_ns)
-            told = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
-            told = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, payload(publication)) for publication in publications]
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
-        return told
+        return encoded
 
     def decided(self, t_ns: int) -> list[Publication]:
         """What becomes of the fits that are due: logged now, used at the next frame. One that is not ready
@@ -173,16 +173,16 @@ class GuardedFold:
         """Method -> what it has learned, for the next run."""
         return keep(self.state, t_ns)
 
-    def warm(self, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
+    def warm(self, learned: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
         """Before the first frame: go on from what was kept elapsed_s ago. Method -> why not, or ""."""
         try:
-            told = go_on(self.state, kept, elapsed_s, t_ns)
+            refusals = go_on(self.state, learned, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
-            return dict.fromkeys(kept, f"{type(error).__name__}: {error}")
+            return dict.fromkeys(learned, f"{type(error).__name__}: {error}")
         self.renew()
         self.estimates = dict(self.state.estimates)
-        return told
+        return refusals
 
     def renew(self) -> str:
         """The state as text; the fold goes on from just that text, so that live is replay by construction."""

@@ -36,8 +36,8 @@ def _unfilled(text: str) -> str:
     lines = [n for n, line in enumerate(text.splitlines(), 1) if _UNFILLED.match(line)]
     if not lines:
         return ""
-    shown = f"line {lines[0]}" if len(lines) == 1 else f"line {lines[0]} and {len(lines) - 1} more"
-    return f'{shown} still marked "FILL IN"; write the value of each after its ='
+    place = f"line {lines[0]}" if len(lines) == 1 else f"line {lines[0]} and {len(lines) - 1} more"
+    return f'{place} still marked "FILL IN"; write the value of each after its ='
 
 
 def _dbc_name(text: str) -> str | None:

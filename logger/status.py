@@ -53,7 +53,7 @@ def log_status(status: pb.Status, recording: Recording) -> None:
     status.log_bytes = recording.size_bytes
     if recording.free_bytes is not None:
         status.disk_free_bytes = recording.free_bytes
-        status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
+        status.hours_left = recording_hours(recording.free_bytes, recording.bytes_per_s)
 
 
 def rejected(
@@ -109,6 +109,6 @@ def _sensor_problems(status: pb.Status) -> list[str]:
     return found
 
 
-def hours_left(free_bytes: float, bytes_per_s: float | None = None) -> float:
+def recording_hours(free_bytes: float, bytes_per_s: float | None = None) -> float:
     """Of recording, at that rate or, where none is known yet, at a nominal one."""
     return free_bytes / (bytes_per_s or NOMINAL_BYTES_PER_S) / 3600.0

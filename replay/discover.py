@@ -147,7 +147,7 @@ class BusSurvey:
             return
         self._count(frame)
         for message in self._decoder.messages(frame):
-            self._told(message)
+            self._take_message(message)
 
     def findings(self) -> Findings:
         seconds = (self._last_ns - (self._first_ns or 0)) * 1e-9
@@ -179,12 +179,12 @@ class BusSurvey:
         if pgn in _TABLE and pgn not in _SELECTED and pgn != RUDDER:
             return
         key = (frame.bus, frame.can_id, frame.extended)
-        seen = self._identifiers.setdefault(key, _Identifier())
-        if len(seen.data) < MOST_SAMPLES:
-            seen.times_ns.append(frame.rx_ns)
-            seen.data.append(frame.data)
+        identifier = self._identifiers.setdefault(key, _Identifier())
+        if len(identifier.data) < MOST_SAMPLES:
+            identifier.times_ns.append(frame.rx_ns)
+            identifier.data.append(frame.data)
 
-    def _told(self, message: Message) -> None:
+    def _take_message(self, message: Message) -> None:
         self._turn_rates.take(message)
         origin = message.origin
         speaker = self._speaker(origin.bus, origin.source)
@@ -204,8 +204,8 @@ class BusSurvey:
 
     def _wheel_angles(self) -> Iterator[WheelCandidate]:
         yaw = max(self._yaw.values(), key=len, default=[])
-        for (bus, can_id, extended), seen in self._identifiers.items():
-            words = candidates(bus, can_id, extended, seen.times_ns, seen.data, yaw)
+        for (bus, can_id, extended), identifier in self._identifiers.items():
+            words = candidates(bus, can_id, extended, identifier.times_ns, identifier.data, yaw)
             best = max(words, key=lambda word: word.score, default=None)
             if best is not None:
                 yield best

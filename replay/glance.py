@@ -74,9 +74,9 @@ def _by_index(reader: McapReader) -> Glance:
     found.last_ns = summary.statistics.message_end_time
     last = next(reader.iter_messages(buses, reverse=True), None) if buses else None
     until_ns = last[2].log_time + 1 if last else None
-    told = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
-    if told:
-        found.sensors = _sensors(told[2].data)
+    status = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
+    if status:
+        found.sensors = _sensors(status[2].data)
     found.events = _kinds(row.data for _, _, row in reader.iter_messages(["/event"]))
     for record in reader.iter_metadata():
         _metadata(found, record)
@@ -169,7 +169,7 @@ def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     with_frames = chunks.holding(buses)[-1:]
     until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
     for number in reversed(chunks.holding({"/status"})):
-        told = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
-        if told:
-            found.sensors = _sensors(told[-1])
+        statuses = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
+        if statuses:
+            found.sensors = _sensors(statuses[-1])
             return

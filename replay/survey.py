@@ -50,7 +50,7 @@ class RunSurvey:
     last_ns: int = 0
     utc_minus_ns: int = 0  # what gives UTC, added to the log's times
     by_gnss: bool = False  # whether receivers have confirmed it
-    heard: dict[str, Coverage] = field(default_factory=dict)  # by topic
+    coverage: dict[str, Coverage] = field(default_factory=dict)  # by topic
     faults: Counter[str] = field(
         default_factory=Counter
     )  # dropped frames by bus, and what the daemon counted
@@ -166,8 +166,8 @@ def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tupl
         if opcode == Opcode.MESSAGE:
             yield topics.get(channel, ""), (t_ns, data[start + MESSAGE.size : stop])
         elif opcode == Opcode.CHANNEL:
-            told = Channel.read(ReadDataStream(io.BytesIO(data[start + HEAD.size : stop])))
-            topics[told.id] = told.topic
+            definition = Channel.read(ReadDataStream(io.BytesIO(data[start + HEAD.size : stop])))
+            topics[definition.id] = definition.topic
         start = stop
 
 
@@ -175,11 +175,11 @@ def _run_of(
     runs: dict[str, tuple[RunSurvey, _Reading]], path: Path, metadata: Mapping[str, Mapping[str, str]]
 ) -> tuple[RunSurvey, _Reading]:
     """The run that a file belongs to, and the file its next part."""
-    told = metadata.get("run", {})
-    one, reading = runs.setdefault(told.get("id", str(path)), (RunSurvey(), _Reading()))
-    one.run, one.note = told.get("id", ""), told.get("note", "")
+    run_metadata = metadata.get("run", {})
+    one, reading = runs.setdefault(run_metadata.get("id", str(path)), (RunSurvey(), _Reading()))
+    one.run, one.note = run_metadata.get("id", ""), run_metadata.get("note", "")
     one.machine = metadata.get("machine", {}).get("name", "")
-    part = _number(told.get("part"))
+    part = _number(run_metadata.get("part"))
     if one.parts and part > one.parts[-1] + 1:
         one.wrong.append(f"{path.name}: part {part} after part {one.parts[-1]}; what is between is missing")
     elif one.parts and part <= one.parts[-1]:
@@ -209,12 +209,12 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
     first_ns = min((times[0] for times in buses), default=one.first_ns)
     last_ns = max((times[-1] for times in buses), default=one.last_ns)
     for topic, times in sorted(reading.times.items()):
-        one.heard[topic] = _heard(np.array([first_ns, *times, last_ns]))
+        one.coverage[topic] = _coverage_of(np.array([first_ns, *times, last_ns]))
     for status in reading.statuses[:1]:
         for mount in (receiver.mount for receiver in status.receivers):
-            if f"{GNSS}{mount}" not in one.heard:
-                one.heard[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
-        one.heard.setdefault(WHEEL, Coverage(0, 0.0, ()))
+            if f"{GNSS}{mount}" not in one.coverage:
+                one.coverage[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
+        one.coverage.setdefault(WHEEL, Coverage(0, 0.0, ()))
     if reading.statuses:
         one.faults = _counted(reading.statuses[-1])
         if reading.statuses[0].uptime_s > YOUNG_S:
@@ -229,7 +229,7 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
             one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
-def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
+def _coverage_of(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
     """times: with the run's first and last instant before and after them."""
     apart = np.diff(times) * 1e-9
     usual = float(np.median(apart[1:-1])) if apart.size > 2 else 0.0
@@ -248,9 +248,9 @@ def _counted(status: pb.Status) -> Counter[str]:
 
 def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
     ahead = None
-    for told in clocks:
-        before, ahead = ahead, _number(told.get("realtime_ns")) - _number(told.get("t_ns"))
-        if told.get("why") == "step" and before is not None:
+    for clock in clocks:
+        before, ahead = ahead, _number(clock.get("realtime_ns")) - _number(clock.get("t_ns"))
+        if clock.get("why") == "step" and before is not None:
             one.steps_s.append((ahead - before) * 1e-9)
     if clocks:
         one.utc_minus_ns = _number(clocks[-1].get("utc_minus_t_ns"))

@@ -49,7 +49,7 @@ class TurnRates:
             if sender.lag.smoothed
         }
 
-    def told(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """The same, a sentence each."""
         return [
             f"address {source} on {bus}: {in_words(lag)}" for (bus, source), lag in self.smoothed().items()

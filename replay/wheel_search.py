@@ -54,8 +54,8 @@ class WheelCandidate:
     @property
     def score(self) -> float:
         """To order them by: it turns with the machine, and nobody else has a use for it."""
-        own = not self.extended or self.pgn in PROPRIETARY or self.pgn == RUDDER
-        return abs(self.yaw_correlation or 0.0) + 0.3 * own + 0.2 * self.smoothness
+        unassigned = not self.extended or self.pgn in PROPRIETARY or self.pgn == RUDDER
+        return abs(self.yaw_correlation or 0.0) + 0.3 * unassigned + 0.2 * self.smoothness
 
 
 def candidates(

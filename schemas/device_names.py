@@ -239,8 +239,8 @@ def function_name(code: int, device_class: int, industry_group: int) -> str:
         return FUNCTIONS.get(code, "")
     if industry_group != AGRICULTURE:
         return ""
-    told = _FARM_FUNCTIONS.get((device_class, code), "")
-    return told or (_IMPLEMENT_FUNCTIONS.get(code, "") if 2 <= device_class <= 15 else "")
+    function = _FARM_FUNCTIONS.get((device_class, code), "")
+    return function or (_IMPLEMENT_FUNCTIONS.get(code, "") if 2 <= device_class <= 15 else "")
 
 
 def class_name(device_class: int, industry_group: int) -> str:
@@ -258,23 +258,23 @@ def name_words(name: int) -> dict[str, str]:
     """Its codes in words, by key + "_name"; absent where one is not known here."""
     parts = name_parts(name)
     kind, group = parts["device_class"], parts["industry_group"]
-    told = {
+    names = {
         "manufacturer_name": manufacturer_name(parts["manufacturer"], group),
         "function_name": function_name(parts["function"], kind, group),
         "device_class_name": class_name(kind, group),
         "industry_group_name": INDUSTRY_GROUPS.get(group, ""),
     }
-    return {key: word for key, word in told.items() if word}
+    return {key: word for key, word in names.items() if word}
 
 
 def device(name: int) -> str:
     """Whose a NAME is and what it does, for people, such as "John Deere, navigation, instance 1"."""
     parts, words = name_parts(name), name_words(name)
-    told = [
+    parts_in_words = [
         words.get("manufacturer_name", f"manufacturer {parts['manufacturer']}"),
         words.get("function_name", f"function {parts['function']}"),
     ]
     if parts["industry_group"] == AGRICULTURE and parts["device_class"] > 1:
-        told.append(words.get("device_class_name", f"class {parts['device_class']}"))
+        parts_in_words.append(words.get("device_class_name", f"class {parts['device_class']}"))
     instance = parts["function_instance"] or parts["device_instance"]
-    return ", ".join([*told, f"instance {instance}"] if instance else told)
+    return ", ".join([*parts_in_words, f"instance {instance}"] if instance else parts_in_words)

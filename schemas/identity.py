@@ -60,7 +60,7 @@ class Sender:
     sd: Deviation | None = None  # of the receiver that it is; None: it is none of the machine file
     reason: str = "unknown_source"  # why it is none
     unknown: int = 0  # messages that made no measurement for that reason
-    heard_ns: int = 0  # the latest message or claim from it
+    received_ns: int = 0  # the latest message or claim from it
     contested: bool = False  # two NAMEs claim it: ask `settle` whether that is over
     positions: dict[int, bytes] = field(default_factory=dict)  # by PGN: raw latitude and longitude before
 
@@ -132,10 +132,10 @@ class AddressBook:
                 book.contests.pop(source, None)
                 self._bind(book, bus, source, name)
             elif source not in book.contests:
-                alive = t_ns - self.sender(bus, source).heard_ns <= LATELY_NS
+                alive = t_ns - self.sender(bus, source).received_ns <= LATELY_NS
                 book.contests[source] = _Contest(name, t_ns + CONTENTION_NS, alive)
             book.claimed.add(source)
-            self.sender(bus, source).heard_ns = t_ns
+            self.sender(bus, source).received_ns = t_ns
             if holder is not None and holder != name:
                 contested = "address_conflict"
         self._refresh_bus(bus)
@@ -224,7 +224,7 @@ class AddressBook:
                 [
                     s.bus,
                     s.source,
-                    s.heard_ns,
+                    s.received_ns,
                     {str(pgn): raw.hex() for pgn, raw in s.positions.items()},
                     s.unknown,
                 ]
@@ -236,10 +236,10 @@ class AddressBook:
         """Go on from what `dump` gave. Senders handed out before stay valid."""
         self._buses = {bus: _load_bus(book) for bus, book in state["buses"].items()}
         for sender in self._senders.values():
-            sender.heard_ns, sender.positions, sender.unknown = 0, {}, 0
-        for bus, source, heard_ns, positions, *unknown in state["senders"]:
+            sender.received_ns, sender.positions, sender.unknown = 0, {}, 0
+        for bus, source, received_ns, positions, *unknown in state["senders"]:
             sender = self.sender(bus, source)
-            sender.heard_ns = heard_ns
+            sender.received_ns = received_ns
             sender.unknown = sum(unknown)  # logs from before it was counted have none
             sender.positions = {int(pgn): bytes.fromhex(raw) for pgn, raw in positions.items()}
         for sender in self._senders.values():

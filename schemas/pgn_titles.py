@@ -158,7 +158,7 @@ _OTHERS: Final[Mapping[int, str]] = {
 }
 # fmt: on
 _TITLES: Final = {**_OTHERS, **{row.pgn: row.title for row in PGNS if row.manufacturer is None}}
-_OWN: Final = (
+_PROPRIETARY: Final = (
     (range(61184, 61185), "a manufacturer's own, to one address (Proprietary A)"),
     (range(65280, 65536), "a manufacturer's own (Proprietary B)"),
     (range(126720, 126721), "a manufacturer's own, to one address (fast packet)"),
@@ -168,9 +168,9 @@ _OWN: Final = (
 
 def title_of(pgn: int) -> str:
     """What a PGN is called; "" where that is not known here."""
-    return _TITLES.get(pgn) or next((title for span, title in _OWN if pgn in span), "")
+    return _TITLES.get(pgn) or next((title for span, title in _PROPRIETARY if pgn in span), "")
 
 
-def is_own(pgn: int) -> bool:
+def is_proprietary(pgn: int) -> bool:
     """True for the PGNs that each manufacturer uses as it likes."""
-    return any(pgn in span for span, _ in _OWN)
+    return any(pgn in span for span, _ in _PROPRIETARY)

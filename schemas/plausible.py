@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from tilth.schemas.axle_loads import axle_loads
-from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, shown, spread_judged
+from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, spread_judged, with_unit
 from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
 
@@ -215,7 +215,7 @@ def _order(pair: list[Receiver]) -> Iterator[Doubt]:
     if behind <= 0.0:
         return
     text = (
-        f"receiver {front.mount}: position, forward = {shown(front.position[0], 'm')}: stands behind "
+        f"receiver {front.mount}: position, forward = {with_unit(front.position[0], 'm')}: stands behind "
         f"{rear.mount}, which is at {rear.position[0]:g}; are the two exchanged?"
     )
     yield Doubt(text, behind > max(aside, SIDE_BY_SIDE))

@@ -74,15 +74,15 @@ def _reach(sensor: WheelAngleSensor, given: WheelAngle) -> Iterator[Doubt]:
         yield Doubt(f"{text}; check scale and offset", True)
     elif reached[0] > -REACHED or reached[1] < REACHED:
         text = (
-            f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits can only tell {_told(reached)}"
+            f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits can only tell {_range(reached)}"
         )
         yield Doubt(f"{text}, which is not both sides; check scale, offset, zero, bits and signed"
                     + _meant(sensor), True)  # fmt: skip
     elif given.lookup is None and _coarse(sensor.scale, reached):
         text = f"{name} = {sensor.scale:g} deg per bit: the field's {sensor.bits.bits} bits would tell"
-        yield Doubt(f"{text} {_told(reached)}, no wheel sensor does{_meant(sensor)}", True)
+        yield Doubt(f"{text} {_range(reached)}, no wheel sensor does{_meant(sensor)}", True)
     elif reached[0] > -USUALLY_REACHED or reached[1] < USUALLY_REACHED:
-        text = f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits tell {_told(reached)}"
+        text = f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits tell {_range(reached)}"
         yield Doubt(f"{text}, rarely enough for a wheel{_meant(sensor)}", False)
 
 
@@ -127,5 +127,5 @@ def _looked_up(sensor: WheelAngleSensor, reading: float) -> float:
     return sensor.lookup[-1][1]
 
 
-def _told(reached: tuple[float, float]) -> str:
+def _range(reached: tuple[float, float]) -> str:
     return f"{reached[0]:.4g} to {reached[1]:.4g} deg"

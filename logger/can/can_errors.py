@@ -65,8 +65,8 @@ class Health:
 
     counts: Counter[str] = field(default_factory=Counter)
     state: str = "active"
-    _since_ns: dict[str, int] = field(default_factory=dict)  # name -> when it was last told
-    _told: Counter[str] = field(default_factory=Counter)
+    _reported_ns: dict[str, int] = field(default_factory=dict)  # name -> when it was last told
+    _reported: Counter[str] = field(default_factory=Counter)
     _latest_ns: int = 0
 
     def hear(self, t_ns: int, can_id: int, data: bytes) -> None:
@@ -102,11 +102,11 @@ class Health:
         needed_ns = BACK_NS if self.state == "bus_off" else HEALTHY_NS
         if traffic and self.state != "active" and t_ns - self._latest_ns > needed_ns:
             self.count(t_ns, _OF_STATE["active"])
-        said = []
+        news_texts = []
         for name, count in self.counts.items():
-            new = count - self._told[name]
-            if new and t_ns - self._since_ns.get(name, -AGAIN_NS) >= AGAIN_NS:
-                self._since_ns[name] = t_ns
-                self._told[name] = count
-                said.append(f"{_BY_NAME[name].words} ({new} times, {count} in all)")
-        return said
+            new = count - self._reported[name]
+            if new and t_ns - self._reported_ns.get(name, -AGAIN_NS) >= AGAIN_NS:
+                self._reported_ns[name] = t_ns
+                self._reported[name] = count
+                news_texts.append(f"{_BY_NAME[name].words} ({new} times, {count} in all)")
+        return news_texts

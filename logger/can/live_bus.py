@@ -33,7 +33,7 @@ class Connection:
     opened: int = 0  # how often
     opened_ns: int = 0
     opening: bool = False
-    asked_ns: int = 0  # when the opening began
+    opening_began_ns: int = 0  # when the opening began
     attempt: int = 0
     threads: list[threading.Thread] = field(default_factory=list)  # that open or close
     back_off: BackOff = field(default_factory=lambda: BackOff(BACK_OFF_NS, BACK_OFF_MOST_NS))
@@ -42,7 +42,7 @@ class Connection:
     def begin_attempt(self, t_ns: int) -> int:
         """Its number: what comes of an earlier one is not wanted any more."""
         self.opening = True
-        self.asked_ns = t_ns
+        self.opening_began_ns = t_ns
         self.attempt += 1
         return self.attempt
 

@@ -75,7 +75,7 @@ class SlcanPort:
             if len(rest) - digits not in (0, 4):
                 self._tally.garbled += 1
                 continue
-            rx_ns = t_ns if len(rest) == digits else self._heard_ns(int(rest[digits:], 16), t_ns)
+            rx_ns = t_ns if len(rest) == digits else self._received_ns(int(rest[digits:], 16), t_ns)
             content = bytes.fromhex(rest[:digits].decode())
             frames.append(Frame(t_ns, rx_ns, name, int(long or short, 16), long is not None, False, content))
             count += 1
@@ -99,7 +99,7 @@ class SlcanPort:
         finally:
             os.close(self.descriptor)
 
-    def _heard_ns(self, stamp_ms: int, t_ns: int) -> int:
+    def _received_ns(self, stamp_ms: int, t_ns: int) -> int:
         """The adapter's stamp on the clock of the run."""
         if self._adapter is None:
             self._adapter = AdapterClock()
@@ -111,7 +111,7 @@ class SlcanPort:
         """A line that is no frame to be taken. Returns how many frames it was."""
         tally, kind = self._tally, line[:1]
         if (status := _STATUS.fullmatch(line)) is not None:
-            self._told(int(status[1], 16), t_ns)
+            self._take_flags(int(status[1], 16), t_ns)
         elif kind in b"rR" and line:
             tally.remote_frames += 1
             return 1
@@ -122,7 +122,7 @@ class SlcanPort:
             tally.garbled += 1
         return 0
 
-    def _told(self, flags: int, t_ns: int) -> None:
+    def _take_flags(self, flags: int, t_ns: int) -> None:
         health = self._tally.health
         for name in {name for mask, name in _FLAGS if flags & mask}:
             health.count(t_ns, _ROWS[name])

@@ -96,7 +96,7 @@ class SocketCanPort:
                 seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2])
                 rx_ns = seconds * 1_000_000_000 + nanoseconds - ahead_ns
             elif control:
-                rx_ns = self._told(control, t_ns, ahead_ns, flagged & ERROR != 0)
+                rx_ns = self._stamped_ns(control, t_ns, ahead_ns, flagged & ERROR != 0)
             if not 0 <= t_ns - rx_ns <= OLDEST_NS:
                 rx_ns = clock.rx_ns(rx_ns, t_ns, self._empty_ns)
             if flagged & (ERROR | REMOTE):
@@ -133,7 +133,9 @@ class SocketCanPort:
     def close(self) -> None:
         self._socket.close()
 
-    def _told(self, control: list[tuple[int, int, bytes]], t_ns: int, ahead_ns: int, error: bool) -> int:
+    def _stamped_ns(
+        self, control: list[tuple[int, int, bytes]], t_ns: int, ahead_ns: int, error: bool
+    ) -> int:
         """rx_ns by control messages of several kinds, the adapter's first. Keeps the count of losses."""
         kernel_ns, adapter_ns = t_ns, 0
         for _, kind, data in control:

@@ -17,7 +17,7 @@ from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
 from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
 from tilth.logger.clock import Clock
-from tilth.logger.status import LOW_HOURS, hours_left
+from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import unusual
@@ -53,8 +53,8 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:
-    said: list[str] = []  # the buses keep it all the same
-    buses = Buses(machine.bus, clock, lambda kind, text: said.append(text))
+    events: list[str] = []  # the buses keep it all the same
+    buses = Buses(machine.bus, clock, lambda kind, text: events.append(text))
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
     try:
@@ -106,7 +106,7 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
         return
     yield CheckFinding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     free = shutil.disk_usage(place).free
-    hours = hours_left(max(0.0, free - keep_free))
+    hours = recording_hours(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
     if hours < LOW_HOURS:
         yield CheckFinding("disk", PROBLEM, f"{text}; make room")
@@ -149,8 +149,8 @@ def _synchronised() -> bool | None:
 
 def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
-        folder = compiling.kept_in(machine)
-    except compiling.Unkept as why:
+        folder = compiling.cache_folder(machine)
+    except compiling.NoCacheFolder as why:
         yield CheckFinding("kernels", PROBLEM, str(why))
     else:
         if folder:

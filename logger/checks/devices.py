@@ -15,9 +15,9 @@ from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.messages import PGNS
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
-SHOWN: Final = 3  # candidates
+MOST_CANDIDATES: Final = 3  # candidates
 _POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.words)
-_OWN_PGNS: Final = (
+_PROPRIETARY_PGNS: Final = (
     range(0xFF00, 0x10000),
     range(0xEF00, 0xF000),
 )  # where manufacturers put what is their own
@@ -52,7 +52,7 @@ class Devices:
         """Raises MachineError where its DBC file does not give the wheel angle."""
         self._machine = machine
         self._sensor = compile_sensor(machine)
-        self._measured, self._told = Decoder(machine), Decoder()
+        self._measurement_decoder, self._message_decoder = Decoder(machine), Decoder()
         self._senders: dict[tuple[str, int], _BusAddress] = {}
         self._identifiers: Counter[tuple[str, int, bool]] = Counter()
         self._used: Counter[Mount] = Counter()  # positions of the machine file's receivers
@@ -64,7 +64,7 @@ class Devices:
             return
         self._identifiers[frame.bus, frame.can_id, frame.extended] += 1
         self._wheel_frames += self._sensor.hears(frame)
-        for measurement in self._measured.measurements(frame):
+        for measurement in self._measurement_decoder.measurements(frame):
             if isinstance(measurement, Position) and measurement.origin.mount is not None:
                 self._used[measurement.origin.mount] += 1
             self._angles += isinstance(measurement, WheelAngle)
@@ -78,7 +78,7 @@ class Devices:
             first = int.from_bytes(frame.data[2:4], "little")  # after the counters of a fast packet
             if len(frame.data) == 8 and frame.data[0] & 0x1F == 0 and first >> 11 == _MARINE:
                 sender.maker, sender.group = first & 0x7FF, _MARINE >> 2
-        for message in self._told.messages(frame):
+        for message in self._message_decoder.messages(frame):
             sender = self._sender(message.origin.bus, message.origin.source)
             if message.origin.name is not None:
                 sender.name = message.origin.name
@@ -101,12 +101,12 @@ class Devices:
                 yield CheckFinding("other receiver", NOTE, text)
 
     def _receiver(self, receiver: Receiver) -> CheckFinding:
-        what, own = f"receiver {receiver.mount}", receiver.manufacturer
+        what, maker = f"receiver {receiver.mount}", receiver.manufacturer
         sender = self._of(receiver)
         if sender is None:
             return CheckFinding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
-        if own is not None and receiver.name is None and sender.maker not in (None, own):
-            text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {own}"
+        if maker is not None and receiver.name is None and sender.maker not in (None, maker):
+            text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {maker}"
             return CheckFinding(what, PROBLEM, f"{text}; correct its manufacturer or source")
         if self._used[receiver.mount]:
             return CheckFinding(what, OK, f"{self._used[receiver.mount]} positions")
@@ -138,11 +138,11 @@ class Devices:
         others = [s for s in self._strangers() if s.positions or s.empty_positions]
         others.sort(key=lambda s: (s.bus != receiver.bus, not s.positions, _distance(receiver, s)))
         if others:
-            shown = "; ".join(str(sender) for sender in others[:SHOWN])
+            candidates = "; ".join(str(sender) for sender in others[:MOST_CANDIDATES])
             hint = ""
             if receiver.name is not None and any(sender.name is None for sender in others):
                 hint = " (devices claim their address when they are switched on: do so, or give source)"
-            return f"; positions come from {shown}{hint}"
+            return f"; positions come from {candidates}{hint}"
         return "; nobody else sends positions: is it switched on?"
 
     def _strangers(self) -> list[_BusAddress]:
@@ -168,8 +168,8 @@ class Devices:
         near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
         alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
         near = alike or near
-        shown = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:SHOWN])
-        hint = f"; the nearest that are heard: {shown}" if near else "; is the sensor switched on?"
+        candidates = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:MOST_CANDIDATES])
+        hint = f"; the nearest that are heard: {candidates}" if near else "; is the sensor switched on?"
         return CheckFinding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
 
     def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
@@ -177,7 +177,7 @@ class Devices:
         if not extended or not self._sensor.extended:
             return extended == self._sensor.extended
         pgn = split(can_id).pgn
-        return pgn == split(self._sensor.can_id).pgn or any(pgn in pgns for pgns in _OWN_PGNS)
+        return pgn == split(self._sensor.can_id).pgn or any(pgn in pgns for pgns in _PROPRIETARY_PGNS)
 
     def _apart(self, key: tuple[str, int, bool]) -> tuple[bool, bool, bool, int]:
         bus, can_id, extended = key

@@ -37,7 +37,7 @@ class Marks:
 
     def __init__(self) -> None:
         self.refused = 0
-        self._asked: deque[MarkRequest] = deque()
+        self._requests: deque[MarkRequest] = deque()
         self._settled: deque[tuple[MarkRequest, Event, str]] = deque()
         self._at_disk = 0
 
@@ -47,19 +47,19 @@ class Marks:
             return
         try:
             text = text_of(query.payload)
-            if len(self._asked) + self._at_disk >= MOST_WAITING:
+            if len(self._requests) + self._at_disk >= MOST_WAITING:
                 raise MarkRefused("too many marks at a time; try again in a second")
         except MarkRefused as refusal:
             self.refused += 1
             query.reply_err(str(refusal))
             return
-        self._asked.append(MarkRequest(text, _answerer(query)))
+        self._requests.append(MarkRequest(text, _answerer(query)))
 
-    def asked(self) -> Iterator[MarkRequest]:
+    def requests(self) -> Iterator[MarkRequest]:
         """Those to be logged now."""
-        while self._asked:
+        while self._requests:
             self._at_disk += 1
-            yield self._asked.popleft()
+            yield self._requests.popleft()
 
     def settle(self, mark: MarkRequest, event: Event, refusal: str) -> None:
         """From any thread: it is on the disk, or why not."""

@@ -93,8 +93,8 @@ class LogWriter:
         self._writer.start(profile="", library=f"tilth {software()['version']}")
         self.metadata("machine", _machine_metadata(machine, machine_text))
         self.metadata("tilth", software())
-        told = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
-        self.metadata("run", told | ({"note": run.note} if run.note else {}))
+        run_metadata = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
+        self.metadata("run", run_metadata | ({"note": run.note} if run.note else {}))
 
     def frame(self, frame: Frame) -> None:
         """Log a raw frame."""

@@ -27,7 +27,7 @@ LONGEST_RETRY_NS = 5_000_000_000
 SLOW_S = 2.0  # at one write or sync
 MOST_WAITING = 64_000_000  # bytes kept in memory for a disk that does not take them: minutes of a full bus
 ROTATION = "rotation"  # why a file ended: the run goes on in the next one
-MOST_KEPT = 1000  # messages kept while ignition is off
+MOST_RETAINED = 1000  # messages kept while ignition is off
 
 
 class Recording:
@@ -60,7 +60,7 @@ class Recording:
         self._room = Room(folder, machine.log, report)
         self._run = RunFiles(folder, machine.name, note, clock)
         self._file: OpenFile | None = None  # the one that is written
-        self._kept: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_KEPT)
+        self._retained: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_RETAINED)
         self._now_ns = clock.t_ns()  # of the last tick
         self._last_frame_ns = self._now_ns
         self._next_ns = self._now_ns + FLUSH_NS
@@ -136,16 +136,16 @@ class Recording:
         if self._file is not None:
             self._file.writer.message(topic, t_ns, data)
         elif self.resting and topic == "/event":
-            self._kept.append((topic, t_ns, data))
+            self._retained.append((topic, t_ns, data))
 
     def clocks(self, why: str) -> None:
         """Note in the log what the computer's clocks say."""
         if self._file is not None:
             self._file.writer.clocks(self._clock, why)
 
-    def beside(self, job: Callable[[], None]) -> None:
+    def on_disk_thread(self, job: Callable[[], None]) -> None:
         """Let the thread that waits for the disk do something besides the log; what it raises is reported."""
-        self._disk.beside(job, lambda error: self._report("log", _sentence(error, self.folder)))
+        self._disk.do_independent(job, lambda error: self._report("log", _sentence(error, self.folder)))
 
     def settle(self, then: Callable[[str], None]) -> None:
         """Call `then`, in another thread, when all that was logged is on the disk: with "", or why not."""
@@ -279,8 +279,8 @@ class Recording:
         file.writer.clocks(self._clock, "new file" if run.part > 1 else "start")
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())
-        while self._kept:
-            file.writer.message(*self._kept.popleft())
+        while self._retained:
+            file.writer.message(*self._retained.popleft())
         file.flush()
 
     def _wake(self, t_ns: int) -> None:
@@ -295,7 +295,7 @@ class Recording:
             trusted = self._clock.gnss_ahead_ns is not None
             utc_ns = t_ns + self._clock.correction_ns if trusted else None
             current = self._run.name
-            self.beside(lambda: self._room.make(current, utc_ns))
+            self.on_disk_thread(lambda: self._room.make(current, utc_ns))
 
 
 def _sentence(error: Exception, folder: Path) -> str:

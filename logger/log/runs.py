@@ -31,7 +31,7 @@ class Copied:
 
 
 @dataclass(slots=True)
-class Beside:
+class Sidecar:
     """What stands beside a run's files."""
 
     keep: bool = False
@@ -55,30 +55,30 @@ class StoredRun:
         return sorted(set(range(1, max(there))) - there)
 
     @property
-    def beside_path(self) -> Path:
+    def sidecar_path(self) -> Path:
         return self.folder / f"{self.name}.json"
 
-    def beside(self) -> Beside:
+    def sidecar(self) -> Sidecar:
         """What stands beside it. Raises ValueError where that cannot be understood, and OSError."""
         try:
-            plain: dict[str, Any] = json.loads(self.beside_path.read_text(encoding="utf-8"))
+            plain: dict[str, Any] = json.loads(self.sidecar_path.read_text(encoding="utf-8"))
             copied = {name: Copied(**copy) for name, copy in plain["copied"].items()}
-            return Beside(bool(plain["keep"]), [str(note) for note in plain["notes"]], copied)
+            return Sidecar(bool(plain["keep"]), [str(note) for note in plain["notes"]], copied)
         except FileNotFoundError:
-            return Beside()
+            return Sidecar()
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
-                f"{self.beside_path}: cannot be understood ({error}); mend or remove it"
+                f"{self.sidecar_path}: cannot be understood ({error}); mend or remove it"
             ) from None
 
-    def note(self, beside: Beside) -> None:
+    def write_sidecar(self, sidecar: Sidecar) -> None:
         """Write what stands beside it: all or nothing, whatever happens to the power."""
-        new = self.beside_path.with_suffix(".new")
+        new = self.sidecar_path.with_suffix(".new")
         with new.open("w", encoding="utf-8") as stream:
-            json.dump(asdict(beside), stream, indent=1, ensure_ascii=False)
+            json.dump(asdict(sidecar), stream, indent=1, ensure_ascii=False)
             stream.flush()
             os.fsync(stream.fileno())
-        new.replace(self.beside_path)
+        new.replace(self.sidecar_path)
         sync_folder(self.folder)
 
 
@@ -129,12 +129,12 @@ def may_go(run: StoredRun, utc_ns: int | None, expire_days: float | None) -> boo
     utc_ns: now, None where that is not known: then no run is too old, and neither is one of unknown time.
     """
     try:
-        beside = run.beside()
+        sidecar = run.sidecar()
     except (ValueError, OSError):
         return False
-    if beside.keep:
+    if sidecar.keep:
         return False
-    copies = (beside.copied.get(path.name) for path in run.files)
+    copies = (sidecar.copied.get(path.name) for path in run.files)
     if all(
         copy is not None and copy.size == path.stat().st_size
         for copy, path in zip(copies, run.files, strict=True)
@@ -151,6 +151,6 @@ def delete(run: StoredRun) -> int:
     for path in run.files:
         size += path.stat().st_size
         path.unlink()
-    run.beside_path.unlink(missing_ok=True)
+    run.sidecar_path.unlink(missing_ok=True)
     sync_folder(run.folder)
     return size

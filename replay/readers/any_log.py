@@ -156,10 +156,10 @@ def _kind(log: OpenLog) -> Kind:
 def _text_kind(log: OpenLog) -> Kind:
     """By the first lines of a text that are no comments."""
     lines = stream.without_zeros(log, _stream(log))
-    left = _SNIFFED
+    remaining = _SNIFFED
     comments = 0
-    told = False
-    while left > 0 and (line := lines.readline(_SNIFFED)):
+    has_text = False
+    while remaining > 0 and (line := lines.readline(_SNIFFED)):
         text = line.decode("utf-8-sig", "replace")
         for kind in KINDS:
             if kind.line is not None and kind.line.match(text):
@@ -169,9 +169,9 @@ def _text_kind(log: OpenLog) -> Kind:
         if text.isspace() or text.startswith("#"):
             comments += 1
         else:
-            left -= len(line)
-            told = True
-    if told:
+            remaining -= len(line)
+            has_text = True
+    if has_text:
         raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {readable()}")
     what = "nothing but comments" if comments else "nothing but zero bytes, as a power cut leaves them"
     raise EmptyLog(f"{log.path}: {what}; no frame is in it")

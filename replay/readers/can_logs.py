@@ -227,10 +227,10 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
 class _Incomplete(logging.Handler):
     """Hears asammdf say that a block runs past the end of the file."""
 
-    heard = False
+    incomplete_block = False
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.heard = self.heard or "Incomplete block" in record.getMessage()
+        self.incomplete_block = self.incomplete_block or "Incomplete block" in record.getMessage()
 
 
 def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -254,7 +254,7 @@ def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(f"{log.path}: an MF4 file whose index is missing or damaged") from None
     finally:
         logger.removeHandler(ear)
-    log.truncated = log.truncated or ear.heard
+    log.truncated = log.truncated or ear.incomplete_block
 
 
 def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:

@@ -44,7 +44,7 @@ def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
             f"{log.path}: a capture of link type {link & _LINK_TYPE}, not of SocketCAN ({SOCKETCAN})"
         )
     for stamp_ns, packet in _records(log, stream, order, unit_ns):
-        yield from _kept(log, _frame(packet, stamp_ns, "can0"))
+        yield from _usable(log, _frame(packet, stamp_ns, "can0"))
 
 
 def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
@@ -64,7 +64,7 @@ def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterat
         yield seconds * 1_000_000_000 + units * unit_ns, packet
 
 
-def _kept(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
+def _usable(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
     if isinstance(found, Frame):
         yield found
     else:
@@ -114,7 +114,7 @@ def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         if kind == _INTERFACE and len(body) >= 8:
             _add_interface(section, body)
         elif kind in (_OLD_PACKET, _SIMPLE_PACKET, _PACKET_BLOCK):
-            yield from _kept(log, _packet(section, kind, body))
+            yield from _usable(log, _packet(section, kind, body))
     if section.links and SOCKETCAN not in section.links:
         links = ", ".join(map(str, sorted(section.links)))
         raise OtherKind(f"{log.path}: a capture of link type {links}, not of SocketCAN ({SOCKETCAN})")

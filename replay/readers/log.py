@@ -48,7 +48,7 @@ class RunPlace:
     run: tuple[str, str] = ("", "")  # id, start
     part: int = 0  # from 1
 
-    def told_after(self, last: "RunPlace") -> str:
+    def gap_after(self, last: "RunPlace") -> str:
         """What a person should know of this log after that one, as the end of a sentence; "": nothing."""
         if self.run != last.run:
             return "another run begins here; counts are of all runs, estimates of the last one alone"

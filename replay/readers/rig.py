@@ -51,14 +51,14 @@ def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: S
     """
     names = [bus.name for bus in machine.bus]
     first = list(islice(log.records, PEEKED))
-    seen = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
+    log_buses = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
     renames = {bus: name for bus, name in given.items() if bus != name}
-    if not given and len(seen) == len(names) == 1 and seen != names:
-        renames = {seen[0]: names[0]}
-        say(f"{log.path}: its bus {seen[0]} is taken for {names[0]} of the machine file")
-    elif seen and not any(renames.get(bus, bus) in names for bus in seen):
+    if not given and len(log_buses) == len(names) == 1 and log_buses != names:
+        renames = {log_buses[0]: names[0]}
+        say(f"{log.path}: its bus {log_buses[0]} is taken for {names[0]} of the machine file")
+    elif log_buses and not any(renames.get(bus, bus) in names for bus in log_buses):
         say(
-            f"{log.path}: has the buses {', '.join(seen)}, the machine file has {', '.join(names)}; "
+            f"{log.path}: has the buses {', '.join(log_buses)}, the machine file has {', '.join(names)}; "
             "say which is which with --bus LOG=MACHINE"
         )
     records = chain(first, log.records)

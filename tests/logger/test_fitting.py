@@ -18,7 +18,7 @@ from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_plain
-from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
+from tilth.logger.fitting import LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import IDENTICAL, Comparison
@@ -390,24 +390,24 @@ def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
 
 
 def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
-    retold = Retold(MACHINE, lambda kind, text: None)
+    replayed = ReplayedFits(MACHINE, lambda kind, text: None)
     job = a_job()
     try:
-        assert retold.outcome(pem.METHOD, job, 10) is not None
-        retold.own = True
-        assert retold.outcome(pem.METHOD, job, 10) is UNDECIDED
-        assert retold.outcome(pem.METHOD, job, 10) is UNDECIDED
-        retold.tell(pem.METHOD, job.asked_ns, False)
-        assert retold.outcome(pem.METHOD, job, 10) is None
-        assert retold.outcome(pem.METHOD, job, 20) is UNDECIDED
-        assert retold.outcome(pem.METHOD, job, 21) is not None
-        retold.tell(pem.METHOD, job.asked_ns, False, True)
-        assert retold.outcome(pem.METHOD, job, 30) is LATE
-        assert retold.outcome(pem.METHOD, job, 99, True) is UNDECIDED
-        retold.tell(pem.METHOD, job.asked_ns, True)
-        assert retold.outcome(pem.METHOD, job, 99, True) is not None
+        assert replayed.outcome(pem.METHOD, job, 10) is not None
+        replayed.holds_outcomes = True
+        assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
+        assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
+        replayed.add_outcome(pem.METHOD, job.asked_ns, False)
+        assert replayed.outcome(pem.METHOD, job, 10) is None
+        assert replayed.outcome(pem.METHOD, job, 20) is UNDECIDED
+        assert replayed.outcome(pem.METHOD, job, 21) is not None
+        replayed.add_outcome(pem.METHOD, job.asked_ns, False, True)
+        assert replayed.outcome(pem.METHOD, job, 30) is LATE
+        assert replayed.outcome(pem.METHOD, job, 99, True) is UNDECIDED
+        replayed.add_outcome(pem.METHOD, job.asked_ns, True)
+        assert replayed.outcome(pem.METHOD, job, 99, True) is not None
     finally:
-        retold.close()
+        replayed.close()
 
 
 def test_a_fault_between_asking_and_using_forgets_the_fit() -> None:

@@ -34,7 +34,7 @@ class ByHand:
     ready = False
     text = "compiling kernels"
     seconds = 12.0
-    left_s = 7.5
+    remaining_s = 7.5
 
     def __init__(self, machine: Machine, report: Callable[[str, str], None]) -> None:
         self.closed = False
@@ -43,7 +43,7 @@ class ByHand:
         self.closed = True
 
     def done(self) -> None:
-        self.ready, self.text, self.left_s = True, "", None  # type: ignore[assignment]
+        self.ready, self.text, self.remaining_s = True, "", None  # type: ignore[assignment]
 
 
 class Shown(NoDisplay):

@@ -57,7 +57,7 @@ def test_a_time_constant_is_found(tau: float, gap_s: float) -> None:
 @pytest.mark.parametrize("tau", [0.0, 0.1])
 def test_what_is_not_smoothed_is_not_accused(tau: float) -> None:
     rates = found(compass(tau))
-    assert not rates.smoothed() and not rates.told()
+    assert not rates.smoothed() and not rates.sentences()
 
 
 def test_straight_ahead_nothing_is_said() -> None:

@@ -154,7 +154,7 @@ def test_receivers_that_say_nothing_but_not_available_make_no_measurement() -> N
     for source, name in enumerate(NAMES, start=28):
         decoder.measurements(Frame(0, 0, "can0", can_id.join(6, 60928, source), True, False, claim(name)))
         for row in PGNS:
-            if row.pgn in (60928, 127245) or row.told_only:
+            if row.pgn in (60928, 127245) or row.decode_only:
                 continue
             found = [
                 item

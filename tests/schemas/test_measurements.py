@@ -113,10 +113,10 @@ def test_what_a_receiver_says_becomes_measurements(
 def test_every_message_of_a_receiver_is_in_that_table() -> None:
     assert {(row.pgn, row.selector) for row in PGNS} - {(pgn, selector) for pgn, selector, _, _ in MADE} == {
         (61449, None), (60928, None), (127245, None), (44288, None),
-    } | {(row.pgn, row.selector) for row in PGNS if row.told_only}  # fmt: skip
+    } | {(row.pgn, row.selector) for row in PGNS if row.decode_only}  # fmt: skip
 
 
-@pytest.mark.parametrize("row", [row for row in PGNS if row.told_only], ids=lambda row: str(row.pgn))
+@pytest.mark.parametrize("row", [row for row in PGNS if row.decode_only], ids=lambda row: str(row.pgn))
 def test_what_is_only_told_costs_a_measuring_decoder_nothing(row: Pgn) -> None:
     """It is neither put together nor counted, from a receiver of the machine file or from a stranger."""
     for source in (OWN, STRANGER):

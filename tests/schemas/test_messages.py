@@ -276,10 +276,10 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
         (raw * field.scale + field.offset) * field.factor for raw in (lowest, field.limit(row.family) - 1)
     ]
     allowed = WORDS[word].range
-    margin = (
-        field.resolution() if math.isfinite(allowed.low) and allowed.low != 0 else 0.0
-    )  # may be rounded up
-    low, high = max(min(ends), allowed.low + margin), min(max(ends), allowed.high - margin)
+    # Rounding to the field's resolution may leave the range that the word allows.
+    below = field.resolution() if math.isfinite(allowed.low) and allowed.low != 0 else 0.0
+    above = field.resolution() if math.isfinite(allowed.high) and field.resolution() != 1 else below
+    low, high = max(min(ends), allowed.low + below), min(max(ends), allowed.high - above)
     return st.floats(low, high) if field.resolution() != 1 else st.integers(int(low), int(high))
 
 

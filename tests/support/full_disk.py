@@ -12,7 +12,7 @@ from loopback import logged_frames, numbered
 from one_recording import Recorder
 
 from tilth.logger.log.recovery import finish
-from tilth.logger.log.runs import Beside, Copied, StoredRun
+from tilth.logger.log.runs import Copied, Sidecar, StoredRun
 
 LOG = "keep_free_megabytes = 1\nrotate_megabytes = 2"
 MEGABYTE = 1_000_000
@@ -69,7 +69,7 @@ def makes_room(folder: Path) -> dict[str, object]:
         path = folder / f"{run}_001.mcap"
         fill(path, 3 * MEGABYTE)
         copies = {path.name: Copied(3 * MEGABYTE, "", "stick")} if copied else {}
-        StoredRun(folder, run, 0, (path,)).note(Beside(keep, [], copies))
+        StoredRun(folder, run, 0, (path,)).write_sidecar(Sidecar(keep, [], copies))
 
     stored(1)
     stored(2, copied=True, keep=True)

@@ -16,7 +16,7 @@ from paths import SUPPORT
 
 from tilth.logger.log.run_log import FLUSH_NS
 from tilth.logger.log.runs import stored_runs
-from tilth.logger.status import hours_left
+from tilth.logger.status import recording_hours
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -140,10 +140,10 @@ def test_a_run_ends_with_the_ignition_and_the_next_frame_begins_another(tmp_path
 
 def test_hours_left_are_those_at_the_rate_of_recording(tmp_path: Path) -> None:
     run = Recorder(tmp_path)
-    assert run.recording.bytes_per_s is None and hours_left(144e6) == 1.0
+    assert run.recording.bytes_per_s is None and recording_hours(144e6) == 1.0
     for frame in run.from_now(numbered(25_000)):
         run.take(frame)
     rate = run.recording.bytes_per_s
     run.recording.close()
     assert rate == pytest.approx(run.recording.files[0].stat().st_size / 25.0, rel=0.2)
-    assert rate is not None and hours_left(rate * 7200.0, rate) == pytest.approx(2.0)
+    assert rate is not None and recording_hours(rate * 7200.0, rate) == pytest.approx(2.0)

@@ -12,11 +12,11 @@ from logs import MACHINE, MACHINE_TEXT, chunk_ends, some_frames, write_mcap
 from loopback import numbered, rig, udp_bus
 
 from tilth.cli import main
-from tilth.logger.clock import HEARD, Clock
+from tilth.logger.clock import LEAST_TIMES, Clock
 from tilth.logger.log import offload
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.run_log import Recording
-from tilth.logger.log.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_runs, unused_name
+from tilth.logger.log.runs import DAY_NS, Copied, Sidecar, StoredRun, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -56,19 +56,19 @@ def test_only_what_is_copied_or_expired_and_not_kept_may_go(case: str, tmp_path:
     (keep, copied, known, days), expected = MAY[case]
     paths = [part(tmp_path, 1), part(tmp_path, 2)]
     run = only(tmp_path)
-    run.note(Beside(keep, [], {p.name: Copied(p.stat().st_size, "", "x") for p in paths[:copied]}))
+    run.write_sidecar(Sidecar(keep, [], {p.name: Copied(p.stat().st_size, "", "x") for p in paths[:copied]}))
     assert may_go(run, NOW_NS if known else None, days) == expected
 
 
 def test_what_cannot_be_understood_is_never_deleted(tmp_path: Path) -> None:
     path = part(tmp_path)
     run = only(tmp_path)
-    run.note(Beside(False, [], {path.name: Copied(path.stat().st_size - 1, "", "x")}))
+    run.write_sidecar(Sidecar(False, [], {path.name: Copied(path.stat().st_size - 1, "", "x")}))
     assert not may_go(run, NOW_NS, None)  # it has changed since
-    run.beside_path.write_text("{half a")
+    run.sidecar_path.write_text("{half a")
     assert not may_go(run, NOW_NS, 1.0)
     with pytest.raises(ValueError, match="mend or remove it"):
-        run.beside()
+        run.sidecar()
 
 
 def test_names_of_somebodys_own_are_runs_of_unknown_time(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
     ):  # fmt: skip
         assert words in said, (words, said)
     (found,) = survey(paths)
-    assert found.heard["/gnss/tractor_rear"].count == 0 and found.heard["/can/can0"].count == 6000
+    assert found.coverage["/gnss/tractor_rear"].count == 0 and found.coverage["/can/can0"].count == 6000
     assert found.wrong == [] and found.steps_s == [pytest.approx(5.0, abs=0.1)] and found.backwards == 0
     assert main(["verify", "--json", str(paths[1]), str(paths[0])]) == 1  # the wrong way round
     told = json.loads(capsys.readouterr().out)
@@ -266,7 +266,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     for number, frame in enumerate(numbered(4000, t_ns)):
         recording.frame(frame)
         if number == 2000:
-            for k in range(HEARD):
+            for k in range(LEAST_TIMES):
                 clock.add_gnss_time(frame.t_ns + k, frame.t_ns + k + behind_ns)
         if number % 400 == 0:
             recording.tick(frame.t_ns)
@@ -275,7 +275,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     assert len(names) == 2 and all(unused_name(folder, "x", truth_ns)[2:10] in name for name in names)
     monkeypatch.undo()
     (found,) = survey(sorted(folder.glob("*.mcap")))
-    assert found.good and found.heard["/can/can0"].count == 4000 and found.by_gnss
+    assert found.good and found.coverage["/can/can0"].count == 4000 and found.by_gnss
     assert abs(found.first_ns + found.utc_minus_ns - truth_ns) < 5_000_000_000
     assert main(["logs", str(folder), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
