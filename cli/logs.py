@@ -15,12 +15,17 @@ from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.log.runs import Sidecar, StoredRun
-from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
+from tilth.replay.glance import FileState, Glance, glance
 from tilth.schemas.invocation import command
+from tilth.schemas.states import DeviceState
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
 
-NOT_ALIVE = (("lost", "lost"), ("no_data", "without data"), ("waiting", "never heard"))
+NOT_ALIVE = (
+    (DeviceState.LOST, "lost"),
+    (DeviceState.NO_DATA, "without data"),
+    (DeviceState.WAITING, "never heard"),
+)
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -95,14 +100,14 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         "files": len(glances),
         "missing_parts": one.missing_parts,
         "frames": sum(found.frames for found in glances.values()),
-        "alive": sum(state == "alive" for state in sensors.values()),
+        "alive": sum(state == DeviceState.ALIVE for state in sensors.values()),
         "sensors": len(sensors),
         "sensor_states": sensors,
-        "lost": [name for name, state in sensors.items() if state != "alive"],
+        "lost": [name for name, state in sensors.items() if state != DeviceState.ALIVE],
         "events": dict(events),
-        "unfinished": states[UNFINISHED],
-        "recording": states[BEING_WRITTEN] > 0,
-        "no_log": [name for name, found in glances.items() if found.state == NO_LOG],
+        "unfinished": states[FileState.UNFINISHED],
+        "recording": states[FileState.BEING_WRITTEN] > 0,
+        "no_log": [name for name, found in glances.items() if found.state == FileState.NO_LOG],
         "copied": sum(name in sidecar.copied for name in glances),
         "keep": sidecar.keep,
         "notes": [*dict.fromkeys(found.note for found in dated if found.note), *sidecar.notes],
@@ -129,6 +134,6 @@ def _state(row: dict[str, Any]) -> list[str]:
     missing = ", ".join(map(str, row["missing_parts"]))
     state = ["recording"] * row["recording"] + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
     state += [f"part {missing} missing"] if missing else []
-    state += [f"{name} is {NO_LOG}" for name in row["no_log"]]
+    state += [f"{name} is no log of tilth" for name in row["no_log"]]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
     return state + [copied] * bool(row["copied"]) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]

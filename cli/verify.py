@@ -50,7 +50,7 @@ def _lines(one: RunSurvey) -> list[str]:
     if one.note:
         lines.append(f"  note: {one.note}")
     lines += [f"  {_name(topic):<18} {_words(one, coverage)}" for topic, coverage in one.coverage.items()]
-    lines += [f"  {reason}: {count}" for reason, count in one.faults.items() if reason != STEPPED]
+    lines += [f"  {fault}: {count}" for fault, count in one.faults.items() if fault.reason != STEPPED]
     if one.backwards:
         lines.append(f"  the log's time runs back {one.backwards} times")
     for step_s in one.steps_s:
@@ -110,6 +110,7 @@ def _plain(one: RunSurvey) -> dict[str, Any]:
     }
     plain["files"] = [str(path) for path in one.files]
     plain["heard"] = {topic: _coverage_json(coverage) for topic, coverage in one.coverage.items()}
+    plain["faults"] = {str(fault): count for fault, count in one.faults.items()}
     plain["events"] = [
         {"t_ns": e.t_ns, "utc": _utc(one, e.t_ns), "kind": e.kind, "text": e.text} for e in one.events
     ]

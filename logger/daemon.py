@@ -20,6 +20,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.run_log import Recording
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Events, Outlets
@@ -180,7 +181,7 @@ class Daemon:
             self.parts.counts.clock_steps += 1
             step = f"the computer's clock was set by {step_ns * 1e-9:+.3f} s"
             self._report("clock", f"{step}; the log's own clock goes on evenly")
-            self.parts.outlets.recording.clocks("step")
+            self.parts.outlets.recording.clocks(ClockReason.STEP)
 
     def _report(self, kind: str, text: str) -> None:
         self._events.append((kind, text))

@@ -4,6 +4,7 @@ The daemon's loop draws it, so nothing here may take long or wait.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from typing import TextIO
 
 from rich.columns import Columns
@@ -13,18 +14,20 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from tilth.logger.can.live_bus import BusState
 from tilth.logger.clock import utc_text
 from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import of_logarithm
+from tilth.schemas.states import DeviceState
 
 PLAIN_NS = 5_000_000_000
 MOST_EVENTS = 4
 MOST_PROBLEMS = 6
 STIFFNESSES = ("front", "rear", "implement")  # the first three of PARAMETERS
-_COLOUR = {
-    "open": "green", "alive": "green", "waiting": "yellow",
-    "silent": "red", "failed": "red", "no_data": "red", "lost": "red",
+_COLOUR: Mapping[str, str] = {
+    BusState.OPEN: "green", DeviceState.ALIVE: "green", DeviceState.WAITING: "yellow",
+    BusState.SILENT: "red", BusState.FAILED: "red", DeviceState.NO_DATA: "red", DeviceState.LOST: "red",
 }  # fmt: skip
 
 
@@ -158,7 +161,7 @@ def _table(*columns: str) -> Table:
 
 
 def _state(state: str) -> Text:
-    mark = "✔" if state in ("open", "alive") else "✘" if _COLOUR.get(state) == "red" else "…"
+    mark = "✔" if state in (BusState.OPEN, DeviceState.ALIVE) else "✘" if _COLOUR.get(state) == "red" else "…"
     return Text(f"{mark} {state.replace('_', ' ')}", style=_COLOUR.get(state, ""))
 
 

@@ -8,6 +8,7 @@ Both have the same fields; those of a kind of message are replaced by a later on
 import json
 import math
 from collections import deque
+from enum import IntEnum
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
 
@@ -16,6 +17,7 @@ from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.history import History
 from tilth.monitor.words import priors, row, shown
 from tilth.schemas.invocation import command
+from tilth.schemas.pose_flag import parse_flag
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
@@ -32,6 +34,12 @@ def own_version() -> str:
         return version("tilth")
     except PackageNotFoundError:
         return "not installed"
+
+
+class PoseQuality(IntEnum):
+    GOOD = 0
+    FLAGGED = 1
+    BAD = 2  # a flag of WORST: something is lost or contradicts
 
 
 class Turn(NamedTuple):
@@ -164,9 +172,11 @@ def _place(body: Fields) -> tuple[float, float] | None:
 
 
 def _quality(pose: Fields) -> int:
-    """0 all is well, 1 flagged, 2 something is lost."""
-    kinds = {flag.partition(":")[0] for flag in pose["flags"]}
-    return 2 if kinds & WORST else 1 if kinds else 0
+    """A PoseQuality, as the page's JSON has it."""
+    kinds = {parse_flag(flag).kind for flag in pose["flags"]}
+    if kinds & WORST:
+        return PoseQuality.BAD
+    return PoseQuality.FLAGGED if kinds else PoseQuality.GOOD
 
 
 def _columns(history: History, names: tuple[str, ...]) -> dict[str, list[Any]]:

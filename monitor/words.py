@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
-from tilth.estimator.models.manoeuvres import MANOEUVRES
+from tilth.monitor.advice_text import AdviceKind, parse_advice
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.spread import WITHIN, even
 
@@ -22,8 +22,6 @@ WIDEST: Final = 50.0  # sd of a logarithm that is still a number about anything
 LARGEST: Final = 1.0  # 95 % of a logarithm: beyond, a share says nothing
 _NUMBER: Final = r"(\d+(?:\.\d+)?)"
 _SHARE: Final = re.compile(rf"±\s?{_NUMBER} %")
-_NAMES: Final = re.compile("|".join(map(re.escape, PARAMETERS)))
-_SLOW: Final = re.compile(rf"nothing can be learned below {_NUMBER} m/s")
 
 
 def shown(estimate: Fields, rig: Fields | None) -> Fields:
@@ -92,31 +90,21 @@ def ground(value: float | None, within: float | None, status: int, usual: float 
     return {"word": "as usual" if inside else "not known yet", "text": text}
 
 
-def advised(advice: str) -> str:
-    """The sentence of estimator/results/advice.py as one for a driver; "" where there is none to give."""
-    slow = _SLOW.fullmatch(advice)
-    if slow:
-        return f"Drive faster than {3.6 * float(slow[1]):.1f} km/h: below, nothing can be learned."
-    start, _, rest = advice.partition("; ")
-    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in _NAMES.findall(start)]
-    if not groups:
+def advised(text: str) -> str:
+    """An estimate's advice as a sentence for a driver; "" where there is none to give."""
+    advice = parse_advice(text)
+    match advice.kind:
+        case AdviceKind.TOO_SLOW:
+            return f"Drive faster than {3.6 * advice.speed:.1f} km/h: below, nothing can be learned."
+        case AdviceKind.NOT_AT_THIS_SPEED:
+            return "At this speed there is no gentle steering that would tell more."
+        case AdviceKind.NOTHING_HELPS:
+            return "Drive on: no steering at this speed would tell much more."
+    if advice.manoeuvre is None:
         return ""
-    if not rest:
-        return "At this speed there is no gentle steering that would tell more."
-    if rest.startswith("no "):
-        return "Drive on: no steering at this speed would tell much more."
-    for manoeuvre in MANOEUVRES:
-        found = manoeuvre.driven and re.match(_spoken(manoeuvre.called), rest)
-        if found:
-            what = f"{manoeuvre.driven} for {found[1]} s, wheels to about {found[2]}°"
-            return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
-    return ""
-
-
-def _spoken(called: str) -> str:
-    """What the advice says of a manoeuvre, as a pattern."""
-    before, after = map(re.escape, called.split("{:g}"))
-    return rf"{_NUMBER} s of {before}{_NUMBER}{after} would "
+    what = f"{advice.manoeuvre.driven} for {advice.seconds} s, wheels to about {advice.degrees}°"
+    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in advice.parameters]
+    return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
 
 
 def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:

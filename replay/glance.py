@@ -5,8 +5,9 @@ import struct
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -19,19 +20,22 @@ from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb
 
-WHOLE: Final = "whole"
-BEING_WRITTEN: Final = "being written"  # by another program, now
-UNFINISHED: Final = "unfinished"
-NO_LOG: Final = "no log of tilth"
 _INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
 _ENTRY = 16
+
+
+class FileState(Enum):
+    WHOLE = auto()
+    BEING_WRITTEN = auto()  # by another program, now
+    UNFINISHED = auto()
+    NO_LOG = auto()  # not one of tilth's
 
 
 @dataclass(slots=True)
 class Glance:
     """What a file tells. Times are log times, ns; 0 where there is no message."""
 
-    state: str  # one of those above
+    state: FileState
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
@@ -47,24 +51,24 @@ def glance(path: Path) -> Glance:
         size = path.stat().st_size
         if not is_finished(file, size):
             if not is_ours(file, size):
-                return Glance(NO_LOG)
-            found = Glance(BEING_WRITTEN if is_being_written(file) else UNFINISHED)
+                return Glance(FileState.NO_LOG)
+            found = Glance(FileState.BEING_WRITTEN if is_being_written(file) else FileState.UNFINISHED)
             return _by_heads(file, size, found)
         file.seek(0)
         try:
             reader = make_reader(file)
             if "tilth" not in reader.get_header().library:
-                return Glance(NO_LOG)
+                return Glance(FileState.NO_LOG)
             return _by_index(reader)
         except DAMAGE:
-            return Glance(NO_LOG)
+            return Glance(FileState.NO_LOG)
 
 
 def _by_index(reader: McapReader) -> Glance:
-    found = Glance(WHOLE)
+    found = Glance(FileState.WHOLE)
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
-        return Glance(NO_LOG)
+        return Glance(FileState.NO_LOG)
     counts = summary.statistics.channel_message_counts
     buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
     found.frames = sum(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -14,9 +14,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
 from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
-from tilth.logger.log.mcap_log import CAN_TOPIC
+from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
 from tilth.logger.log.recovery import UNREADABLE, is_being_written, is_ours
-from tilth.logger.log.run_log import ROTATION
 from tilth.logger.log.runs import file_name
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -24,7 +23,8 @@ from tilth.schemas.proto import tilth_pb2 as pb
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
 SHORTEST_S: Final = 0.5  # a gap; and longer than
 SPACINGS: Final = 4.0  # times the usual spacing
-DROPPED: Final = "dropped on "  # a bus: how faults begin that cost frames
+DROPPED: Final = "dropped"  # frames of one bus, before they were read
+NOT_RECORDED: Final = "not_recorded"  # frames, as in Status.faults
 YOUNG_S: Final = 3.0  # a daemon's first status: what it counts was counted in this run
 
 
@@ -35,6 +35,16 @@ class Coverage:
     count: int
     per_s: float
     gaps: tuple[tuple[int, float], ...]  # t_ns and length in s, the longest first
+
+
+class LoggedFault(NamedTuple):
+    """Something that the daemon counted in the run: dropped frames of one bus, or a row of Status.faults."""
+
+    reason: str
+    bus: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.reason} on {self.bus}" if self.bus else self.reason
 
 
 @dataclass(slots=True)
@@ -51,9 +61,7 @@ class RunSurvey:
     utc_minus_ns: int = 0  # what gives UTC, added to the log's times
     by_gnss: bool = False  # whether receivers have confirmed it
     coverage: dict[str, Coverage] = field(default_factory=dict)  # by topic
-    faults: Counter[str] = field(
-        default_factory=Counter
-    )  # dropped frames by bus, and what the daemon counted
+    faults: Counter[LoggedFault] = field(default_factory=Counter)
     steps_s: list[float] = field(default_factory=list)  # of the computer's clock
     backwards: int = 0  # times that ran back, from one record to the next
     events: list[pb.Event] = field(default_factory=list)
@@ -69,8 +77,8 @@ class RunSurvey:
     @property
     def good(self) -> bool:
         """Whether all that was received is in it and can be read. A clock that was set costs nothing."""
-        lost = any(reason == "not_recorded" or reason.startswith(DROPPED) for reason in self.faults)
-        return not (self.wrong or lost or self.backwards)
+        lost_frames = any(fault.reason in (DROPPED, NOT_RECORDED) for fault in self.faults)
+        return not (self.wrong or lost_frames or self.backwards)
 
 
 @dataclass(slots=True)
@@ -220,7 +228,7 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
         if reading.statuses[0].uptime_s > YOUNG_S:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
-    if reading.ended == ROTATION:
+    if reading.ended == ClockReason.ROTATION:
         run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
         following = one.files[-1].with_name(file_name(run, part + 1))
         if following.exists():  # it may have begun since the files to be read were named
@@ -240,9 +248,9 @@ def _coverage_of(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverag
     return Coverage(count, count / span_s if span_s > 0 else 0.0, tuple(gaps))
 
 
-def _counted(status: pb.Status) -> Counter[str]:
-    counts = Counter({f"{DROPPED}{bus.name}": bus.lost_frames for bus in status.buses})
-    counts.update({fault.reason: fault.count for fault in status.faults})
+def _counted(status: pb.Status) -> Counter[LoggedFault]:
+    counts = Counter({LoggedFault(DROPPED, bus.name): bus.lost_frames for bus in status.buses})
+    counts.update({LoggedFault(fault.reason): fault.count for fault in status.faults})
     return +counts
 
 
@@ -250,7 +258,7 @@ def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
     ahead = None
     for clock in clocks:
         before, ahead = ahead, _number(clock.get("realtime_ns")) - _number(clock.get("t_ns"))
-        if clock.get("why") == "step" and before is not None:
+        if clock.get("why") == ClockReason.STEP and before is not None:
             one.steps_s.append((ahead - before) * 1e-9)
     if clocks:
         one.utc_minus_ns = _number(clocks[-1].get("utc_minus_t_ns"))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from tilth.logger.can.bus_opening import check_interface, open_port, why_not
 from tilth.logger.can.live_bus import BusState, LiveBus
-from tilth.logger.can.port import COMPUTER, STAMPED, Port
+from tilth.logger.can.port import STAMPED, Port, StampedBy
 from tilth.logger.can.port_threads import Opener, PortThreads
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
@@ -78,7 +78,8 @@ class Buses:
         for bus in (*ready, *polled, *(bus for bus in waiting if bus not in ready and bus not in polled)):
             if bus.connection.port is not None:
                 self._drain(bus, bus.connection.port, frames)
-        self._busy = bool(frames) and all(bus.traffic.stamp != COMPUTER for bus in self.live_buses)
+        stamped_on_reading = any(bus.traffic.stamp is StampedBy.COMPUTER for bus in self.live_buses)
+        self._busy = bool(frames) and not stamped_on_reading
         t_ns = self._clock.t_ns()
         if t_ns - self._watched_ns >= WATCH_NS:
             self.watch(t_ns)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from tilth.logger.back_off import BackOff
-from tilth.logger.can.port import Port, Tally
+from tilth.logger.can.port import Port, StampedBy, Tally
 from tilth.schemas.machine import Bus
 
 RENEW_NS = 10_000_000_000  # a silent bus is opened afresh after this: some die without an error
@@ -79,7 +79,7 @@ class Traffic:
 
     frames: int = 0
     frames_per_s: float = 0.0
-    stamp: str = ""  # who stamped the frames that came last
+    stamp: StampedBy | None = None  # of the frames that came last; None before the first
     lost: int = 0  # dropped by the kernel, as far as it says
     last_ns: int = 0  # last frame of any kind, or opening
     usable_ns: int = 0  # last frame that is taken, or opening

@@ -3,6 +3,7 @@
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol
 
 import can
@@ -13,13 +14,21 @@ from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 
-# Who stamped a frame, best first.
-ADAPTER, KERNEL, DRIVER, COMPUTER = "adapter", "kernel", "driver", "computer"
-STAMPED: Mapping[str, str] = {
-    ADAPTER: "the adapter, by its own clock",
-    KERNEL: "the kernel, on arrival",
-    DRIVER: "the driver behind python-can",
-    COMPUTER: "this program, as it reads them",
+
+class StampedBy(StrEnum):
+    """Whose clock gave a frame its rx_ns, best first; the words are those of tilth.BusStatus."""
+
+    ADAPTER = "adapter"
+    KERNEL = "kernel"
+    DRIVER = "driver"
+    COMPUTER = "computer"
+
+
+STAMPED: Mapping[StampedBy, str] = {
+    StampedBy.ADAPTER: "the adapter, by its own clock",
+    StampedBy.KERNEL: "the kernel, on arrival",
+    StampedBy.DRIVER: "the driver behind python-can",
+    StampedBy.COMPUTER: "this program, as it reads them",
 }
 _BY_KERNEL = ("mavlink", "socketcan", "udp_multicast")  # of python-can's
 ID_BITS = 0x1FFF_FFFF
@@ -45,8 +54,8 @@ class Port(Protocol):
         ...
 
     @property
-    def stamp(self) -> str:
-        """Who stamped the frames taken last: a key of STAMPED."""
+    def stamp(self) -> StampedBy:
+        """Whose clock stamped the frames taken last."""
         ...
 
     @property
@@ -89,7 +98,7 @@ class LibraryPort:
 
     def __init__(self, bus: can.BusABC, config: Bus, clock: Clock, tally: Tally) -> None:
         self.bus = bus
-        self.stamp = KERNEL if config.interface in _BY_KERNEL else DRIVER
+        self.stamp = StampedBy.KERNEL if config.interface in _BY_KERNEL else StampedBy.DRIVER
         self._name = config.name
         self._clock = clock
         self._tally = tally

@@ -12,8 +12,8 @@ import time
 from typing import NoReturn
 
 from tilth.logger.can.adapter_clock import AdapterClock
-from tilth.logger.can.can_errors import ERRORS
-from tilth.logger.can.port import ADAPTER, COMPUTER, Tally
+from tilth.logger.can.can_errors import ERRORS, ControllerState
+from tilth.logger.can.port import StampedBy, Tally
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -32,7 +32,7 @@ _MS = 1_000_000
 # Bits of the answer to F: which rows of ERRORS they mean, or which state.
 _ROWS = {row.name: row for row in ERRORS}
 _FLAGS = ((0x01, "overrun"), (0x08, "overrun"), (0x80, "bus_error"))
-_STATE_FLAGS = ((0x20, "passive"), (0x04, "warning"))
+_STATE_FLAGS = ((0x20, ControllerState.PASSIVE), (0x04, ControllerState.WARNING))
 
 
 class SlcanPort:
@@ -43,7 +43,7 @@ class SlcanPort:
 
     def __init__(self, descriptor: int, config: Bus, clock: Clock, tally: Tally) -> None:
         self.descriptor = descriptor
-        self.stamp = COMPUTER
+        self.stamp = StampedBy.COMPUTER
         self._config = config
         self._clock = clock
         self._tally = tally
@@ -103,7 +103,7 @@ class SlcanPort:
         """The adapter's stamp on the clock of the run."""
         if self._adapter is None:
             self._adapter = AdapterClock()
-            self.stamp = ADAPTER
+            self.stamp = StampedBy.ADAPTER
         self._adapter_ms += (stamp_ms - self._adapter_ms) % _STAMP_MS
         return self._adapter.rx_ns(self._adapter_ms * _MS, t_ns)
 
@@ -126,7 +126,8 @@ class SlcanPort:
         health = self._tally.health
         for name in {name for mask, name in _FLAGS if flags & mask}:
             health.count(t_ns, _ROWS[name])
-        health.set_state(t_ns, next((state for mask, state in _STATE_FLAGS if flags & mask), "active"))
+        states = (state for mask, state in _STATE_FLAGS if flags & mask)
+        health.set_state(t_ns, next(states, ControllerState.ACTIVE))
 
 
 def is_plain(config: Bus) -> bool:

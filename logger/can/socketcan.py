@@ -12,7 +12,7 @@ import time
 from tilth.logger.can import can_link, receive_buffer
 from tilth.logger.can.adapter_clock import AdapterClock
 from tilth.logger.can.can_errors import STATES
-from tilth.logger.can.port import ADAPTER, ID_BITS, KERNEL, Tally
+from tilth.logger.can.port import ID_BITS, StampedBy, Tally
 from tilth.logger.clock import OLDEST_NS, Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -45,7 +45,7 @@ class SocketCanPort:
 
     def __init__(self, one: socket.socket, clock: Clock, tally: Tally, config: Bus) -> None:
         self.descriptor = one.fileno()
-        self.stamp = KERNEL
+        self.stamp = StampedBy.KERNEL
         self._socket = one
         self._name = config.name
         self._clock = clock
@@ -116,7 +116,7 @@ class SocketCanPort:
         link = can_link.ask(str(self._config.channel))
         if link is None:
             return
-        self._tally.health.set_state(t_ns, STATES[link.state] if link.state < len(STATES) else "")
+        self._tally.health.set_state(t_ns, STATES[link.state] if link.state < len(STATES) else None)
         self.problem = ""
         wanted = self._config.bitrate
         if link.bitrate and link.bitrate != wanted:
@@ -151,10 +151,10 @@ class SocketCanPort:
             return kernel_ns
         if adapter_ns:
             self._adapter = self._adapter or AdapterClock()
-            self.stamp = ADAPTER
+            self.stamp = StampedBy.ADAPTER
             return self._adapter.rx_ns(adapter_ns, kernel_ns)
         if self._adapter is not None:  # two kinds of stamp in one stream are worse than the coarser one
-            self._mixed, self._adapter, self.stamp = True, None, KERNEL
+            self._mixed, self._adapter, self.stamp = True, None, StampedBy.KERNEL
         return kernel_ns
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
+from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.schemas.can_id import CanId, split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import manufacturer_name
@@ -98,25 +98,27 @@ class Devices:
         for sender in self._strangers():
             if sender.positions:
                 text = f"{sender} sends positions and is none of the file's receivers"
-                yield CheckFinding("other receiver", NOTE, text)
+                yield CheckFinding("other receiver", Level.NOTE, text)
 
     def _receiver(self, receiver: Receiver) -> CheckFinding:
         what, maker = f"receiver {receiver.mount}", receiver.manufacturer
         sender = self._of(receiver)
         if sender is None:
-            return CheckFinding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
+            return CheckFinding(
+                what, Level.WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}"
+            )
         if maker is not None and receiver.name is None and sender.maker not in (None, maker):
             text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {maker}"
-            return CheckFinding(what, PROBLEM, f"{text}; correct its manufacturer or source")
+            return CheckFinding(what, Level.PROBLEM, f"{text}; correct its manufacturer or source")
         if self._used[receiver.mount]:
-            return CheckFinding(what, OK, f"{self._used[receiver.mount]} positions")
+            return CheckFinding(what, Level.OK, f"{self._used[receiver.mount]} positions")
         if sender.bus != receiver.bus:
             text = f"{_wanted(receiver)} is heard on {sender.bus}"
-            return CheckFinding(what, PROBLEM, f"{text}; correct its bus")
+            return CheckFinding(what, Level.PROBLEM, f"{text}; correct its bus")
         if sender.positions or sender.empty_positions:
             why = "no fix yet, or its antenna is not connected"
-            return CheckFinding(what, WARNING, f"{sender} sends positions without a value: {why}")
-        return CheckFinding(what, WARNING, f"{sender} sends no positions{self._instead(receiver)}")
+            return CheckFinding(what, Level.WARNING, f"{sender} sends positions without a value: {why}")
+        return CheckFinding(what, Level.WARNING, f"{sender} sends no positions{self._instead(receiver)}")
 
     def _of(self, receiver: Receiver) -> _BusAddress | None:
         """Who it is, on its own bus if it is there; None: it is not heard."""
@@ -158,19 +160,19 @@ class Devices:
     def _wheel(self) -> CheckFinding:
         what, given = "wheel angle", self._machine.wheel_angle
         if self._angles:
-            return CheckFinding(what, OK, f"{self._angles} angles")
+            return CheckFinding(what, Level.OK, f"{self._angles} angles")
         sensor = self._sensor
         wanted = f"0x{sensor.can_id:X}" if given.pgn is None else f"PGN {RUDDER} from address {given.source}"
         if self._wheel_frames:
             text = f"{self._wheel_frames} frames of {wanted}, none with an angle"
             text += "; check bits, scale, not_available"
-            return CheckFinding(what, WARNING, text)
+            return CheckFinding(what, Level.WARNING, text)
         near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
         alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
         near = alike or near
         candidates = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:MOST_CANDIDATES])
         hint = f"; the nearest that are heard: {candidates}" if near else "; is the sensor switched on?"
-        return CheckFinding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
+        return CheckFinding(what, Level.WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
 
     def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
         _, can_id, extended = key

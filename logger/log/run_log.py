@@ -14,6 +14,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
 from tilth.logger.log.room import Room
@@ -26,7 +27,6 @@ FIRST_RETRY_NS = 1_000_000_000  # after a failure
 LONGEST_RETRY_NS = 5_000_000_000
 SLOW_S = 2.0  # at one write or sync
 MOST_WAITING = 64_000_000  # bytes kept in memory for a disk that does not take them: minutes of a full bus
-ROTATION = "rotation"  # why a file ended: the run goes on in the next one
 MOST_RETAINED = 1000  # messages kept while ignition is off
 
 
@@ -138,7 +138,7 @@ class Recording:
         elif self.resting and topic == "/event":
             self._retained.append((topic, t_ns, data))
 
-    def clocks(self, why: str) -> None:
+    def clocks(self, why: ClockReason) -> None:
         """Note in the log what the computer's clocks say."""
         if self._file is not None:
             self._file.writer.clocks(self._clock, why)
@@ -177,7 +177,7 @@ class Recording:
     def close(self) -> None:
         """Finish the file and wait for the disk."""
         if self._file is not None:
-            self._finish(self._file, "end")
+            self._finish(self._file, ClockReason.END)
             self._states.after(Happening.END)
         stopped = self._disk.stop()
         self._look_at_closed(at_end=True)
@@ -198,14 +198,14 @@ class Recording:
             self._recovered(file)
         free = self._disk.free_bytes
         if self._disk.waiting_bytes > MOST_WAITING:
-            self._stop(file, "the disk does not keep up", "the disk does not keep up; use a faster one")
+            self._stop(file, ClockReason.SLOW_DISK, "the disk does not keep up; use a faster one")
         elif free is not None and self._room.is_out(free):
-            self._stop(file, "no room", f"only {free / 1e6:.0f} MB free; make room")
+            self._stop(file, ClockReason.NO_ROOM, f"only {free / 1e6:.0f} MB free; make room")
         elif self._is_silent():
-            self._finish(file, "ignition off")
+            self._finish(file, ClockReason.IGNITION_OFF)
             self._states.after(Happening.IGNITION_OFF)
         elif file.is_due(self._now_ns, self._machine.log) or self._run.correct_name(self._report):
-            self._finish(file, ROTATION)
+            self._finish(file, ClockReason.ROTATION)
             self._open(with_state=True)
 
     def _is_silent(self) -> bool:
@@ -223,14 +223,14 @@ class Recording:
             self._report("log", f"recording again in {name}; {self.missed} frames were not recorded")
         self._states.after(Happening.ON_DISK)
 
-    def _finish(self, file: OpenFile, why: str) -> None:
+    def _finish(self, file: OpenFile, why: ClockReason) -> None:
         file.writer.clocks(self._clock, why)
         file.finish()
         self._run.rename()
         self._file = None
         self.counts.finished(file, self._now_ns)
 
-    def _stop(self, file: OpenFile, why: str, problem: str) -> None:
+    def _stop(self, file: OpenFile, why: ClockReason, problem: str) -> None:
         """Finish a file after which there may be no other for now. why: for the log."""
         self._finish(file, why)
         self._states.failed(Happening.FILE_FAILED, f"{self.folder}: {problem}")
@@ -276,7 +276,7 @@ class Recording:
         if spool.error is not None:
             self._fail(file, spool.error)
             return
-        file.writer.clocks(self._clock, "new file" if run.part > 1 else "start")
+        file.writer.clocks(self._clock, ClockReason.NEW_FILE if run.part > 1 else ClockReason.START)
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())
         while self._retained:

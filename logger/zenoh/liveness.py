@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.states import DeviceState
 
 LOST_NS = 1_500_000_000  # receivers send positions at 5 to 10 Hz, the slowest once a second
 FIX_NS = 5_000_000_000  # how long a fix type is believed that came once
@@ -12,14 +13,16 @@ FIX_NS = 5_000_000_000  # how long a fix type is believed that came once
 
 @dataclass(slots=True)
 class _Device:
-    source: int = -1
-    any_ns: int = 0
-    data_ns: int = 0
+    """A receiver or the wheel-angle sensor. Times on the log's clock, ns; 0: never."""
+
+    source: int = -1  # J1939 source address
+    any_ns: int = 0  # the latest measurement of any kind
+    data_ns: int = 0  # the latest position or angle
     fix: FixType | None = None
     fix_ns: int = 0
-    count: int = 0  # of data since `told_ns`
+    count: int = 0  # of positions or angles since `reported_ns`
     reported_ns: int = 0
-    fault: str = ""
+    fault: DeviceState | None = None  # the latest state that was none to work with
     fault_ns: int = 0
 
 
@@ -57,8 +60,9 @@ class Sensors:
 
 
 def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
-    """Notes when it was asked and what it found: for the next time."""
-    status = pb.ReceiverStatus(mount=mount, state=_state(device, t_ns), source=device.source)
+    """Keeps the time and a fault in `device`: the next call counts from here."""
+    state = _state(device, t_ns)
+    status = pb.ReceiverStatus(mount=mount, state=state, source=device.source)
     if device.fix is not None and t_ns - device.fix_ns < FIX_NS:
         status.fix = device.fix.value
     if device.data_ns:
@@ -66,16 +70,16 @@ def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
     if t_ns > device.reported_ns > 0:
         status.per_s = device.count / ((t_ns - device.reported_ns) * 1e-9)
     device.count, device.reported_ns = 0, t_ns
-    if status.state in ("lost", "no_data"):
-        device.fault, device.fault_ns = status.state, t_ns
-    if device.fault:
+    if state in (DeviceState.LOST, DeviceState.NO_DATA):
+        device.fault, device.fault_ns = state, t_ns
+    if device.fault is not None:
         status.fault, status.fault_age_s = device.fault, (t_ns - device.fault_ns) * 1e-9
     return status
 
 
-def _state(device: _Device, t_ns: int) -> str:
+def _state(device: _Device, t_ns: int) -> DeviceState:
     if device.any_ns == 0:
-        return "waiting"
+        return DeviceState.WAITING
     if device.data_ns and t_ns - device.data_ns < LOST_NS:
-        return "alive"
-    return "no_data" if t_ns - device.any_ns < LOST_NS else "lost"
+        return DeviceState.ALIVE
+    return DeviceState.NO_DATA if t_ns - device.any_ns < LOST_NS else DeviceState.LOST

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from tilth.cli import main
 from tilth.logger.clock import Clock
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -31,20 +31,20 @@ def status(t_ns: int, state: str, **faults: int) -> bytes:
     return told.SerializeToString()
 
 
-def parts_of(folder: Path, *states: str, ends: str = "end", **faults: int) -> list[Path]:
+def parts_of(folder: Path, *states: str, ends: ClockReason = ClockReason.END, **faults: int) -> list[Path]:
     """A run of a second a part; the state of its sensors at each one's end."""
     folder.mkdir(exist_ok=True)
     clock, rows, paths = Clock(), numbered(1000 * len(states)), []
     for number, state in enumerate(states, 1):
         path = folder / f"{NAME}_{number:03d}.mcap"
         writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns))
-        writer.clocks(clock, "start" if number == 1 else "new file")
+        writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
         own = rows[1000 * (number - 1) : 1000 * number]
         for row in own[:-1]:
             writer.frame(row)
         writer.message("/status", own[-1].t_ns, status(own[-1].t_ns, state, **faults))
         writer.frame(own[-1])
-        writer.clocks(clock, ends if number == len(states) else "rotation")
+        writer.clocks(clock, ends if number == len(states) else ClockReason.ROTATION)
         writer.close()
         paths.append(path)
     return paths
@@ -81,7 +81,7 @@ def test_a_run_is_judged_by_all_its_parts(tmp_path: Path, capsys: pytest.Capture
 def test_frames_that_no_longer_come_do_not_make_a_healthy_run_a_lost_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    paths = parts_of(tmp_path / "logs", "alive", ends="rotation")
+    paths = parts_of(tmp_path / "logs", "alive", ends=ClockReason.ROTATION)
     t_ns = numbered(1)[0].t_ns + 60_000_000_000
     path = paths[0].with_name(f"{NAME}_002.mcap")
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", 2, t_ns))
@@ -110,7 +110,7 @@ def test_what_is_being_written_is_neither_unfinished_nor_damaged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "logs"
-    done = parts_of(folder, "alive", ends="rotation")
+    done = parts_of(folder, "alive", ends=ClockReason.ROTATION)
     rows = numbered(2000)[1000:]
     path = folder / f"{NAME}_002.mcap"
     begun = folder / f"{NAME}_003.mcap"

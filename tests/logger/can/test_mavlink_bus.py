@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 from tilth.logger.can.bus_opening import check_interface, open_port
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.mavlink_bus import MavlinkBus
-from tilth.logger.can.port import KERNEL
+from tilth.logger.can.port import StampedBy
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -144,7 +144,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
         (f.can_id, f.extended, f.data) for f in wanted
     ]
     assert all(0 <= frame.t_ns - frame.rx_ns < 1_000_000_000 for frame in frames)
-    assert live.traffic.stamp == KERNEL
+    assert live.traffic.stamp is StampedBy.KERNEL
     until(
         lambda: live.connection.port is not None and live.connection.port.lost() >= len(way.dropped) - 1, turn
     )

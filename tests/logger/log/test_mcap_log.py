@@ -26,7 +26,7 @@ from tilth.logger.clock import NEWEST_NS, OLDEST_NS, Clock, Relation
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log import run_files
 from tilth.logger.log.disk import Disk, Spool
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
@@ -75,7 +75,7 @@ def test_a_log_explains_itself(tmp_path: Path, machine: tuple[Machine, str]) -> 
     writer.frame(numbered(1)[0])
     writer.publications([Publication(START_NS, "/event", Event(START_NS, "mark", "here"))])
     writer.snapshot(START_NS, "{}")
-    writer.clocks(Clock(), "start")
+    writer.clocks(Clock(), ClockReason.START)
     writer.close()
     with path.open("rb") as stream:
         reader = make_reader(stream)

@@ -14,7 +14,7 @@ from loopback import numbered, rig, udp_bus
 from tilth.cli import main
 from tilth.logger.clock import LEAST_TIMES, Clock
 from tilth.logger.log import offload
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.run_log import Recording
 from tilth.logger.log.runs import DAY_NS, Copied, Sidecar, StoredRun, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
@@ -154,7 +154,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
     for number in (1, 2):
         path = folder / f"{NAME}_{number:03d}.mcap"
         writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns, "clay, dry"))
-        writer.clocks(clock, "start" if number == 1 else "new file")
+        writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
         for i, row in enumerate(rows[3000 * (number - 1) : 3000 * number], 3000 * (number - 1)):
             writer.frame(row)
             if i % 100 == 0 and not 1500 < i < 2700:
@@ -172,7 +172,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
             mark = Event(rows[2999].t_ns, "mark", "stone")
             writer.message("/event", mark.t_ns, CHANNEL["/event"].encode(mark))
             clock.offset_ns -= 5_000_000_000
-            writer.clocks(clock, "step")
+            writer.clocks(clock, ClockReason.STEP)
         writer.close()
         paths.append(path)
     return paths
