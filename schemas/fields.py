@@ -309,11 +309,11 @@ class Layout:
                 count(rejected, OUT_OF_RANGE)
                 if dropped is not None:
                     dropped[key] = value
-        if len(values) == 1:
-            for key, start, mask, raws in self._alone:
-                if key in values and whole >> start & mask in raws:
-                    return {}
-        return values
+        return {} if len(values) == 1 and self._says_no_data(values, whole) else values
+
+    def _says_no_data(self, values: Mapping[str, Word], whole: int) -> bool:
+        """Whether a value that stands alone is one of those by which its device says that it has no data."""
+        return any(key in values and whole >> start & mask in raws for key, start, mask, raws in self._alone)
 
     def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
         """Payload of words, and of any further field by its key; what is absent is written as not available.

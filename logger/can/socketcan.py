@@ -80,10 +80,8 @@ class SocketCanPort:
                 if self._error is not None:
                     raise self._error from None
                 return count
-            except OSError as error:  # told before the frames that came before it
-                if self._error is not None:
-                    raise
-                self._error = error
+            except OSError as error:
+                self._postpone(error)
                 continue
             t_ns = monotonic() + offset_ns
             if len(packed) != CAN_FRAME.size:
@@ -99,17 +97,26 @@ class SocketCanPort:
                 rx_ns = self._stamped_ns(control, t_ns, ahead_ns, flagged & ERROR != 0)
             if not 0 <= t_ns - rx_ns <= OLDEST_NS:
                 rx_ns = clock.rx_ns(rx_ns, t_ns, self._empty_ns)
-            if flagged & (ERROR | REMOTE):
-                if not flagged & ERROR:
-                    tally.remote_frames += 1
-                    continue
-                tally.error_frames += 1
-                tally.health.hear(t_ns, flagged & ID_BITS, data)
-            if length < 8:
-                data = data[:length]
-            extended = flagged & EXTENDED != 0
-            frames.append(Frame(t_ns, rx_ns, name, flagged & ID_BITS, extended, flagged & ERROR != 0, data))
+            if flagged & (ERROR | REMOTE) and not self._take_flagged(t_ns, flagged, data):
+                continue
+            extended, error_frame = flagged & EXTENDED != 0, flagged & ERROR != 0
+            frames.append(Frame(t_ns, rx_ns, name, flagged & ID_BITS, extended, error_frame, data[:length]))
         return most
+
+    def _postpone(self, error: OSError) -> None:
+        """The socket reports an error before the frames that came before it: read those first."""
+        if self._error is not None:
+            raise error
+        self._error = error
+
+    def _take_flagged(self, t_ns: int, flagged: int, data: bytes) -> bool:
+        """Count an error frame or a remote frame; whether it belongs in the log."""
+        if not flagged & ERROR:
+            self._tally.remote_frames += 1
+            return False
+        self._tally.error_frames += 1
+        self._tally.health.hear(t_ns, flagged & ID_BITS, data)
+        return True
 
     def ask(self, t_ns: int) -> None:
         """How the interface is set up, and the controller's state: it may have been so before we listened."""

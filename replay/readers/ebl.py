@@ -88,10 +88,9 @@ def _pieces(log: OpenLog, stream: BinaryIO) -> Iterator[Piece]:
                 elif mark is not None:
                     log.skip("damaged_mark")
                 mark = bytearray() if code == _SOH else None
-            if mark is None:
-                if part:
-                    yield None, part
-            elif len(mark) <= _MOST:
+            if mark is None and part:
+                yield None, part
+            elif mark is not None and len(mark) <= _MOST:
                 mark += part
     log.truncated = log.truncated or mark is not None or escaped or last == 0
 
