@@ -150,13 +150,13 @@ def adapter(box: Box, args: argparse.Namespace) -> None:
     device = Path("/sys/class/net") / args.interface
     if not device.exists():
         raise Failed(f"{args.interface}: no such interface; plug it in and see `ip link`")
-    shown_properties = subprocess.run(
+    properties_text = subprocess.run(
         ["udevadm", "info", "--query=property", f"--path={device}"],
         capture_output=True,
         text=True,
         check=False,
     ).stdout
-    properties = dict(line.split("=", 1) for line in shown_properties.splitlines() if "=" in line)
+    properties = dict(line.split("=", 1) for line in properties_text.splitlines() if "=" in line)
     port = (device / "dev_port").read_text().strip()
     path = box.at(f"etc/udev/rules.d/76-tilth-{args.name}.rules")
     path.parent.mkdir(parents=True, exist_ok=True)

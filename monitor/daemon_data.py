@@ -93,12 +93,12 @@ class DaemonData:
             events = list(self._events)
             self._events.clear()
         messages = {}
-        for kind, (data, encoding, said_s) in new.items():
+        for kind, (data, encoding, received_s) in new.items():
             message = self._plain(kind, data, encoding)
             if message is not None:
-                messages[kind] = (message, said_s)
-        told = [self._plain("event", data, encoding) for data, encoding, _ in events]
-        return messages, [event for event in told if event is not None]
+                messages[kind] = (message, received_s)
+        parsed = [self._plain("event", data, encoding) for data, encoding, _ in events]
+        return messages, [event for event in parsed if event is not None]
 
     def mark(self, text: str) -> MarkAnswer:
         """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
@@ -107,8 +107,8 @@ class DaemonData:
         for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
             if reply.ok is not None:
                 return MarkAnswer(True, "in the log")
-            told = reply.err.payload.to_bytes() if reply.err is not None else b""
-            return MarkAnswer(False, told[:200].decode(errors="replace") or "the daemon refused it")
+            refused = reply.err.payload.to_bytes() if reply.err is not None else b""
+            return MarkAnswer(False, refused[:200].decode(errors="replace") or "the daemon refused it")
         return MarkAnswer(
             False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records"
         )
@@ -161,7 +161,7 @@ class DaemonData:
                 return  # a newer one has come meanwhile
         self._keep(reply.ok, time.monotonic() - age_s)
 
-    def _keep(self, sample: zenoh.Sample, said_s: float) -> None:
+    def _keep(self, sample: zenoh.Sample, received_s: float) -> None:
         key = str(sample.key_expr)
         kind = key.removeprefix(f"{self.base}/")
         with self._lock:
@@ -172,7 +172,7 @@ class DaemonData:
             if len(sample.payload) > LARGEST:  # not even kept until it is looked at
                 self._count(f"{kind}: {len(sample.payload)} bytes are too many")
                 return
-            row = (sample.payload.to_bytes(), str(sample.encoding), said_s)
+            row = (sample.payload.to_bytes(), str(sample.encoding), received_s)
             if kind == "event":
                 self._events.append(row)
             else:
@@ -184,6 +184,6 @@ class DaemonData:
             return
         with self._lock:
             (self._alive.add if sample.kind == zenoh.SampleKind.PUT else self._alive.discard)(which)
-            asked = which == self._followed and which in self._alive
-        if asked:  # it has begun anew: another rig perhaps, and values that were missed
+            is_new_start = which == self._followed and which in self._alive
+        if is_new_start:  # it has begun anew: another rig perhaps, and values that were missed
             self._ask()

@@ -6,6 +6,7 @@ Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages
 import math
 import re
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import Any, Final
 
 from tilth.monitor.advice_text import AdviceKind, parse_advice
@@ -13,6 +14,7 @@ from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
+
 
 GROUPS: Final = ("front", "rear", "implement")  # of tyres, in the order of PARAMETERS, twice
 SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
@@ -24,7 +26,18 @@ _NUMBER: Final = r"(\d+(?:\.\d+)?)"
 _SHARE: Final = re.compile(rf"±\s?{_NUMBER} %")
 
 
-def shown(estimate: Fields, rig: Fields | None) -> Fields:
+class GroundWord(StrEnum):
+    """How the soil holds a group of tyres, as the page shows it."""
+
+    SOFT = "soft"
+    USUAL = "as usual"
+    FIRM = "firm"
+    NOT_KNOWN_YET = "not known yet"
+    NOT_KNOWN_NOW = "not known now"  # it was, but has grown old
+    WITHDRAWN = "withdrawn"  # something contradicts
+
+
+def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
     """What the page shows of an estimate: of each parameter its value, the half-width of its logarithm's
     95 %, status and reason; of each group of tyres a word; what to drive; what is withdrawn and why."""
     values, within, statuses = row(estimate)
@@ -74,20 +87,20 @@ def priors(rig: Fields) -> Fields:
 def ground(value: float | None, within: float | None, status: int, usual: float | None) -> Fields:
     """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on."""
     if status == Status.INVALID:
-        return {"word": "withdrawn", "text": ""}
+        return {"word": GroundWord.WITHDRAWN, "text": ""}
     if status == Status.STALE:
-        return {"word": "not known now", "text": ""}
+        return {"word": GroundWord.NOT_KNOWN_NOW, "text": ""}
     if status != Status.ESTIMATED or value is None or within is None or not usual:
-        return {"word": "not known yet", "text": ""}
+        return {"word": GroundWord.NOT_KNOWN_YET, "text": ""}
     ratio = value / usual
     low, high = ratio * math.exp(-within), ratio * math.exp(within)
     text = f"{_percent(ratio)} % of usual (95 %: {_percent(low)} to {_percent(high)} %)"
     if high < SOFT:
-        return {"word": "soft", "text": text}
+        return {"word": GroundWord.SOFT, "text": text}
     if low > FIRM:
-        return {"word": "firm", "text": text}
+        return {"word": GroundWord.FIRM, "text": text}
     inside = USUAL[0] <= low and high <= USUAL[1]
-    return {"word": "as usual" if inside else "not known yet", "text": text}
+    return {"word": GroundWord.USUAL if inside else GroundWord.NOT_KNOWN_YET, "text": text}
 
 
 def advised(text: str) -> str:

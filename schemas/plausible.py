@@ -188,13 +188,12 @@ def _receivers(machine: Machine) -> Iterator[Doubt]:
         ),
     }
     for receiver in machine.receiver:
-        body = receiver.mount.partition("_")[0]
         words = ("forward", "right", "up")
-        for word, value, row in zip(words, receiver.position, reach[body], strict=True):
+        for word, value, row in zip(words, receiver.position, reach[receiver.mount.body], strict=True):
             if not row.usual[0] <= value <= row.usual[1]:
                 yield doubt_of(f"receiver {receiver.mount}: position, {word}", value, row)
     for body in reach:
-        pair = [r for r in machine.receiver if r.mount.startswith(body)]
+        pair = [r for r in machine.receiver if r.mount.body == body]
         yield from _order(sorted(pair, key=lambda r: r.mount))  # "…_front" before "…_rear"
 
 

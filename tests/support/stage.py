@@ -139,9 +139,9 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
 
 
 def _version() -> str:
-    from tilth.monitor.view import own_version
+    from tilth.monitor.view import installed_version
 
-    return own_version()
+    return installed_version()
 
 
 class Stage(Ordered):
