@@ -93,7 +93,7 @@ class Cautious:
         return np.asarray(np.exp(self._nominal if self.limits.shadow else self._log))
 
     def _wanted(self, latest: Latest) -> tuple[Array, list[str]]:
-        """Natural logarithms to go to, and what keeps each from the estimate."""
+        """Natural logarithms to move to, and for each what keeps it from the estimate."""
         off, notes = np.zeros(len(PARAMETERS)), list(latest.refusals)
         if latest.estimate is None:
             return self._nominal.copy(), notes

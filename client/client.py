@@ -1,4 +1,4 @@
-"""`Client`: hears one daemon and answers, at any moment and from any thread, what may be used now."""
+"""`Client`: receives from one daemon; tells at any moment, to any thread, which parameters may be used."""
 
 import logging
 import math
@@ -175,7 +175,7 @@ class Client:
             self._take(_bytes_of(reply.ok, self._key), str(reply.ok.encoding), answered)
 
     def _take(self, data: bytes, encoding: str, answered: tuple[float, float] | None) -> None:
-        """answered: age by the daemon's own word and how long that word took; None of what is published."""
+        """answered: (age reported by the daemon, time that the answer took), s; None for a publication."""
         estimate = estimate_of(data, encoding)
         now_s = time.monotonic()
         with self._lock:

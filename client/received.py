@@ -163,7 +163,7 @@ def rig_of_message(data: bytes, encoding: str) -> HeardRig:
 
 
 def text(raw: str) -> str:
-    """A text of somebody else, short and in one line."""
+    """A text from the network, shortened and in one line."""
     return "".join(sign if sign.isprintable() else " " for sign in raw[:LONGEST])
 
 

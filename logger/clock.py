@@ -25,7 +25,7 @@ REMEMBERED = 64
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """What the clocks of the computer said at one instant, ns."""
+    """Readings of the computer's clocks at one instant, ns."""
 
     t_ns: int
     realtime_ns: int
@@ -82,7 +82,7 @@ class Clock:
         return t_ns
 
     def add_gnss_time(self, rx_ns: int, utc_ns: int) -> None:
-        """A receiver said at rx_ns that it was utc_ns."""
+        """Take the UTC time that a receiver reported at rx_ns."""
         self._gnss_ahead.append(utc_ns - rx_ns)
 
     @property

@@ -1,4 +1,4 @@
-"""Compiles what the estimators of a machine call, and knows where that is kept.
+"""Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
 "-" it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are
@@ -28,7 +28,7 @@ NO_CACHE_FOLDER: Final = (
 NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
-Progress = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1
+Progress = Callable[[float], None]  # takes the share of the compiling that is done, 0 to 1
 
 
 class NoCacheFolder(Exception):
@@ -36,7 +36,7 @@ class NoCacheFolder(Exception):
 
 
 class CompilingStopped(BaseException):
-    """Who is told wants no compiling. No Exception: those make a kernel go on interpreted."""
+    """Raised by `progress` to stop. A BaseException: an Exception would make the kernel run interpreted."""
 
 
 def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
@@ -65,7 +65,8 @@ def load(machine: Machine) -> bool:
 def prepare(machine: Machine, progress: Progress) -> float:
     """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
 
-    told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
+    progress: gets 0.0 when the first kernel has to be compiled, more after each function; may raise
+    CompilingStopped.
     """
     began: list[float] = []
     uncompiled = set[
@@ -92,12 +93,12 @@ def prepare(machine: Machine, progress: Progress) -> float:
 
 
 def _size(functions: set[CodeType]) -> int:
-    """How much work they are, about: compiling takes the longer the longer they are."""
+    """Estimated work of compiling them: proportional to their length."""
     return sum(len(code.co_code) for code in functions)
 
 
 def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:
-    """Call each kernel once; who listens is told when compiling a function begins and when it has ended."""
+    """Call each kernel once. on_start, on_end: called when compiling a function begins and ends."""
     if not _compiles():
         return
     from numba.core import event
@@ -130,7 +131,8 @@ def _compiles() -> bool:
 
 
 def cache_folder(machine: Machine) -> str:
-    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises Unkept."""
+    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises
+    NoCacheFolder."""
     if not _compiles():
         return ""
     from numba.core.caching import FunctionCache

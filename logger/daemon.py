@@ -3,7 +3,7 @@
     read frames ─► log each raw ─► fold ─► log what it gives ─► publish it
 
 One loop, one clock. Frames are recorded from the first second; estimates follow when what they call has been
-compiled. Whatever fails is said, shown and logged as an event; frames are recorded until the end.
+compiled. Every failure is published, displayed and logged as an event; frames are recorded until the end.
 """
 
 import contextlib
@@ -63,7 +63,7 @@ class Daemon:
         supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that is put
         in here is logged, published and shown like what the daemon notices itself.
 
-        Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
+        Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
         self._events: Events = deque() if events is None else events
         supervisor = Supervisor({}) if supervisor is None else supervisor

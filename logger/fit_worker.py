@@ -20,7 +20,7 @@ Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong 
 
 
 def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
-    """(result, "") of a job, or (None, what went wrong): a fit that cannot be made must end nobody."""
+    """(result, "") of a job, or (None, reason): a fit that fails must not end the process."""
     try:
         fitting = ROW[method].fitting
         assert fitting is not None

@@ -1,4 +1,4 @@
-"""The fold with the one guard round it: whatever goes wrong in the numerics, frames go on being logged.
+"""The fold with the one exception handler around it: an error in the numerics does not stop the logging.
 
 Live and replay both drive this, so that a replay fails where the live run failed and goes on as it did.
 """
@@ -81,7 +81,7 @@ class GuardedFold:
 
     @property
     def ready(self) -> bool:
-        """Whether the estimators take the next frame. Who changes it logs that before."""
+        """Whether the estimators take the next frame. The caller logs a change before making it."""
         return self.state.ready
 
     @ready.setter
@@ -103,11 +103,11 @@ class GuardedFold:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Whose messages the count "unknown_source" holds, and how many of each since the last fault."""
+        """Senders of the messages counted as "unknown_source", with their counts since the last fault."""
         return self.state.decoder.unknown
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
-        """What a frame causes, with its bytes as logged and published."""
+        """The publications that a frame causes, each with its bytes as logged and published."""
         if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
             return []
         try:
@@ -174,7 +174,7 @@ class GuardedFold:
         return keep(self.state, t_ns)
 
     def warm(self, learned: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
-        """Before the first frame: go on from what was kept elapsed_s ago. Method -> why not, or ""."""
+        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or ""."""
         try:
             refusals = go_on(self.state, learned, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds

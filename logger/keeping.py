@@ -1,4 +1,4 @@
-"""Keeps what the estimators have learned beside the logs, for the next run."""
+"""Stores what the estimators have learned in a file next to the logs, for the next run."""
 
 from pathlib import Path
 

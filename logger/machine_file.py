@@ -32,7 +32,7 @@ def read_machine(path: Path | str) -> tuple[Machine, str]:
 
 
 def _unfilled(text: str) -> str:
-    """What is left to fill in of a draft, "" if nothing."""
+    """Which lines of a draft are still to be filled in; "" if none."""
     lines = [n for n, line in enumerate(text.splitlines(), 1) if _UNFILLED.match(line)]
     if not lines:
         return ""

@@ -20,7 +20,7 @@ class MarkLog:
         self._outlets = outlets
 
     def turn(self) -> None:
-        """Log those that were asked for, answer those that are on the disk."""
+        """Log the marks requested, answer those that are on the disk."""
         recording = self._outlets.recording
         for mark in self.marks.requests():
             t_ns = self._clock.t_ns()

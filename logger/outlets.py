@@ -1,4 +1,4 @@
-"""Where everything goes that the daemon finds out: the log, Zenoh, and the display of whoever watches."""
+"""The outputs of the daemon: log, Zenoh and display."""
 
 from collections import deque
 from collections.abc import Callable

@@ -33,7 +33,7 @@ class Preparing:
     """Begins at once. `ready` is True from when the estimators can be called without waiting."""
 
     def __init__(self, machine: Machine, report: Report) -> None:
-        """report: is told, from a thread, what it does and what goes wrong."""
+        """report: takes kind and text of an event, called from a thread."""
         self.ready = compiling.is_prepared(machine)
         self.seconds = 0.0  # of compiling
         self.text = "" if self.ready else LOADING  # what is being done, in a person's words

@@ -1,4 +1,4 @@
-"""Everything that one run holds open, and what they together say of themselves: status and summary."""
+"""All open parts of one run, and the status and summary made from them."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What the daemon says of itself: tilth.Status, once a second, with every problem in a sentence."""
+"""Builds tilth.Status, once a second, with every problem in a sentence."""
 
 from collections.abc import Iterable, Mapping
 
@@ -111,5 +111,5 @@ def _sensor_problems(status: pb.Status) -> list[str]:
 
 
 def recording_hours(free_bytes: float, bytes_per_s: float | None = None) -> float:
-    """Of recording, at that rate or, where none is known yet, at a nominal one."""
+    """Hours of recording that fit, at that rate, or at a nominal one where none is known."""
     return free_bytes / (bytes_per_s or NOMINAL_BYTES_PER_S) / 3600.0

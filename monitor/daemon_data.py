@@ -1,5 +1,7 @@
-"""What is heard of one daemon: the last of each message, every event, who lives. Threads of Zenoh's fill it,
-the page's own loop empties it."""
+"""Data received from one daemon: the latest of each message, all events, and which daemons are alive.
+
+Threads of Zenoh fill it, the page's loop empties it.
+"""
 
 import threading
 import time
@@ -44,7 +46,7 @@ class DaemonData:
         base_key(machine or "any", prefix, replay)
         self._prefix, self._wanted = prefix, (machine, replay)
         self._lock = threading.Lock()
-        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was said
+        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was sent
         self._events: deque[tuple[bytes, str, float]] = deque(maxlen=EVENTS)
         self._alive: set[Alive] = set()
         self._refused: Counter[str] = Counter()
@@ -87,7 +89,7 @@ class DaemonData:
         return True
 
     def take(self) -> tuple[dict[str, tuple[dict[str, Any], float]], list[dict[str, Any]]]:
-        """What came since the last call: kind -> message and when it was said; and the events."""
+        """What came since the last call: kind -> message and when it was sent; and the events."""
         with self._lock:
             new, self._new = self._new, {}
             events = list(self._events)

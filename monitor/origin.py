@@ -1,7 +1,7 @@
-"""Who may ask a server on this computer: no page of another origin.
+"""Decides which requests a server on this computer answers: none from a page of another origin.
 
-Neither one that points its own name here nor one that asks from the same browser. A program that is no
-browser says no origin, and is heard.
+Neither a page whose own name points here nor one in the same browser. A program that is no browser sends no
+origin, and is answered.
 """
 
 import ipaddress

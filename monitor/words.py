@@ -1,4 +1,4 @@
-"""What the daemon says, in the words of who sits in the cab. Pure: JSON of messages in, texts, numbers out.
+"""Turns the daemon's messages into words for the driver. Pure: JSON of messages in, texts and numbers out.
 
 Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep standard deviations.
 """

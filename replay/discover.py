@@ -1,4 +1,4 @@
-"""What is on these buses? A survey of frames: who speaks, who may be a receiver, what may be the wheel angle.
+"""Surveys the frames of buses: the devices, possible receivers, and signals that may be the wheel angle.
 
 Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 """
@@ -39,7 +39,7 @@ class SentMessage:
 
 @dataclass(frozen=True, slots=True)
 class BusDevice:
-    """Who sends from one address."""
+    """The device that sends from one address of one bus."""
 
     bus: str
     source: int
@@ -87,7 +87,7 @@ class _Times:
 
     @property
     def per_s(self) -> float:
-        """0 for what came a few times within a second: an event, no rate."""
+        """1/s; 0 for a message that came a few times within a second: an event has no rate."""
         seconds = (self.last_ns - self.first_ns) * 1e-9
         return (self.count - 1) / seconds if seconds > 1.0 else 0.0
 
@@ -109,7 +109,7 @@ class _Identifier:
 def listen(
     configs: Sequence[Bus], seconds: float, report: Report, stop: Callable[[], bool]
 ) -> Iterator[Frame]:
-    """Frames of these buses for so long, or until `stop()`. `report` is told what is wrong with a bus.
+    """Frames of these buses for so long, or until `stop()`. `report`: takes a problem with a bus.
 
     Raises MachineError where a bus names an interface that python-can does not know.
     """

@@ -1,5 +1,4 @@
-"""What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the
-heads of its records."""
+"""Summarises a log file without reading all of it: from its index, or else from the heads of its records."""
 
 import struct
 from collections import Counter, defaultdict
@@ -33,7 +32,7 @@ class FileState(Enum):
 
 @dataclass(slots=True)
 class Glance:
-    """What a file tells. Times are log times, ns; 0 where there is no message."""
+    """Summary of one log file. Times are log times, ns; 0 where there is no message."""
 
     state: FileState
     first_ns: int = 0
@@ -126,7 +125,7 @@ class _ChunkPlaces:
 
 
 def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
-    """As far as it is whole; what is damaged is passed over, for `tilth verify` says it."""
+    """As far as the file is whole; damaged chunks are passed over: `tilth verify` reports them."""
     chunks = _ChunkPlaces(file)
     times: list[int] = []
     for place in walk(file, size):

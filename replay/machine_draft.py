@@ -1,4 +1,4 @@
-"""A machine file from what was heard on the buses: it parses once every line marked FILL IN is filled in."""
+"""Drafts a machine file from a survey of buses: it parses once every line marked FILL IN is filled in."""
 
 from collections.abc import Iterator, Sequence
 

@@ -30,7 +30,7 @@ WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
     {"fault", "clock_step", *receiver_checks.KINDS}
-)  # events that a person at a replay should read
+)  # kinds of events that are printed in a replay
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ class ReplayOutputs:
     publish: Callable[[str, bytes], None] | None = None  # topic, payload
     comparison: Comparison | None = None
     pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
-    progress: Callable[[int], None] | None = None  # is told the bytes read so far
+    progress: Callable[[int], None] | None = None  # takes the number of bytes read so far
 
 
 class Pace:
@@ -113,8 +113,7 @@ def replay(
     another run, or out of order, begins with a new fold: its counts are added up, the estimates are those of
     the last run. A state stored in a log is taken up where the log was recorded with this machine file, as
     the daemon did when it wrote it: a file of a run replays alone, and several give what the run gave.
-    `buses` maps names of the logs to names of the machine file. `say` is told, in sentences, what a person
-    should know.
+    `buses` maps names of the logs to names of the machine file. `say` takes sentences for the user.
     Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
     """
     run = _Run(machine, machine_text, outputs or ReplayOutputs(), say)
@@ -214,7 +213,7 @@ class _Run:
         self._put(self._fold.take(frame))
 
     def _fit(self, record: Logged) -> None:
-        """What the log says became of a fit: it is used at the next frame, as it was live."""
+        """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
         outcome = FitOutcome.FromString(record.data)
         self.fitter.add_outcome(outcome.method, outcome.asked_ns, outcome.adopted, outcome.awaited)
         self._put([(p, payload(p)) for p in self._fold.decided(outcome.t_ns)])
@@ -288,8 +287,10 @@ class _Run:
         self._put([(event, payload(event))])
 
     def _take_addresses(self, stored: Snapshot) -> None:
-        """Of a refused state, where no part before it told who has which address: receivers tell it only when
-        they start, so that without it a later part of a run would give no pose."""
+        """Take the addresses from a refused state, where no earlier part gave them.
+
+        Receivers claim them only when they start: without them a later part of a run would give no pose.
+        """
         if self._fold.state.frames:
             return
         try:

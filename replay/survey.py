@@ -1,4 +1,4 @@
-"""What is in a run's files: read whole and checked."""
+"""Reads and checks all files of a run."""
 
 import io
 from collections import Counter, defaultdict
@@ -71,19 +71,19 @@ class RunSurvey:
 
     @property
     def duration_s(self) -> float:
-        """By the log's own clock, which nobody sets."""
+        """s, by the clock of the log, which never steps."""
         return (self.last_ns - self.first_ns) * 1e-9
 
     @property
     def good(self) -> bool:
-        """Whether all that was received is in it and can be read. A clock that was set costs nothing."""
+        """Whether every frame received is in the log and can be read. A step of the clock does no harm."""
         lost_frames = any(fault.reason in (DROPPED, NOT_RECORDED) for fault in self.faults)
         return not (self.wrong or lost_frames or self.backwards)
 
 
 @dataclass(slots=True)
 class _Reading:
-    """What is collected on the way."""
+    """Collected while the files of a run are read."""
 
     times: defaultdict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     statuses: list[pb.Status] = field(default_factory=list)
@@ -92,7 +92,7 @@ class _Reading:
 
 
 def survey(paths: Iterable[Path]) -> list[RunSurvey]:
-    """Every byte read and checked; a Survey of each run, in the order given. Raises OSError."""
+    """Read and check every byte; a RunSurvey of each run, in the order given. Raises OSError."""
     runs: dict[str, tuple[RunSurvey, _Reading]] = {}
     for path in paths:
         metadata, clocks, damage = dict[str, Mapping[str, str]](), list[Mapping[str, str]](), Counter[str]()
@@ -266,7 +266,7 @@ def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
 
 
 def _number(text: str | None) -> int:
-    """0 for what is none: metadata bear no checksum."""
+    """0 for a text that is no number: metadata have no checksum."""
     try:
         return int(text or "0")
     except ValueError:

@@ -1,4 +1,4 @@
-"""Who of those that tell both a heading and a turn rate smooths it: found without a machine file."""
+"""Finds devices that smooth their turn rate, from heading and turn rate, without a machine file."""
 
 import math
 from dataclasses import dataclass, field

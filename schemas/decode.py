@@ -74,8 +74,8 @@ class _Route:
 
 
 class Decoder:
-    """What the buses of a machine say. One Decoder takes every frame of a log in its order, by `messages` or
-    by `measurements`."""
+    """Decodes the frames of a machine's buses. One Decoder takes every frame of a log in its order, by
+    `messages` or by `measurements`."""
 
     def __init__(self, machine: Machine | None = None) -> None:
         """machine: whose receivers and wheel-angle sensor make measurements; None: messages only.
@@ -102,11 +102,11 @@ class Decoder:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Whose messages the count "unknown_source" holds, and how many of each."""
+        """Senders of the messages counted as "unknown_source", with their counts."""
         return self._addresses.unknown
 
     def origin(self, bus: str, source: int) -> Origin:
-        """Who has an address, as far as is known."""
+        """The device that has an address, as far as known."""
         return self._addresses.sender(bus, source).origin
 
     def messages(self, frame: Frame) -> list[Message]:
@@ -248,7 +248,7 @@ class Decoder:
         return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
 
     def _proprietary_row(self, sender: Sender, pgn: int, payload: bytes, frames: int) -> Pgn | None:
-        """The row of a manufacturer's own message, by whose it is: its first two bytes or its sender tell."""
+        """The row of a proprietary message, by its manufacturer: from its first two bytes or its sender."""
         found = None
         if pgn in _NAMING:
             if len(payload) >= 2:

@@ -1,4 +1,4 @@
-"""Who a 64-bit NAME is, in words: manufacturers, functions, device classes, industry groups.
+"""Decodes a 64-bit NAME into words: manufacturer, function, device class, industry group.
 
 Facts of SAE J1939-81 and ISO 11783-1 as AgIsoStack (can_NAME.hpp) and canboat (database/lookups) list them;
 of J1939's manufacturers those met on farms. NMEA 2000 numbers manufacturers, classes and functions in its own
@@ -224,7 +224,7 @@ _MARINE_CLASSES: Final[Mapping[int, str]] = {
 
 
 def manufacturer_name(code: int, industry_group: int | None = None) -> str:
-    """What a manufacturer is called; "" where that is not known here."""
+    """Name of a manufacturer; "" where unknown."""
     first, second = MANUFACTURERS, _MARINE_MANUFACTURERS
     if industry_group == MARINE:
         first, second = second, first
@@ -232,7 +232,7 @@ def manufacturer_name(code: int, industry_group: int | None = None) -> str:
 
 
 def function_name(code: int, device_class: int, industry_group: int) -> str:
-    """What a device does; "" where that is not known here."""
+    """Function of a device; "" where unknown."""
     if industry_group == MARINE:
         return _MARINE_FUNCTIONS.get((device_class, code), "")
     if code < 128:
@@ -244,7 +244,7 @@ def function_name(code: int, device_class: int, industry_group: int) -> str:
 
 
 def class_name(device_class: int, industry_group: int) -> str:
-    """What kind of machine a device belongs to; "" where that is not known here."""
+    """Kind of machine that a device belongs to; "" where unknown."""
     classes = {AGRICULTURE: _FARM_CLASSES, MARINE: _MARINE_CLASSES}.get(industry_group, {})
     return classes.get(device_class, "")
 
@@ -268,7 +268,7 @@ def name_words(name: int) -> dict[str, str]:
 
 
 def device(name: int) -> str:
-    """Whose a NAME is and what it does, for people, such as "John Deere, navigation, instance 1"."""
+    """Manufacturer and function of a NAME, for people, such as "John Deere, navigation, instance 1"."""
     parts, words = name_parts(name), name_words(name)
     parts_in_words = [
         words.get("manufacturer_name", f"manufacturer {parts['manufacturer']}"),

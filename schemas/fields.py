@@ -1,4 +1,4 @@
-"""One field of a message: where its bits are, what they mean, when they mean nothing.
+"""One field of a message: its bits, scale, unit, and raw values that mean "no data".
 
 The same row decodes and encodes. Messages are little-endian; bit b of byte B has the number 8 B + b, and a
 field's `start` is its least significant bit.
@@ -23,7 +23,7 @@ OUT_OF_RANGE = "out_of_range"  # why a value is dropped
 
 
 def count(rejected: dict[str, int], reason: str) -> None:
-    """One more of what was not used, and why."""
+    """Count one rejected item under its reason."""
     rejected[reason] = rejected.get(reason, 0) + 1
 
 
@@ -100,7 +100,7 @@ class Field:
 
 
 def _text(characters: bytes) -> str:
-    """Devices fill up with spaces, zeros, ones or @; what no screen shows is told as a question mark."""
+    """Devices pad with spaces, zeros, ones or @. Unprintable characters become question marks."""
     text = characters.partition(b"\0")[0].rstrip(b" @\xff").decode("latin-1")
     return "".join(c if c.isprintable() else "?" for c in text)
 

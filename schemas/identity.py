@@ -1,4 +1,4 @@
-"""Who speaks: source addresses bound to NAMEs, NAMEs to the receivers of the machine file.
+"""Binds source addresses to NAMEs and NAMEs to the receivers of the machine file.
 
 A source address is no identity: identical receivers all prefer the same one and settle it by address claims
 (SAE J1939-81, ISO 11783-5), differently at every key-on. The 64-bit NAME is one. Where no claim is heard, the
@@ -111,7 +111,7 @@ class AddressBook:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Messages of those who are no receiver of the machine file and were asked for a measurement."""
+        """Counts of measurement messages from senders that are no receiver of the machine file."""
         return {s.origin: s.unknown for s in self._senders.values() if s.unknown}
 
     def mount_of(self, bus: str, name: int) -> Mount | None:
@@ -119,7 +119,7 @@ class AddressBook:
         return self._by_name.get((bus, name)) or self._bus(bus).adopted.get(name)
 
     def claim(self, bus: str, source: int, name: int, t_ns: int) -> str | None:
-        """Take an address claim; a reason to count where it was contested or says nothing."""
+        """Take an address claim. Returns a reason to count where it is contested or invalid."""
         if name == NO_NAME or source > NULL_ADDRESS:
             return "not_available"
         book = self._bus(bus)
@@ -205,7 +205,7 @@ class AddressBook:
         sender.reason = "quarantine" if contest or sender.source in book.ours else "unknown_source"
 
     def _who(self, book: _Bus, bus: str, source: int) -> tuple[int | None, Mount | None]:
-        """NAME and receiver of an address, as far as they are known."""
+        """NAME and receiver of an address, as far as known."""
         if source in book.contests:
             return None, None
         name = book.holder.get(source)

@@ -1,4 +1,4 @@
-"""What each number of a machine file can be, what it usually is, and in which wrong units it is often given.
+"""Possible and usual ranges of each number of a machine file, and wrong units it is often given in.
 
 Beyond `low` and `high` a value is impossible. Beyond `usual` it is rare, and worth a second look. The table
 covers tractors from a small one for orchards to an articulated one of 30 t, and implements of 100 kg to 60 t.

@@ -31,7 +31,7 @@ class Pgn:
     selector: int | None = None  # byte 0 of a manufacturer's own message
     manufacturer: int | None = None  # whose own it is; without a selector its first two bytes say so
     wish: bool = False  # asks for something: no measurement, from whomever
-    decode_only: bool = False  # no measurement is made of it: the fold does not read it
+    decode_only: bool = False  # for people: no measurement is made of it, the fold does not read it
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude

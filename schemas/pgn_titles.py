@@ -1,4 +1,4 @@
-"""What messages are called that the table `PGNS` does not read: those met on J1939, ISO 11783 and NMEA 2000.
+"""Titles of messages that the table `PGNS` does not decode: those met on J1939, ISO 11783 and NMEA 2000.
 
 Names of SAE J1939-71, ISO 11783-7 and canboat docs/canboat.json: facts, by no means all that there are.
 """
@@ -167,7 +167,7 @@ _PROPRIETARY: Final = (
 
 
 def title_of(pgn: int) -> str:
-    """What a PGN is called; "" where that is not known here."""
+    """Title of a PGN; "" where unknown."""
     return _TITLES.get(pgn) or next((title for span, title in _PROPRIETARY if pgn in span), "")
 
 

@@ -1,7 +1,7 @@
-"""Whether a machine file can be that of a real rig: its numbers one by one, and against each other.
+"""Checks whether a machine file can describe a real rig: single numbers, and numbers against each other.
 
-What cannot be is refused when the file is read; what is rare is said by `tilth check` and at the start of
-what estimates. Ranges of single values are in `limits`.
+Impossible values are refused when the file is read; rare ones are reported by `tilth check` and at the start
+of commands that estimate. Ranges of single values are in `limits`.
 """
 
 import math
@@ -26,7 +26,7 @@ SIDE_BY_SIDE: Final = 0.3  # m: receivers may stand so far in a wrong order
 
 
 def doubts(machine: Machine) -> list[Doubt]:
-    """All that cannot be or is rare; what is refused first."""
+    """All impossible and rare values; the impossible ones first."""
     found = [*_values(machine), *_rig(machine), *_receivers(machine), *wheel_doubts(machine)]
     return sorted(found, key=lambda doubt: not doubt.refused)
 
@@ -40,7 +40,7 @@ def refuse_impossible(machine: Machine) -> None:
 
 
 def unusual(machine: Machine) -> list[str]:
-    """What can be but is rare, a sentence each."""
+    """Rare values, a sentence each."""
     return [doubt.text for doubt in doubts(machine) if not doubt.refused]
 
 

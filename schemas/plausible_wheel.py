@@ -1,4 +1,4 @@
-"""Whether a wheel-angle sensor can be one: what its field can tell, and whether a frame has room for it."""
+"""Checks the wheel-angle sensor of a machine file: the range of its field and its place in a frame."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -65,7 +65,7 @@ def _linkage(lookup: list[tuple[float, float]]) -> Iterator[Doubt]:
 
 
 def _reach(sensor: WheelAngleSensor, given: WheelAngle) -> Iterator[Doubt]:
-    """Which angles the field can tell at all, from its lowest to its highest raw value."""
+    """Angles at the lowest and highest raw value of the field."""
     reached = _angles(sensor, sensor.scale)
     name = "wheel_angle.scale" if given.dbc is None else "wheel_angle: scale with that of the signal"
     if reached is None:

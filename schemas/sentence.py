@@ -1,4 +1,4 @@
-"""What is wrong with a file that a person wrote, in one sentence."""
+"""Reports the first problem of a file that a person wrote, in one sentence."""
 
 import difflib
 import typing
@@ -34,7 +34,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | str]:
-    """Of pydantic's path what a person typed: no names of validators and of members of unions."""
+    """The keys that a person typed in pydantic's path, without names of validators and union members."""
     typed_keys: list[int | str] = []
     for number, part in enumerate(where):
         last = missing and number == len(where) - 1

@@ -1,4 +1,4 @@
-"""The words in which messages are told: every key of `tilth decode --json` and of Message.values."""
+"""The words of decoded messages: every key of `tilth decode --json` and of Message.values."""
 
 import math
 from dataclasses import dataclass

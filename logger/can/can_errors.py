@@ -1,13 +1,13 @@
-"""What a CAN controller says by error frames, in words: classes of linux/can/error.h.
+"""Reads the error frames of a CAN controller: error classes of linux/can/error.h.
 
-`ERRORS` has one row per thing that can go wrong; an error frame may tell several at once.
+`ERRORS` has one row per thing that can go wrong; one error frame may report several.
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-AGAIN_NS = 10_000_000_000  # the same thing is said again after this, with how often it came meanwhile
+AGAIN_NS = 10_000_000_000  # the same error is reported again after this, with its count
 HEALTHY_NS = 10_000_000_000  # traffic for so long without any error: the controller counts as recovered
 BACK_NS = 500_000_000  # traffic so long after bus-off: it is over
 WHOLE = -1  # the class alone tells it
@@ -64,7 +64,7 @@ _OF_STATE = {row.state: row for row in ERRORS if row.state is not None}  # the l
 
 
 def errors_of(can_id: int, data: bytes) -> list[Error]:
-    """The rows that an error frame tells; never empty. can_id: without the flag that makes it one."""
+    """The rows of ERRORS that an error frame reports; never empty. can_id: without the error flag."""
     found = [
         row
         for row in ERRORS
@@ -75,12 +75,12 @@ def errors_of(can_id: int, data: bytes) -> list[Error]:
 
 @dataclass(slots=True)
 class Health:
-    """Of one controller: what it has said, how often, and what of it is still to be told."""
+    """The errors of one controller: its state, counts by row, and which counts have been reported."""
 
     counts: Counter[str] = field(default_factory=Counter)
     state: ControllerState = ControllerState.ACTIVE
-    _reported_ns: dict[str, int] = field(default_factory=dict)  # name -> when it was last told
-    _reported: Counter[str] = field(default_factory=Counter)
+    _reported_ns: dict[str, int] = field(default_factory=dict)  # name -> when it was last reported
+    _reported: Counter[str] = field(default_factory=Counter)  # counts at that time
     _latest_ns: int = 0
 
     def hear(self, t_ns: int, can_id: int, data: bytes) -> None:
@@ -90,7 +90,7 @@ class Health:
             self.count(t_ns, row)
 
     def set_state(self, t_ns: int, state: ControllerState | None) -> None:
-        """The state that the interface itself reports, which goes over what error frames told.
+        """Take the state that the interface reports; it overrides what error frames reported.
 
         None, and a state that no row of ERRORS has: nothing changes.
         """
@@ -99,7 +99,7 @@ class Health:
             self.count(t_ns, row)
 
     def count(self, t_ns: int, row: Error) -> None:
-        """Something went wrong once more."""
+        """Count one occurrence of this error."""
         self._latest_ns = t_ns
         self.counts[row.name] += 1
         self.state = row.state or self.state
@@ -112,7 +112,7 @@ class Health:
         return _OF_STATE[self.state].words
 
     def news(self, t_ns: int, traffic: bool) -> list[str]:
-        """What is to be told now, each with its count; each at most once in AGAIN_NS.
+        """Texts of the errors to report now, with their counts; each error at most once in AGAIN_NS.
 
         traffic: whether frames have come since the last look, other than error frames.
         """

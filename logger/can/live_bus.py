@@ -40,7 +40,7 @@ class Connection:
     renew_ns: int = RENEW_NS
 
     def begin_attempt(self, t_ns: int) -> int:
-        """Its number: what comes of an earlier one is not wanted any more."""
+        """Begin an attempt to open the bus. Returns its number: results of earlier attempts are discarded."""
         self.opening = True
         self.opening_began_ns = t_ns
         self.attempt += 1
@@ -133,7 +133,7 @@ class Outages:
         self._reported = ""
 
     def is_news(self, problem: str) -> bool:
-        """Whether this problem is another one than was reported last. It counts as reported from now on."""
+        """Whether this problem differs from the one reported last. It counts as reported from now on."""
         news = problem != self._reported
         self._reported = problem
         return news
@@ -169,14 +169,14 @@ class LiveBus:
 
     @property
     def unusable(self) -> str:
-        """What kinds of frame came that are not taken, and what to do; "" where none did."""
+        """Which kinds of frame arrived that cannot be used, and what to do; "" where there are none."""
         tally = self.tally
         kinds = [name for name, n in (("CAN FD", tally.fd_frames), ("remote", tally.remote_frames)) if n]
         return f"only {' and '.join(kinds)} frames, which are not read; check the channel" if kinds else ""
 
     @property
     def problem(self) -> str:
-        """What a person should know or do, the worst; "" where all is well."""
+        """The worst problem, in words, with what to do; "" where there is none."""
         port = self.connection.port
         if port is None:
             return self.reason

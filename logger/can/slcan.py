@@ -38,7 +38,7 @@ _STATE_FLAGS = ((0x20, ControllerState.PASSIVE), (0x04, ControllerState.WARNING)
 class SlcanPort:
     """An open adapter."""
 
-    renewable = True  # one that was reset hears nothing until it is told to
+    renewable = True  # a reset adapter receives nothing until it is opened again
     note = problem = ""
 
     def __init__(self, descriptor: int, config: Bus, clock: Clock, tally: Tally) -> None:
@@ -108,7 +108,7 @@ class SlcanPort:
         return self._adapter.rx_ns(self._adapter_ms * _MS, t_ns)
 
     def _other(self, line: bytes, t_ns: int) -> int:
-        """A line that is no frame to be taken. Returns how many frames it was."""
+        """Take a line that holds no usable frame. Returns the number of frames in it."""
         tally, kind = self._tally, line[:1]
         if (status := _STATUS.fullmatch(line)) is not None:
             self._take_flags(int(status[1], 16), t_ns)

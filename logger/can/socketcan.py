@@ -119,7 +119,7 @@ class SocketCanPort:
         return True
 
     def ask(self, t_ns: int) -> None:
-        """How the interface is set up, and the controller's state: it may have been so before we listened."""
+        """Query bit rate and state of the interface: no error frame reports what was so before."""
         link = can_link.ask(str(self._config.channel))
         if link is None:
             return
@@ -143,7 +143,7 @@ class SocketCanPort:
     def _stamped_ns(
         self, control: list[tuple[int, int, bytes]], t_ns: int, ahead_ns: int, error: bool
     ) -> int:
-        """rx_ns by control messages of several kinds, the adapter's first. Keeps the count of losses."""
+        """rx_ns from control messages, the adapter's stamp first. Also updates the count of losses."""
         kernel_ns, adapter_ns = t_ns, 0
         for _, kind, data in control:
             if kind == _TIMESTAMPNS:

@@ -1,4 +1,4 @@
-"""Says before a run what is wrong with configuration, buses, disk, clock and Zenoh, and what to do."""
+"""Checks configuration, buses, disk, clock and Zenoh before a run."""
 
 import contextlib
 import ctypes
@@ -53,7 +53,7 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:
-    events: list[str] = []  # the buses keep it all the same
+    events: list[str] = []  # not used: the findings come from the state of the buses
     buses = Buses(machine.bus, clock, lambda kind, text: events.append(text))
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()

@@ -1,4 +1,4 @@
-"""Whether those who speak on the buses are those of the machine file: receivers, the wheel-angle sensor."""
+"""Checks whether the receivers and the wheel-angle sensor of the machine file are on the buses."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.w
 _PROPRIETARY_PGNS: Final = (
     range(0xFF00, 0x10000),
     range(0xEF00, 0xF000),
-)  # where manufacturers put what is their own
+)  # PGNs of proprietary messages
 _TELLING: Final = (range(126720, 126721), range(130816, 131072))  # NMEA 2000: their first bytes say whose
 _MARINE: Final = 0b10011  # of those bytes, above the manufacturer: reserved ones and the industry group
 _GROUP: Final = 60  # bit of a NAME
@@ -121,7 +121,7 @@ class Devices:
         return CheckFinding(what, Level.WARNING, f"{sender} sends no positions{self._instead(receiver)}")
 
     def _of(self, receiver: Receiver) -> _BusAddress | None:
-        """Who it is, on its own bus if it is there; None: it is not heard."""
+        """The sender that is this receiver, on its configured bus if it is there; None: it is silent."""
         found = [
             sender
             for sender in self._senders.values()
@@ -136,7 +136,7 @@ class Devices:
         return min(found, key=lambda s: (s.bus != receiver.bus, not s.positions), default=None)
 
     def _instead(self, receiver: Receiver) -> str:
-        """Who may be meant: those who send positions and are nobody else of the file."""
+        """End of a sentence: senders of positions that may be the receiver meant."""
         others = [s for s in self._strangers() if s.positions or s.empty_positions]
         others.sort(key=lambda s: (s.bus != receiver.bus, not s.positions, _distance(receiver, s)))
         if others:
@@ -204,7 +204,7 @@ def _wanted(receiver: Receiver) -> str:
 
 
 def _distance(receiver: Receiver, sender: _BusAddress) -> int:
-    """How unlike a sender is: bits of the NAME that differ, or addresses between."""
+    """How unlike a sender and a receiver are: bits of the NAME that differ, or the distance of addresses."""
     if receiver.name is not None:
         return (receiver.name ^ sender.name).bit_count() if sender.name is not None else 64
     return abs((receiver.source or 0) - sender.source)

@@ -1,4 +1,4 @@
-"""How much was recorded, and what was not."""
+"""Counts what was recorded and what was lost."""
 
 from tilth.logger.log.disk import Spool
 from tilth.logger.log.open_file import OpenFile

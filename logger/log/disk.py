@@ -1,4 +1,4 @@
-"""All waiting for the disk, in one thread: the loop hands bytes over and never stands still for them.
+"""One thread does all disk work: the loop hands bytes over and never waits.
 
 A disk that stalls for seconds costs nothing: what it has not taken waits in memory, in order. Each batch is
 synced when it is written; where others wait behind it, one sync does for all.
@@ -47,12 +47,12 @@ class Disk:
         return self._jobs.empty()
 
     def do(self, job: Callable[[], None], size: int = 0) -> None:
-        """Have the thread do something, after all it was given before; what it raises is the end of it."""
+        """Queue a job for the thread, after all earlier ones. It must not raise."""
         self._queued_bytes += size
         self._jobs.put((job, size))
 
     def do_independent(self, job: Callable[[], None], failed: Callable[[Exception], None]) -> None:
-        """Something that the log does not depend on."""
+        """Queue a job that the log does not depend on. failed: takes what it raises."""
 
         def guarded() -> None:
             try:
@@ -198,7 +198,7 @@ class Spool:
         self.closed = True
 
     def rename(self, name: str) -> None:
-        """Give a finished file, in the same folder, the name it should have had."""
+        """Rename a finished file within its folder."""
         self._disk.do(lambda: self._guarded(lambda: self._rename(self.path.with_name(name))))
 
     def _rename(self, path: Path) -> None:

@@ -33,7 +33,7 @@ class MarkRequest:
 
 
 class Marks:
-    """What was asked for and what became of it: two queues between threads."""
+    """Requests and their results: two queues between threads."""
 
     def __init__(self) -> None:
         self.refused = 0
@@ -42,7 +42,7 @@ class Marks:
         self._at_disk = 0
 
     def take(self, query: zenoh.Query) -> None:
-        """A query on the key itself; what asks for everything there is does not ask for this."""
+        """Take a query on the key itself; a query by a wildcard is not a mark."""
         if "*" in str(query.key_expr):
             return
         try:
@@ -56,7 +56,7 @@ class Marks:
         self._requests.append(MarkRequest(text, _answerer(query)))
 
     def requests(self) -> Iterator[MarkRequest]:
-        """Those to be logged now."""
+        """Requests to log now."""
         while self._requests:
             self._at_disk += 1
             yield self._requests.popleft()
@@ -73,7 +73,7 @@ class Marks:
 
 
 def text_of(payload: zenoh.ZBytes | None) -> str:
-    """The text of a mark. Raises Refused."""
+    """The text of a mark. Raises MarkRefused."""
     size = 0 if payload is None else len(payload)
     if payload is None or size == 0:
         raise MarkRefused("a mark needs a text: send it as the payload of the query, in UTF-8")

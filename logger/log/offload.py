@@ -35,7 +35,7 @@ class Done:
 
 
 def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda text: None) -> Done:
-    """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.beside`."""
+    """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.sidecar`."""
     copied = there = 0
     not_copied: list[str] = []
     for path in run.files:
@@ -104,7 +104,7 @@ def _unready(path: Path) -> str:
 
 
 def _same(source: BinaryIO, partial: Path) -> int:
-    """How many bytes of what is there already are right, in whole blocks."""
+    """Number of bytes at the start of an interrupted copy that are right, in whole blocks."""
     right = 0
     with partial.open("rb") as file:
         while (block := file.read(_BLOCK)) and block == source.read(len(block)):

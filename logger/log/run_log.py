@@ -144,7 +144,7 @@ class Recording:
             self._file.writer.clocks(self._clock, why)
 
     def on_disk_thread(self, job: Callable[[], None]) -> None:
-        """Let the thread that waits for the disk do something besides the log; what it raises is reported."""
+        """Run a job in the disk thread that the log does not depend on; what it raises is reported."""
         self._disk.do_independent(job, lambda error: self._report("log", _sentence(error, self.folder)))
 
     def settle(self, then: Callable[[str], None]) -> None:

@@ -32,7 +32,7 @@ class Copied:
 
 @dataclass(slots=True)
 class Sidecar:
-    """What stands beside a run's files."""
+    """What people and copies add to a run after it: <run>.json next to its files."""
 
     keep: bool = False
     notes: list[str] = field(default_factory=list)
@@ -50,7 +50,7 @@ class StoredRun:
 
     @property
     def missing_parts(self) -> list[int]:
-        """Numbers of those before the last one that are not there."""
+        """Numbers of missing parts before the last one."""
         there = {int(path.stem.rpartition("_")[2]) for path in self.files}
         return sorted(set(range(1, max(there))) - there)
 
@@ -59,7 +59,7 @@ class StoredRun:
         return self.folder / f"{self.name}.json"
 
     def sidecar(self) -> Sidecar:
-        """What stands beside it. Raises ValueError where that cannot be understood, and OSError."""
+        """Read the sidecar. Raises ValueError where it cannot be understood, and OSError."""
         try:
             plain: dict[str, Any] = json.loads(self.sidecar_path.read_text(encoding="utf-8"))
             copied = {name: Copied(**copy) for name, copy in plain["copied"].items()}
@@ -72,7 +72,7 @@ class StoredRun:
             ) from None
 
     def write_sidecar(self, sidecar: Sidecar) -> None:
-        """Write what stands beside it: all or nothing, whatever happens to the power."""
+        """Write the sidecar: all or nothing, also in a power cut."""
         new = self.sidecar_path.with_suffix(".new")
         with new.open("w", encoding="utf-8") as stream:
             json.dump(asdict(sidecar), stream, indent=1, ensure_ascii=False)
@@ -124,7 +124,7 @@ def _started_ns(stamp: str) -> int:
 
 
 def may_go(run: StoredRun, utc_ns: int | None, expire_days: float | None) -> bool:
-    """Whether nothing is lost with it, or nothing that anybody still wants.
+    """Whether the run may be deleted: it was copied off, or has expired.
 
     utc_ns: now, None where that is not known: then no run is too old, and neither is one of unknown time.
     """

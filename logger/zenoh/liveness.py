@@ -1,4 +1,4 @@
-"""Which sensors are alive: what a person in the cab must see at a glance."""
+"""Tracks which sensors are alive."""
 
 from dataclasses import dataclass
 
@@ -52,7 +52,7 @@ class Sensors:
         device.source = measurement.origin.source
 
     def receivers(self, t_ns: int) -> list[pb.ReceiverStatus]:
-        """Rates are those since the last call."""
+        """One row per receiver; rates are those since the last call. t_ns: now."""
         return [_status(device, t_ns, mount.value) for mount, device in self._receivers.items()]
 
     def wheel_angle(self, t_ns: int) -> pb.ReceiverStatus:

@@ -60,7 +60,7 @@ def endpoints(config: zenoh.Config, side: str) -> list[str]:
 
 
 def setting(config: zenoh.Config, key: str) -> Any:
-    """What the configuration says there, None where nothing."""
+    """The value at a key of the configuration; None where there is none."""
     with contextlib.suppress(zenoh.ZError, ValueError):
         return json.loads(config.get_json(key))
     return None

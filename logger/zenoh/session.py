@@ -40,7 +40,7 @@ def refusal(machine: Machine) -> str:
     try:
         return _refusal(machine, _shared(machine)[0])
     except zenoh.ZError:
-        return ""  # said by whoever opens it
+        return ""  # reported by the caller that opens it
 
 
 def _refusal(machine: Machine, config: zenoh.Config) -> str:
@@ -87,7 +87,7 @@ def free_endpoint(endpoint: str) -> str:
 
 
 def _local(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
-    """For this computer: what others could reach is left out unless it is said that it is meant."""
+    """For this computer only: endpoints that others could reach are left out unless `open` is set."""
     given = (*settings.listen, *settings.connect)
     refused = [one for one in given if not (settings.open or is_local(one)) and "/" in one]
     config = zenoh.Config()

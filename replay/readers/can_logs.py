@@ -225,7 +225,7 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
 
 
 class _Incomplete(logging.Handler):
-    """Hears asammdf say that a block runs past the end of the file."""
+    """A logging handler that notices asammdf's message about a block that runs past the end of the file."""
 
     incomplete_block = False
 

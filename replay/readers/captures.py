@@ -100,7 +100,7 @@ class _Interface:
 
 @dataclass(slots=True)
 class _CaptureSection:
-    """What a pcapng file has told so far."""
+    """Interfaces defined so far in a section of a pcapng file."""
 
     order: str = "<"
     interfaces: list[_Interface] = field(default_factory=list)

@@ -9,7 +9,7 @@ A message is its kind, its length, its bytes and a checksum that makes their sum
     0xD0   a message       the same
     0x95   a CAN frame     both: the mark before it; the gateway's counter wraps too soon
 
-0x94, what the gateway was given to send, tells no source; it and all other kinds are counted.
+0x94, what the gateway was given to send, has no source; it and all other kinds are counted.
 """
 
 import struct

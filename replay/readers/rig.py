@@ -1,4 +1,4 @@
-"""What a log and a machine file have in common: the machine file stored in a log, the names of the buses."""
+"""Relates a log to a machine file: the machine file stored in a log, and the names of the buses."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -17,10 +17,10 @@ Say = Callable[[str], None]
 
 
 def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machine, str]:
-    """The machine that the first of these logs to tell it was recorded with, and the text of its file.
+    """The machine stored in the first of these logs that has one, and the text of its file.
 
     plausible: as of parse_machine; False for what only reads, and estimates nothing.
-    Raises LogError where none tells it, MachineError.
+    Raises LogError where none has one, MachineError.
     """
     cut: Path | None = None
     for path in paths:
