@@ -36,8 +36,8 @@ TELLING[SIX, SIX] = np.eye(6) * 1e3
 
 def received(scale: float = 1.0, since_s: float = 300.0, invalid: str = "") -> Fields:
     """An estimate as the page's server hears it."""
-    told = CHANNEL["/soil_tire"].encode(estimate(10**18, since_s, scale, since_s, invalid))
-    return plain(pb.SoilTireEstimate.FromString(told))
+    payload = CHANNEL["/soil_tire"].encode(estimate(10**18, since_s, scale, since_s, invalid))
+    return plain(pb.SoilTireEstimate.FromString(payload))
 
 
 RIG = plain(pb.Rig.FromString(CHANNEL["/rig"].encode(MACHINE)))
@@ -108,8 +108,8 @@ def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
     before = json.dumps(came)
     page = words.page_estimate(came, RIG)
     sd = [math.sqrt(variance) for variance in came["log_covariance"][::7]]
-    for name, within, own in zip(PARAMETERS, page["within"], sd, strict=True):
-        assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * own, rel=1e-4))
+    for name, within, ours in zip(PARAMETERS, page["within"], sd, strict=True):
+        assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * ours, rel=1e-4))
     assert came["bound"][2] == pytest.approx(0.09) and page["known"][2] == "±18 %"
     assert came["bound"][4] is None and page["known"][4] is None
     assert json.dumps(came) == before

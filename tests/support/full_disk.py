@@ -37,7 +37,7 @@ def fails_and_resumes(folder: Path) -> dict[str, object]:
     for frame in frames[2000:6000]:
         run.take(frame)
     run.until(lambda: "not recording" in run.recording.problem)
-    said = run.recording.problem
+    output = run.recording.problem
     for frame in frames[6000:8000]:
         run.take(frame)
     still = run.recording.recording
@@ -51,7 +51,7 @@ def fails_and_resumes(folder: Path) -> dict[str, object]:
         finish(path)
         found += [int.from_bytes(frame.data, "little") for frame in logged_frames(path)]
     return {
-        "said": said,
+        "said": output,
         "recording while full": still,
         "folded": run.fold.state.frames,
         "in the files": len(found),

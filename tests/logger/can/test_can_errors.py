@@ -46,12 +46,12 @@ def test_a_frame_may_tell_several_things_or_none_that_is_known() -> None:
 
 def test_a_flood_of_errors_is_told_once_in_ten_seconds_with_its_count() -> None:
     health = Health()
-    said = []
+    messages = []
     for tick in range(4 * 25):  # four looks a second, ten errors between two
         for _ in range(10):
             health.hear(tick * S // 4, 0x80, bytes(8))
-        said += health.news(tick * S // 4, traffic=True)
-    assert [text.rpartition("(")[2] for text in said] == [
+        messages += health.news(tick * S // 4, traffic=True)
+    assert [text.rpartition("(")[2] for text in messages] == [
         "10 times, 10 in all)", "400 times, 410 in all)", "400 times, 810 in all)"
     ]  # fmt: skip
     assert AGAIN_NS == 10 * S

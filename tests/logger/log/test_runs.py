@@ -183,20 +183,20 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
 ) -> None:
     paths = drive(tmp_path / "logs", lost_rear=True)
     assert main(["verify", *map(str, paths)]) == 1
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in (
         "6000 at 1000.2/s, no gap", "tractor front", "1 gap: 1.2 s at 2026-09-21T14:13:21Z", "never heard",
         "dropped on can0: 3", "set by +5.0", "not confirmed by any receiver", "mark: stone", "clay, dry",
     ):  # fmt: skip
-        assert words in said, (words, said)
+        assert words in output, (words, output)
     (found,) = survey(paths)
     assert found.coverage["/gnss/tractor_rear"].count == 0 and found.coverage["/can/can0"].count == 6000
     assert found.wrong == [] and found.steps_s == [pytest.approx(5.0, abs=0.1)] and found.backwards == 0
     assert main(["verify", "--json", str(paths[1]), str(paths[0])]) == 1  # the wrong way round
-    told = json.loads(capsys.readouterr().out)
-    assert any("part 1 after part 2; give each once and in order" in what for what in told[0]["wrong"])
-    assert any("what was before it is not here" in what for what in told[0]["wrong"])
-    assert told[0]["backwards"] == 1
+    fields = json.loads(capsys.readouterr().out)
+    assert any("part 1 after part 2; give each once and in order" in what for what in fields[0]["wrong"])
+    assert any("what was before it is not here" in what for what in fields[0]["wrong"])
+    assert fields[0]["backwards"] == 1
 
 
 def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,8 +208,8 @@ def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     first.write_bytes(content)
     second.write_bytes(second.read_bytes()[:-100])
     assert main(["verify", str(first), str(second)]) == 1
-    said = capsys.readouterr().out
-    assert "chunks that cannot be read (1)" in said and "tilth recover` finishes it" in said
+    output = capsys.readouterr().out
+    assert "chunks that cannot be read (1)" in output and "tilth recover` finishes it" in output
     assert main(["recover", str(first), str(second)]) == 0
     assert main(["verify", str(second)]) == 1
     assert "part 2 comes first" in capsys.readouterr().out.splitlines()[-2]
@@ -260,7 +260,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     folder = tmp_path / "logs"
     machine, text = rig(folder, udp_bus("can0", 1))
     clock = Clock()
-    recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
+    recording = Recording(folder, machine, text, clock, lambda *output: None, lambda: "{}")
     assert recording.files[0].name.startswith("jd7930-parker500_19700101T0000")
     t_ns = clock.t_ns()
     for number, frame in enumerate(numbered(4000, t_ns)):
