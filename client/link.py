@@ -109,6 +109,7 @@ class Alive(NamedTuple):
     machine: str
 
     def base(self, prefix: str) -> str:
+        """Key prefix of everything that this daemon publishes."""
         return base_key(self.machine, prefix, self.replay)
 
 

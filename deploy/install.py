@@ -80,6 +80,7 @@ class Box:
 
 
 def install(box: Box, args: argparse.Namespace) -> None:
+    """Install a release from a wheel and start the service. Raises Failed."""
     machine = box.at(MACHINE)
     if not machine.exists() and args.machine is None:
         raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
@@ -107,6 +108,7 @@ def _put_machine(source: Path, target: Path) -> None:
 
 
 def upgrade(box: Box, args: argparse.Namespace) -> None:
+    """Install the next release; the one before stays for a rollback. Raises Failed."""
     if box.release("current") is None:
         raise Failed("nothing is installed yet; say install, with --machine")
     args.machine = args.keys = None
@@ -114,6 +116,7 @@ def upgrade(box: Box, args: argparse.Namespace) -> None:
 
 
 def rollback(box: Box, args: argparse.Namespace) -> None:
+    """Make the previous release the current one. Raises Failed."""
     previous = box.release("previous")
     if previous is None:
         raise Failed("there is no earlier release to go back to")
@@ -122,6 +125,7 @@ def rollback(box: Box, args: argparse.Namespace) -> None:
 
 
 def uninstall(box: Box, args: argparse.Namespace) -> None:
+    """Remove all but configuration and logs."""
     box.run("systemctl", "disable", "--now", SERVICE, fail=False)
     for _, place in PLACES:
         box.at(place).unlink(missing_ok=True)

@@ -66,6 +66,7 @@ class Register:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of all parties."""
         return tuple(party.name for party in self.parties)
 
 

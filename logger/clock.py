@@ -51,6 +51,7 @@ class Clock:
         self._ahead_most_ns -= ahead_ns
 
     def t_ns(self) -> int:
+        """Time now, ns since 1970 by the wall clock at the start of the run; it never steps."""
         return time.monotonic_ns() + self.offset_ns
 
     def wall_ahead_ns(self) -> int:
@@ -107,6 +108,7 @@ class Clock:
         return utc_ns if utc_ns >= EARLIEST_NS else None
 
     def relation(self) -> Relation:
+        """Readings of all clocks now."""
         monotonic_ns = time.monotonic_ns()
         return Relation(
             t_ns=monotonic_ns + self.offset_ns,
@@ -130,4 +132,5 @@ def boot_id() -> str:
 
 
 def utc_text(t_ns: int, pattern: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
+    """UTC of an instant, ns since 1970, in a format of time.strftime."""
     return time.strftime(pattern, time.gmtime(t_ns // 1_000_000_000))

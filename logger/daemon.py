@@ -93,6 +93,7 @@ class Daemon:
 
     @property
     def uptime_s(self) -> float:
+        """Since the start of the run, s."""
         return (self.parts.clock.t_ns() - self.parts.counts.started_ns) * 1e-9
 
     def turn(self, timeout_s: float = TURN_S) -> int:

@@ -37,6 +37,7 @@ def rehearse(machine: Machine) -> None:
 
 
 def main() -> None:
+    """Answer jobs from stdin on stdout until stdin ends."""
     os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers

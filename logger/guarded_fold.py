@@ -90,10 +90,12 @@ class GuardedFold:
 
     @property
     def measurements(self) -> int:
+        """Count since the start."""
         return self._counted["measurements"] + self.state.measurements
 
     @property
     def poses(self) -> int:
+        """Count since the start."""
         return self._counted["poses"] + self.state.poses
 
     @property

@@ -26,6 +26,7 @@ _GOOD_FIXES = ("rtk_fixed", "precise", "simulated", "")
 
 
 def bus_status(bus: LiveBus, t_ns: int) -> pb.BusStatus:
+    """The row of one bus at t_ns."""
     status = pb.BusStatus(
         name=bus.name,
         state=bus.state,
@@ -76,6 +77,7 @@ def rejected(
 
 
 def health_of(status: pb.Status) -> RunHealth:
+    """BAD where nothing is recorded, DEGRADED where there is a problem."""
     if not status.recording:
         return RunHealth.BAD
     return RunHealth.DEGRADED if status.problems else RunHealth.GOOD

@@ -27,6 +27,7 @@ class NotUsable(Exception):
 
 
 def path_of(folder: Path, machine: Machine) -> Path:
+    """Where what the estimators learned of a machine is stored, in the log folder."""
     return folder / f"{machine.name}.warm.json"
 
 

@@ -60,10 +60,12 @@ class DaemonData:
 
     @property
     def followed(self) -> Alive | None:
+        """The daemon that is followed; None before one lives."""
         return self._followed
 
     @property
     def base(self) -> str:
+        """Its key prefix; "" where none is followed."""
         return "" if self._followed is None else self._followed.base(self._prefix)
 
     def alive(self) -> tuple[bool, list[str]]:
@@ -72,6 +74,7 @@ class DaemonData:
             return self._followed in self._alive, [one.machine for one in sorted(self._alive)]
 
     def refused(self) -> dict[str, int]:
+        """Reason -> number of messages that were not used."""
         with self._lock:
             return dict(self._refused)
 

@@ -143,6 +143,7 @@ class Guard:
 
 
 def application(daemon_data: DaemonData, view: View) -> ASGIApp:
+    """The page, its live stream and the query for marks, for any ASGI server."""
     viewers = Viewers(view)
     folder = resources.files("tilth.monitor") / "page"
 

@@ -30,6 +30,7 @@ Fields = dict[str, Any]
 
 
 def installed_version() -> str:
+    """Version of this package, for the comparison with the daemon's."""
     try:
         return version("tilth")
     except PackageNotFoundError:

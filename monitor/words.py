@@ -141,6 +141,7 @@ def at_95(text: str) -> str:
 
 
 def short(number: float) -> float:
+    """The number with five digits: enough for a page."""
     return float(f"{number:.5g}")
 
 

@@ -27,9 +27,11 @@ class Comparison:
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
 
     def logged(self, row: Logged) -> None:
+        """Take a result that was logged live."""
         self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
 
     def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Take a result of the replay."""
         if topic in IDENTICAL:
             self._take(topic, (t_ns, data), self._again, self._live)
 

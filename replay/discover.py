@@ -138,6 +138,7 @@ class BusSurvey:
         self._turn_rates = TurnRates()
 
     def take(self, frame: Frame) -> None:
+        """Take a frame; error frames do not count."""
         self._frames += 1
         self._last_ns = frame.rx_ns
         if self._first_ns is None:
@@ -150,6 +151,7 @@ class BusSurvey:
             self._take_message(message)
 
     def findings(self) -> Findings:
+        """All devices, and the candidates for the wheel angle, the best first."""
         seconds = (self._last_ns - (self._first_ns or 0)) * 1e-9
         lags = self._turn_rates.smoothed()
         return Findings(

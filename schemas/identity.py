@@ -36,6 +36,7 @@ class Name(NamedTuple):
 
 
 def split_name(name: int) -> Name:
+    """Identity number (bits 0 to 20) and manufacturer code (bits 21 to 31) of a NAME (SAE J1939-81)."""
     return Name(name & 0x1FFFFF, name >> 21 & 0x7FF)
 
 

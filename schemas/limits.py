@@ -150,6 +150,7 @@ def _round(value: float) -> str:
 
 
 def with_unit(value: float, unit: str) -> str:
+    """The value with its unit, for people."""
     return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
 

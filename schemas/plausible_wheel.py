@@ -19,6 +19,7 @@ FARTHEST: Final = 20_000.0  # deg
 
 
 def wheel_doubts(machine: Machine) -> Iterator[Doubt]:
+    """Doubts about [wheel_angle]: scale, range of the angle, place in the frame."""
     given = machine.wheel_angle
     if given.id is not None and not given.extended and given.id > LAST_STANDARD:
         yield Doubt(

@@ -74,6 +74,7 @@ class Watch:
     _echoes: dict[_Key, deque[int]] = field(default_factory=dict)  # when sent, not yet heard
 
     def sent(self, t_ns: int, frame: Frame) -> None:
+        """Note a frame that was sent at t_ns: the bus may echo it."""
         key = (frame.bus, frame.can_id, frame.data)
         self._sent.append((t_ns, key))
         self._echoes.setdefault(key, deque()).append(t_ns)

@@ -150,6 +150,7 @@ class PiecewiseLine:
         self._values += [target, target]
 
     def at(self, time: Array) -> Array:
+        """Value at each time (n,), s; linear between the points."""
         return np.asarray(np.interp(time, self._times, self._values))
 
 

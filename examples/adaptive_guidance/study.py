@@ -134,6 +134,7 @@ def learned_s(estimates: TimedEstimates, machine: Machine) -> float:
 
 
 def main() -> None:
+    """Print the tables of the study, or one of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
     parser.add_argument("--part", choices=("main", "known", "wrong", "doubt"), help="only this table")

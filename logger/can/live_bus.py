@@ -58,6 +58,7 @@ class Connection:
         self.opened_ns = t_ns
 
     def may_retry(self, t_ns: int) -> bool:
+        """Whether the next attempt is due at t_ns."""
         return self.back_off.is_due(t_ns) and len(self.threads) < HANGING
 
     def works(self) -> None:
@@ -89,6 +90,7 @@ class Traffic:
     _data_frames_before: int = 0  # at the last look
 
     def count_rate(self, seconds: float) -> None:
+        """Set the rate of the frames since the last call, `seconds` ago."""
         self.frames_per_s = (self.frames - self._frames_before) / seconds
         self._frames_before = self.frames
 
@@ -123,12 +125,14 @@ class Outages:
     _noted: set[str] = field(default_factory=set)
 
     def begin_failure(self, t_ns: int) -> None:
+        """Count a failure, unless one is under way since an earlier t_ns."""
         if not self.failing:
             self.failing = True
             self.failures += 1
         self.down_ns = self.down_ns or t_ns
 
     def end_failure(self) -> None:
+        """The next failure counts as a new one."""
         self.failing = False
         self._reported = ""
 
@@ -183,4 +187,5 @@ class LiveBus:
         return self.tally.health.problem or port.problem or self.reason
 
     def is_now(self, state: BusState, reason: str = "") -> None:
+        """Set the state, and its reason in words."""
         self.state, self.reason = state, reason

@@ -60,6 +60,7 @@ class Devices:
         self._wheel_frames = 0
 
     def take(self, frame: Frame) -> None:
+        """Take a frame; error frames do not count."""
         if frame.error:
             return
         self._identifiers[frame.bus, frame.can_id, frame.extended] += 1
@@ -92,6 +93,7 @@ class Devices:
         return self._senders.setdefault((bus, source), _BusAddress(bus, source))
 
     def findings(self) -> Iterator[CheckFinding]:
+        """One finding per receiver and sensor of the machine file, then those on other devices."""
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()

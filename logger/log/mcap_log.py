@@ -149,6 +149,7 @@ class LogWriter:
         self.metadata("clock", {"why": why, "boot_id": boot_id(), **numbers})
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
+        """Write a metadata record."""
         self._writer.add_metadata(name, dict(data))
 
     def flush(self) -> None:

@@ -95,6 +95,7 @@ class Recording:
 
     @property
     def recording(self) -> bool:
+        """Whether frames are being written."""
         return self._states.recording and self._file is not None and self._file.spool.error is None
 
     @property
@@ -124,6 +125,7 @@ class Recording:
         return None if free is None else max(0.0, free - self._room.keep_free_bytes)
 
     def frame(self, frame: Frame) -> None:
+        """Log a raw frame; after ignition off it begins a new run."""
         self._last_frame_ns = frame.t_ns
         if self._file is None and self.resting:
             self._wake(frame.t_ns)
@@ -133,6 +135,7 @@ class Recording:
             self._file.writer.frame(frame)
 
     def message(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Log the bytes of a publication; `topic` is a row of CHANNELS."""
         if self._file is not None:
             self._file.writer.message(topic, t_ns, data)
         elif self.resting and topic == "/event":

@@ -83,6 +83,7 @@ class StoredRun:
 
 
 def run_name(machine: str, utc_ns: int) -> str:
+    """<machine>_<UTC>, from ns since 1970."""
     return f"{machine}_{utc_text(utc_ns, STAMP)}"
 
 
@@ -95,6 +96,7 @@ def unused_name(folder: Path, machine: str, utc_ns: int) -> str:
 
 
 def file_name(run: str, part: int) -> str:
+    """<run>_<part>.mcap, the part with three digits."""
     return f"{run}_{part:03d}.mcap"
 
 

@@ -34,6 +34,7 @@ class Sensors:
         self._wheel = _Device()
 
     def take(self, measurement: Measurement) -> None:
+        """Take a measurement of a receiver or of the wheel angle; others do not count."""
         if isinstance(measurement, WheelAngle):
             device = self._wheel
             device.data_ns = measurement.t_ns
@@ -56,6 +57,7 @@ class Sensors:
         return [_status(device, t_ns, mount.value) for mount, device in self._receivers.items()]
 
     def wheel_angle(self, t_ns: int) -> pb.ReceiverStatus:
+        """As `receivers`, of the wheel-angle sensor."""
         return _status(self._wheel, t_ns, "")
 
 

@@ -182,6 +182,7 @@ def _local_as_utc(start_s: float) -> float:
 
 
 def trc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """PEAK's TRC, as python-can reads it."""
     import can
 
     logging.getLogger("can.io.trc").setLevel(logging.ERROR)  # of lines that are counted here
@@ -196,6 +197,7 @@ def _silent_in_trc(line: str) -> str:
 
 
 def csv(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """python-can's CSV."""
     import can
 
     lines = _Lines(log, stream, lambda line: "")
@@ -258,6 +260,7 @@ def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
 
 
 def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """python-can's SQLite database."""
     import can
 
     try:

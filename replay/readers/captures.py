@@ -33,6 +33,7 @@ _BYTE_ORDER: Final = b"\x4d\x3c\x2b\x1a"  # how a section begins that has its le
 
 
 def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames of a pcap file. Raises OtherKind for another link type."""
     header = stream.read(24)
     order, unit_ns = PCAP[header[:4]]
     if len(header) < 24:
@@ -108,6 +109,7 @@ class _CaptureSection:
 
 
 def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames of a pcapng file, whose sections may have several interfaces."""
     section = _CaptureSection()
     while (block := _block(log, stream, section)) is not None:
         kind, body = block

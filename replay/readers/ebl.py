@@ -37,6 +37,7 @@ Piece = tuple[int | None, bytes]
 
 
 def ebl(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames and assembled messages, stamped as in the table above."""
     clock = AdapterClock()
     framed = _Messages(log)
     t_ns = 0
