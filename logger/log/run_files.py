@@ -26,7 +26,6 @@ class RunFiles:
         self.begin_run()
 
     def begin_run(self) -> None:
-        """Choose a name and begin with part 1."""
         self.run_id = uuid.uuid4().hex
         self._started_ns = self._clock.t_ns()
         self._correction_ns = self._clock.correction_ns  # that the name was made with
