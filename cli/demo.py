@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(signum, stop)
     plain = args.json or not sys.stdout.isatty()
     display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
-    with contextlib.ExitStack() as beside:
-        watch = None if args.no_page else lambda endpoint: beside.callback(_page(endpoint))
+    with contextlib.ExitStack() as page_stack:
+        watch = None if args.no_page else lambda endpoint: page_stack.callback(_page(endpoint))
         drive = _guidance if args.guidance else _demo
         try:
             tell = drive(args, display, lambda: stopping, watch)

@@ -104,8 +104,8 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
         _say(str(error))
         return 1
     if args.json:
-        told = {"seed": source.seed, "seconds": source.seconds, "frames": sent.frames, "late": sent.late}
-        print(json.dumps({**told, "stopped": sent.stopped, "parameters": truth.parameters}))
+        counts = {"seed": source.seed, "seconds": source.seconds, "frames": sent.frames, "late": sent.late}
+        print(json.dumps({**counts, "stopped": sent.stopped, "parameters": truth.parameters}))
     _say(f"{sent.frames} frames sent" + (f", {sent.late} of them late" if sent.late else ""))
     if sent.stopped:
         _say(f"stopped: {sent.stopped}")
@@ -167,9 +167,9 @@ def _progress(stack: ExitStack, seconds: float) -> Callable[[str, float], None]:
 def _tell(source: SimulationInput, simulated: Simulated, as_json: bool) -> None:
     log, described, table = simulated.files
     if as_json:
-        told = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
+        counts = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
         files = {"log": str(log), "truth": str(described), "table": str(table)}
-        print(json.dumps({**told, **files, "parameters": simulated.truth.parameters}))
+        print(json.dumps({**counts, **files, "parameters": simulated.truth.parameters}))
         return
     console = Console()
     if source.scenario.purpose:

@@ -53,7 +53,7 @@ class SocketcandServer:
 
     listener: socket.socket
     clients: list[SocketcandClient] = field(default_factory=list)
-    heard: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
+    received: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
     refused: int = 0  # words of clients that are no frame
 
     @property
@@ -84,7 +84,7 @@ class SocketcandServer:
         """Send frames to every client that listens, but to the one that sent them; one that has gone, or
         stands still, is dropped."""
         if frames:
-            text = b"".join(map(_told, frames))
+            text = b"".join(map(_frame_command, frames))
             for client in self.listening():
                 if client is not by:
                     self._say(client, text)
@@ -127,8 +127,8 @@ class SocketcandServer:
         except ValueError:
             self.refused += 1
             return
-        if len(self.heard) < MOST_WAITING:
-            self.heard.append(Sending(can_id, extended, data, client))
+        if len(self.received) < MOST_WAITING:
+            self.received.append(Sending(can_id, extended, data, client))
         else:
             self.refused += 1
 
@@ -149,7 +149,7 @@ def open_server(port: int = 0) -> SocketcandServer:
     return SocketcandServer(socket.create_server(("127.0.0.1", port)))
 
 
-def _told(frame: Frame) -> bytes:
+def _frame_command(frame: Frame) -> bytes:
     can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
     seconds, nanoseconds = divmod(frame.rx_ns, 1_000_000_000)
     text = f"< frame {can_id} {seconds}.{nanoseconds // 1000:06d} {frame.data.hex().upper()} >"

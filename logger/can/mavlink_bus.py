@@ -42,7 +42,7 @@ class MavlinkBus(can.BusABC):
         self._can_bus, self._system = can_bus, system
         self._frames: deque[can.Message] = deque()
         self._sequence: dict[tuple[int, int], int] = {}  # of who forwards frames
-        self._asked_s = float("-inf")
+        self._requested_s = float("-inf")
         self._codec = common.MAVLink(self, 255, common.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._codec.robust_parsing = True
         family, kind, _, _, where = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
@@ -86,10 +86,10 @@ class MavlinkBus(can.BusABC):
             except ConnectionRefusedError:
                 continue
             except BlockingIOError:
-                left_s = ASK_S if end_s is None else min(end_s - time.monotonic(), ASK_S)
-                if left_s <= 0:
+                remaining_s = ASK_S if end_s is None else min(end_s - time.monotonic(), ASK_S)
+                if remaining_s <= 0:
                     return None, False
-                select.select([self._udp], [], [], left_s)
+                select.select([self._udp], [], [], remaining_s)
                 continue
             seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2]) if control else (0, 0)
             self._codec.buf, self._codec.buf_index = bytearray(), 0  # half a message before it stays so
@@ -101,9 +101,9 @@ class MavlinkBus(can.BusABC):
 
     def _ask(self) -> None:
         now_s = time.monotonic()
-        if self._peer is None or now_s - self._asked_s < ASK_S:
+        if self._peer is None or now_s - self._requested_s < ASK_S:
             return
-        self._asked_s = now_s
+        self._requested_s = now_s
         command = common.MAV_CMD_CAN_FORWARD
         self._codec.command_long_send(self._system, 0, command, 0, self._can_bus, 0, 0, 0, 0, 0, 0)
 

@@ -41,14 +41,14 @@ def teach(state: fold.State, informed_ns: int) -> None:
     """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
     for method in (pem.METHOD, tracker.METHOD, steady_state.METHOD):
-        own, memory = state.estimators[method], ROW[method].memory
+        ours, memory = state.estimators[method], ROW[method].memory
         assert memory is not None
-        known = memory.learned(own)
+        known = memory.learned(ours)
         sd = np.sqrt(np.diag(known.covariance))
         root = 0.1 * sd[:, None] * rng.normal(size=(len(sd), len(sd))) / np.sqrt(len(sd))
         covariance = root @ root.T + np.diag((0.01 * sd) ** 2)
-        memory.resume(own, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
-        own.informed_ns = informed_ns
+        memory.resume(ours, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
+        ours.informed_ns = informed_ns
     state.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
@@ -104,12 +104,12 @@ def test_what_was_kept_was_confirmed() -> None:
 
 
 def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
-    kept = keep(taught(), NOW)
+    retained = keep(taught(), NOW)
     six = sds(taught())[unknowns.SIX]
     aged = []
     for seconds in (0.0, DOUBLES_S, 2.0 * DOUBLES_S, 100.0 * DOUBLES_S):
         state = fold.initial(MACHINE)
-        go_on(state, kept, seconds, NOW)
+        go_on(state, retained, seconds, NOW)
         aged.append(sds(state)[unknowns.SIX])
     assert aged[0] == pytest.approx(six, rel=1e-6)
     assert np.all(aged[1] < 2.0 * six) and np.all(aged[1] > 1.3 * six)
@@ -121,11 +121,11 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
 
 def test_a_scalar_fades_by_the_formula() -> None:
     state = taught()
-    own = state.estimators[pem.METHOD]
-    own.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
-    kept, after = keep(state, NOW), fold.initial(MACHINE)
-    go_on(after, kept, DOUBLES_S, NOW)
-    prior = own.prior_sd[0]
+    ours = state.estimators[pem.METHOD]
+    ours.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
+    retained, after = keep(state, NOW), fold.initial(MACHINE)
+    go_on(after, retained, DOUBLES_S, NOW)
+    prior = ours.prior_sd[0]
     assert sds(after)[0] == pytest.approx(prior / np.sqrt(0.25 * 100.0 + 0.75))
 
 
@@ -152,12 +152,12 @@ SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("change", "told"), SPOILT)
-def test_what_is_spoilt_is_not_used(change: dict[str, Any], told: str) -> None:
-    kept = keep(taught(), NOW)
+@pytest.mark.parametrize(("change", "expected"), SPOILT)
+def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: str) -> None:
+    retained = keep(taught(), NOW)
     state = fold.initial(MACHINE)
-    why_not = go_on(state, {**kept, "pem": replace(kept["pem"], **change)}, 0.0, NOW)
-    assert told in why_not["pem"]
+    why_not = go_on(state, {**retained, "pem": replace(retained["pem"], **change)}, 0.0, NOW)
+    assert expected in why_not["pem"]
     assert why_not["steady_state"] == ""
     assert np.array_equal(state.estimators["pem"].mean, fold.initial(MACHINE).estimators["pem"].mean)
 
@@ -176,11 +176,11 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
     found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
-    kept, elapsed_s = found
+    retained, elapsed_s = found
     assert elapsed_s == 7.0
     for method, wanted in keep(taught(), NOW).items():
-        assert kept[method].mean.tobytes() == wanted.mean.tobytes()
-        assert kept[method].covariance.tobytes() == wanted.covariance.tobytes()
+        assert retained[method].mean.tobytes() == wanted.mean.tobytes()
+        assert retained[method].covariance.tobytes() == wanted.covariance.tobytes()
 
 
 def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "expected"),
     [
         ("mass = 9391.0", "mass = 9400.0", "[tractor] of the machine file changed"),
         ("mass = { value = 2127.0", "mass = { value = 2500.0", "[implement] of the machine file changed"),
@@ -198,16 +198,16 @@ def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) 
         ('prefix = "tilth"', 'prefix = "other"', ""),
     ],
 )
-def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = MACHINE_TEXT.replace(old, new, 1)
     assert text != MACHINE_TEXT
     path = stored(tmp_path)
-    if not told:
+    if not expected:
         assert warm_start_file.read(path, parse_machine(text), NOW) is not None
         return
     with pytest.raises(NotUsable) as caught:
         warm_start_file.read(path, parse_machine(text), NOW)
-    assert told in str(caught.value)
+    assert expected in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -256,10 +256,10 @@ def talker() -> Iterator[can.BusABC]:
 
 def a_run(folder: Path, described: tuple[Machine, str] | None = None, **options: Any) -> tuple[Daemon, Told]:
     machine, text = described or rig(folder, VIRTUAL)
-    told = Told()
-    daemon = Daemon(machine, text, folder, None, told, **options)
+    result = Told()
+    daemon = Daemon(machine, text, folder, None, result, **options)
     daemon.turn(0.0)
-    return daemon, told
+    return daemon, result
 
 
 def now(frames: list[Frame]) -> list[Frame]:
@@ -270,13 +270,13 @@ def now(frames: list[Frame]) -> list[Frame]:
 def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     tmp_path: Path, talker: can.BusABC
 ) -> None:
-    first, told = a_run(tmp_path, keep=True)
-    assert told.events == []
+    first, result = a_run(tmp_path, keep=True)
+    assert result.events == []
     teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
-    second, told = a_run(tmp_path, second_rig, keep=True)
-    assert [text[:38] for text in told.of_warm_start()] == ["steady_state, tracker, pem go on from "]
+    second, result = a_run(tmp_path, second_rig, keep=True)
+    assert [text[:38] for text in result.of_warm_start()] == ["steady_state, tracker, pem go on from "]
     assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)
@@ -294,14 +294,14 @@ def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: c
     first, _ = a_run(tmp_path, keep=True)
     teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
-    fresh, told = a_run(tmp_path, keep=True, fresh=True)
-    assert told.events == [] and fresh.parts.estimation.fold.state.estimators["pem"].fits == 0
+    fresh, result = a_run(tmp_path, keep=True, fresh=True)
+    assert result.events == [] and fresh.parts.estimation.fold.state.estimators["pem"].fits == 0
     fresh.close()
     path = next(tmp_path.glob("*.warm.json"))  # still that of the first: the fresh run learned nothing
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "sections": {**plain["sections"], "implement": "another"}}))
-    other, told = a_run(tmp_path, keep=True)
-    assert ["[implement] of the machine file changed" in text for text in told.of_warm_start()] == [True]
+    other, result = a_run(tmp_path, keep=True)
+    assert ["[implement] of the machine file changed" in text for text in result.of_warm_start()] == [True]
     assert other.parts.estimation.fold.state.estimators["pem"].fits == 0
     other.close()
 

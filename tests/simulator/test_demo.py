@@ -116,17 +116,17 @@ def test_its_log_replays_to_the_byte(short: dict[str, Any], capsys: pytest.Captu
 
 def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = [*COMMAND, "--seconds", "600", "--json", "--log", str(tmp_path)]
-    said = tmp_path / "stderr"
+    output = tmp_path / "stderr"
     with (
-        said.open("w") as stderr,
+        output.open("w") as stderr,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as process,
     ):
         _wait_for_bytes(process, tmp_path, 8_000)
-        keys = _keys_published(said.read_text())
+        keys = _keys_published(output.read_text())
         process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=PATIENCE_S)
     answer = json.loads(out)
-    assert process.returncode == 0, said.read_text()
+    assert process.returncode == 0, output.read_text()
     assert answer["frames_lost"] == 0
     assert 0 < answer["frames"] < 60_000
     # Under the replay prefix only: no controller takes it for a tractor.
@@ -179,9 +179,9 @@ def _wait_for_bytes(process: subprocess.Popen[str], folder: Path, size: int) -> 
     pytest.fail("the demo writes no log")
 
 
-def _keys_published(said: str) -> list[str]:
+def _keys_published(output: str) -> list[str]:
     """Keys that a running demo answers for; `said` names its endpoint where the usual one is taken."""
-    taken = re.search(r"listening on (tcp/[0-9.:]+)", said)
+    taken = re.search(r"listening on (tcp/[0-9.:]+)", output)
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([taken[1] if taken else "tcp/127.0.0.1:7447"]))
@@ -316,10 +316,10 @@ def _client(server: SocketcandServer) -> can.BusABC:
 
 def _heard(bus: can.BusABC, count: int) -> list[can.Message]:
     """So many messages, or what there was before it fell silent."""
-    heard: list[can.Message] = []
-    while len(heard) < count and (message := bus.recv(PATIENCE_S)) is not None:
-        heard.append(message)
-    return heard
+    received: list[can.Message] = []
+    while len(received) < count and (message := bus.recv(PATIENCE_S)) is not None:
+        received.append(message)
+    return received
 
 
 def test_every_client_gets_every_frame_in_order(
@@ -328,10 +328,14 @@ def test_every_client_gets_every_frame_in_order(
     played = _traffic(machine, 0.8)
     with _playing(server, played, 2, orders) as sent, _client(server) as one, _client(server) as other:
         for bus in (one, other):
-            heard = _heard(bus, len(played))
-            assert [(m.arbitration_id, bytes(m.data)) for m in heard] == [(f.can_id, f.data) for f in played]
-            assert [m.timestamp for m in heard] == pytest.approx([f.rx_ns * 1e-9 for f in played], abs=2e-6)
-            assert all(m.is_extended_id for m in heard)
+            received = _heard(bus, len(played))
+            assert [(m.arbitration_id, bytes(m.data)) for m in received] == [
+                (f.can_id, f.data) for f in played
+            ]
+            assert [m.timestamp for m in received] == pytest.approx(
+                [f.rx_ns * 1e-9 for f in played], abs=2e-6
+            )
+            assert all(m.is_extended_id for m in received)
     assert sent == [len(played)]
 
 

@@ -96,10 +96,10 @@ def test_a_wrong_file_gets_one_sentence_that_names_it(old: str, new: str, words:
         text = text.replace("seconds = 180.0", "speed = -1.0", 1)
     with pytest.raises(ScenarioError) as caught:
         parse_scenario(text)
-    said = str(caught.value)
-    assert "\n" not in said
+    error = str(caught.value)
+    assert "\n" not in error
     for word in words:
-        assert word in said
+        assert word in error
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
