@@ -38,6 +38,11 @@ class Kernel(KernelFunction, Generic[P, R]):
             self._run = self._compile(args)
         return self._run(*args, **kwargs)
 
+    @property
+    def called(self) -> bool:
+        """Whether it is compiled, or interpreted for want of a compiler, in this process already."""
+        return self._run is not None
+
     def functions(self) -> list[FunctionType]:
         """All that is compiled with it, itself included."""
         made: dict[FunctionType, Any] = {}

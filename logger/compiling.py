@@ -46,7 +46,7 @@ def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
 
 def is_prepared(machine: Machine) -> bool:
     """Whether all of it is in this process already."""
-    return all(kernel.how != "not called yet" for kernel in kernels_of(machine))
+    return all(kernel.called for kernel in kernels_of(machine))
 
 
 def load(machine: Machine) -> bool:
@@ -78,7 +78,7 @@ def prepare(machine: Machine, progress: Progress) -> float:
         nonlocal work
         if not began:
             began.append(time.monotonic())
-            waiting = [kernel for kernel in kernels_of(machine) if kernel.how == "not called yet"]
+            waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
             uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
             work = _size(uncompiled)
             progress(0.0)

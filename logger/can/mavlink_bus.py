@@ -6,7 +6,6 @@ The autopilot forwards what it hears on one of its CAN ports for five seconds af
 
 import select
 import socket
-import struct
 import time
 from collections import deque
 from typing import Any, Final
@@ -15,12 +14,11 @@ import can
 from pymavlink.dialects.v20 import common
 
 from tilth.logger.can import receive_buffer
+from tilth.logger.can.kernel_stamp import STAMP, TIMESTAMPNS, stamp_ns
 from tilth.logger.can.socketcan import ERROR, EXTENDED, REMOTE
 from tilth.schemas.mavlink import udp_address
 
 ASK_S: Final = 1.0
-_TIMESTAMPNS: Final = 35  # asm/socket.h
-_KERNEL_STAMP: Final = struct.Struct("@2l")  # s, ns
 _LATE: Final = 128  # of 256 sequence numbers: so far behind is overtaken, not lost
 _V2: Final = 0xFD
 
@@ -49,7 +47,7 @@ class MavlinkBus(can.BusABC):
         self._udp = socket.socket(family, kind)
         try:
             self._udp.setblocking(False)
-            self._udp.setsockopt(socket.SOL_SOCKET, _TIMESTAMPNS, 1)
+            self._udp.setsockopt(socket.SOL_SOCKET, TIMESTAMPNS, 1)
             receive_buffer.enlarge(self._udp)
             self._listening = address.listening
             self._peer: Any = None if address.listening else where  # an address of sockets
@@ -82,7 +80,7 @@ class MavlinkBus(can.BusABC):
         while not self._frames:
             self._ask()
             try:
-                packed, control, _, peer = self._udp.recvmsg(65535, socket.CMSG_SPACE(_KERNEL_STAMP.size))
+                packed, control, _, peer = self._udp.recvmsg(65535, socket.CMSG_SPACE(STAMP.size))
             except ConnectionRefusedError:
                 continue
             except BlockingIOError:
@@ -91,12 +89,12 @@ class MavlinkBus(can.BusABC):
                     return None, False
                 select.select([self._udp], [], [], remaining_s)
                 continue
-            seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2]) if control else (0, 0)
+            stamp_s = stamp_ns(control[0][2]) * 1e-9 if control else 0.0
             self._codec.buf, self._codec.buf_index = bytearray(), 0  # half a message before it stays so
             for message in self._codec.parse_buffer(packed) or ():
                 if message.get_type() != "BAD_DATA":
                     self._peer = peer if self._listening else self._peer
-                    self._take(message, seconds + nanoseconds * 1e-9)
+                    self._take(message, stamp_s)
         return self._frames.popleft(), False
 
     def _ask(self) -> None:

@@ -12,6 +12,7 @@ import time
 from tilth.logger.can import can_link, receive_buffer
 from tilth.logger.can.adapter_clock import AdapterClock
 from tilth.logger.can.can_errors import STATES
+from tilth.logger.can.kernel_stamp import STAMP, TIMESTAMPNS, stamp_ns
 from tilth.logger.can.port import ID_BITS, StampedBy, Tally
 from tilth.logger.clock import OLDEST_NS, Clock
 from tilth.schemas.flow import Frame
@@ -23,14 +24,12 @@ STAMPS_S = 0.02  # the kernel begins to stamp a little after it is asked to; unt
 _FD_BYTES = 72  # struct canfd_frame
 
 # Options and control messages of asm/socket.h and linux/net_tstamp.h, which Python does not name.
-_TIMESTAMPNS = 35
 _TIMESTAMPING = 37
 _RXQ_OVFL = 40
 _OF_ADAPTER = 1 << 2 | 1 << 6  # SOF_TIMESTAMPING_RX_HARDWARE, _RAW_HARDWARE
-_KERNEL_STAMP = struct.Struct("@2l")  # s, ns
 _STAMPS = struct.Struct("@6l")  # three of them: software, none, adapter
 _COUNT = struct.Struct("@I")
-_CONTROL_BYTES = sum(socket.CMSG_SPACE(one.size) for one in (_KERNEL_STAMP, _STAMPS, _COUNT))
+_CONTROL_BYTES = sum(socket.CMSG_SPACE(one.size) for one in (STAMP, _STAMPS, _COUNT))
 # linux/can/raw.h
 _SOL_CAN_RAW = 101
 _ERR_FILTER = 2
@@ -63,7 +62,7 @@ class SocketCanPort:
                 "the kernel allows only a small receive buffer; sysctl net.core.rmem_max="
                 f"{receive_buffer.RECEIVE_BYTES} makes room"
             )
-        one.setsockopt(socket.SOL_SOCKET, _TIMESTAMPNS, 1)
+        one.setsockopt(socket.SOL_SOCKET, TIMESTAMPNS, 1)
         one.setsockopt(socket.SOL_SOCKET, _TIMESTAMPING, _OF_ADAPTER)
         one.setsockopt(socket.SOL_SOCKET, _RXQ_OVFL, 1)
 
@@ -90,9 +89,8 @@ class SocketCanPort:
                 continue
             flagged, length, data = unpack(packed)
             rx_ns = t_ns
-            if len(control) == 1 and control[0][1] == _TIMESTAMPNS and self._adapter is None:  # nearly always
-                seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2])
-                rx_ns = seconds * 1_000_000_000 + nanoseconds - ahead_ns
+            if len(control) == 1 and control[0][1] == TIMESTAMPNS and self._adapter is None:  # nearly always
+                rx_ns = stamp_ns(control[0][2]) - ahead_ns
             elif control:
                 rx_ns = self._stamped_ns(control, t_ns, ahead_ns, flagged & ERROR != 0)
             if not 0 <= t_ns - rx_ns <= OLDEST_NS:
@@ -146,9 +144,8 @@ class SocketCanPort:
         """rx_ns from control messages, the adapter's stamp first. Also updates the count of losses."""
         kernel_ns, adapter_ns = t_ns, 0
         for _, kind, data in control:
-            if kind == _TIMESTAMPNS:
-                seconds, nanoseconds = _KERNEL_STAMP.unpack(data)
-                kernel_ns = seconds * 1_000_000_000 + nanoseconds - ahead_ns
+            if kind == TIMESTAMPNS:
+                kernel_ns = stamp_ns(data) - ahead_ns
             elif kind == _TIMESTAMPING:
                 *_, seconds, nanoseconds = _STAMPS.unpack(data)
                 adapter_ns = seconds * 1_000_000_000 + nanoseconds

@@ -38,7 +38,7 @@ from tilth.simulator.traffic import simulate
 from tilth.schemas.flow import Mount
 
 def compiled():
-    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and one.how != "not called yet"]
+    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and one.called]
     return {one.function.__qualname__: (one.how, len(one._run.signatures)) for one in kernels}
 
 machine = demo_machine()
