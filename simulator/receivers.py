@@ -1,9 +1,8 @@
 """What the virtual tractor's receivers and wheel-angle sensor measure: truth, noise, faults, survey errors.
 
 Positions: white noise and slow (Gauss-Markov) errors of each receiver, and a slow error that all share, as
-RTK receivers have that use one base. Doppler velocities, yaw rate, heading and roll have white noise, and roll
-may have a zero error and be late.
-Quantisation comes from the encoding of the messages.
+RTK receivers have that use one base. Doppler velocities, yaw rate, heading and roll have white noise;
+roll may have a zero error and be late. Quantisation comes from the encoding of the messages.
 """
 
 from collections.abc import Mapping

@@ -229,7 +229,8 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
 def _roll_sensor(scenario: Scenario, mount: Mount, seed: int) -> dict[str, float]:
     """Errors of one receiver's roll, as `_nuisances`."""
     given, rng = scenario.roll_sensor, generator(seed, noise.ROLL, list(Mount).index(mount))
-    sd, zero, delay = rng.uniform(*zip(*ROLL_DRAWN, strict=True)) if given.draw else ROLL_PLAIN
+    drawn = tuple(rng.uniform(low, high) for low, high in ROLL_DRAWN)
+    sd, zero, delay = drawn if given.draw else ROLL_PLAIN
     return {
         f"roll_sd_{mount}": float(np.radians(sd if given.sd_deg is None else given.sd_deg)),
         f"roll_zero_{mount}": float(

@@ -1,9 +1,9 @@
 """The rig's rigid bodies in MuJoCo: tractor, front axle beam on its pin, implement on its ball.
 
-The engine integrates the bodies under gravity and under the forces that simulator/spatial/forces.py applies; it
-knows no ground and no contacts. World: x north, y east, z down. Ten degrees of freedom: six of the tractor,
-one of the beam about the pin's longitudinal axis, three of the ball at the drawbar's end. MuJoCo is free
-software under Apache-2.0 and comes with the extra `spatial`.
+The engine integrates the bodies under gravity and under the forces that simulator/spatial/forces.py applies;
+it knows no ground and no contacts. World: x north, y east, z down. Ten degrees of freedom: six of the
+tractor, one of the beam about the pin's longitudinal axis, three of the ball at the drawbar's end. MuJoCo is
+free software under Apache-2.0 and comes with the extra `spatial`.
 """
 
 import importlib

@@ -1,6 +1,6 @@
 """Forces of ground and drive on the six tyres, computed at each step and applied to the engine's bodies.
 
-A tyre is a thin disc. It meets the ground where its plane does, straight below its centre; its radial spring and
+A tyre is a thin disc. It meets the ground in its own plane, straight below its centre; its radial spring and
 damper push along the ground's normal and never pull. Side force, drive and rolling resistance lie in the
 ground's plane at the contact. World: x north, y east, z down; a height is positive upwards.
 """
@@ -125,14 +125,15 @@ def tyre_on_ground(
     driven = tyres.driven[k] * drive
     pushed = driven - tyres.rolling * load * math.tanh(along / ROLLING_SPEED)
     stiffness = stiffness_at(cornering, load, tyres.static[k], tyres.exponent)
-    alpha = math.atan(slip)
+    lag = lag_length(tyres.string, length, tyres.curve, math.atan(slip), stiffness, limit)
+    after = lagged(slip, along, across, lag, step)
+    alpha = math.atan(0.5 * (slip + after))  # amid the step: the force is not late by half of it
     side = side_force(tyres.curve, alpha, stiffness, limit) + tyres.camber * load * math.sin(camber)
     if tyres.combined:
         side *= left_for_side(driven, limit)
     if load > 0.0:
         side -= carcass_damping(cornering, length, along) * across
-    lag = lag_length(tyres.string, length, tyres.curve, alpha, stiffness, limit)
-    return pushed, side, lagged(slip, along, across, lag, step)
+    return pushed, side, after
 
 
 @kernel
@@ -160,8 +161,8 @@ def apply_forces(
     xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
     slip: Array, drive: Array, xfrc: Array, told: Array,
 ) -> None:  # fmt: skip
-    """Fill xfrc, shape (4, 6), N and N m about each body's xipos; slip, shape (6,), and drive, shape (2,), go on
-    by a step; told, shape (6, len(TOLD)).
+    """Fill xfrc, shape (4, 6), N and N m about each body's xipos, and told, shape (6, len(TOLD)); slip, shape
+    (6,), and drive, shape (2,), go on by a step.
 
     xpos, xmat, xipos, cvel, com: MuJoCo's places, axes, CGs and velocities of its bodies, and the points that
     the velocities are of. delta: mean angle of the front wheels, rad. wanted: speed, m/s.

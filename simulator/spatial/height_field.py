@@ -53,8 +53,8 @@ def height(field: HeightField, x: float, y: float) -> tuple[float, float, float]
         one, d_one = _step(bump[k, 3] - abs(along), bump[k, 5])
         two, d_two = _step(bump[k, 4] - abs(across), bump[k, 5])
         up += bump[k, 2] * one * two
-        north -= math.copysign(bump[k, 2] * d_one * two, along)
-        east -= math.copysign(bump[k, 2] * one * d_two, across)
+        north -= bump[k, 2] * math.copysign(d_one * two, along)
+        east -= bump[k, 2] * math.copysign(one * d_two, across)
     return up, north, east
 
 

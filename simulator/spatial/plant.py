@@ -94,10 +94,11 @@ class Plant:
         mujoco().mj_step1(self.model, self.data)
 
     def advance(self, delta: float, wanted: float, tyres: Tyres | None = None) -> None:
-        """Forces of this instant, and the second half of a step. delta: mean wheel angle, rad; wanted: m/s."""
+        """Forces, and the second half of a step. delta: mean wheel angle amid the step, rad; wanted: m/s."""
+        xpos, xmat, xipos, cvel, com = self._engine
         apply_forces(
             self.ground, tyres or self.tyres, self.soil, delta, wanted, self.step,
-            *self._engine, self.slip, self.drive, self._forces, self.told,
+            xpos, xmat, xipos, cvel, com, self.slip, self.drive, self._forces, self.told,
         )  # fmt: skip
         mujoco().mj_step2(self.model, self.data)
 
@@ -197,8 +198,8 @@ def run(
     """
     substeps = round(STEP_S / plant.step)
     into = Motion(
-        np.zeros((n, 13)), np.zeros((n, 2, len(MOVED))), np.zeros((n, 6, len(TOLD))), np.zeros(n), np.zeros(n),
-        np.zeros((n, 6)),
+        np.zeros((n, 13)), np.zeros((n, 2, len(MOVED))), np.zeros((n, 6, len(TOLD))),
+        np.zeros(n), np.zeros(n), np.zeros((n, 6)),
     )  # fmt: skip
     _set_going(plant, float(start[4]))
     delta, rate = float(start[11]), 0.0
@@ -214,7 +215,7 @@ def run(
         for j in range(k, end):
             after = min(j - k + 1, len(asked) - 1)
             for s in range(substeps):
-                share = s / substeps
+                share = (s + 0.5) / substeps
                 command = asked[j - k] + share * (asked[after] - asked[j - k])
                 if valve is None:
                     rate = (asked[after] - asked[j - k]) / STEP_S

@@ -3,7 +3,7 @@
 Source: four usual curves of a side force that begins with the slope C and ends at the grip: exponential
 (Karkee 2009, 5.34), hyperbolic tangent, brush with parabolic pressure, and Magic Formula (Pacejka, Tire and
 Vehicle Dynamics, chapters 3 and 4), each written for s = C alpha / (A N). All have F = -C alpha at zero slip.
-Lag: the carcass gives way sideways; sigma (tan alpha')' = v_y - |v_x| tan alpha' (the same, chapters 5 and 7).
+Lag: the carcass gives way sideways; sigma (tan alpha')' = v_y - |v_x| tan alpha' (ibidem, chapters 5, 7).
 At standstill the tyre is a spring of stiffness C / sigma across its plane.
 """
 
