@@ -30,7 +30,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "simulate",
         help="drive a scenario: write its log and the truth beside it, or put it on a bus",
-        description="Drive a scenario file (examples/scenarios/ has some) by the plant that it names and write "
+        description="Drive a scenario file (examples/scenarios/ has some) on the plant that it names, write "
         "the frames that a recorder would have taken; LOG.truth.json and LOG.truth.csv say what was true. Or "
         "send them in real time on a bus on which no receiver is heard; docs/buses.md says which.",
     )

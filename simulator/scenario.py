@@ -166,6 +166,10 @@ class Ground:
                 raise ValueError(f"{key} = {list(band)}: give the shortest wave first, then a longer one")
 
 
+_OF_PLANT: Final = {"planar": ("rms", "waves", "bumps"), "spatial": ("roll_sd_deg", "force_sd", "band")}
+"""Keys of Ground that a plant does not have."""
+
+
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class SoilChange:
     """Other soil from a time on, or beyond a line. A parameter is multiplied by its factor there."""
@@ -335,25 +339,17 @@ class Scenario:
     def _check_plant(self) -> None:
         """Raises ValueError for a key of the other plant."""
         ground, blank = self.ground, Ground()
-        planar = {
-            "roll_deg": self.roll_deg != (0.0, 0.0),
-            "ground.roll_sd_deg": ground.roll_sd_deg > 0.0,
-            "ground.force_sd": ground.force_sd > 0.0,
-            "ground.band": ground.band != blank.band,
-        }
-        spatial = {
-            "spatial": self.spatial != Spatial(),
-            "ground.rms": ground.rms is not None,
-            "ground.waves": ground.waves != blank.waves,
-            "ground.bumps": ground.bumps != (),
-        }
+        given = [
+            f"ground.{key}" for key in _OF_PLANT[self.plant] if getattr(ground, key) != getattr(blank, key)
+        ]
         if self.plant == "planar":
+            given += ["spatial"] if self.spatial != Spatial() else []
             say = 'is of the spatial plant; add plant = "spatial"'
         else:
+            given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
-        for key, given in (spatial if self.plant == "planar" else planar).items():
-            if given:
-                raise ValueError(f"{key} {say}")
+        if given:
+            raise ValueError(f"{given[0]} {say}")
 
 
 _SCENARIO: Final = TypeAdapter(Scenario)

@@ -34,7 +34,7 @@ DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
 ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
 
 
-class Tyres(NamedTuple):
+class TyreSet(NamedTuple):
     """Constants of the six tyres for the kernel; arrays of shape (6,) unless said."""
 
     body: NDArray[np.int64]  # the engine's
@@ -54,15 +54,15 @@ class Tyres(NamedTuple):
     ackermann: float  # half the front track over the wheelbase, times its share
 
 
-def tyres_of(vehicle: Vehicle) -> Tyres:
-    """Tyres whose springs, at rest on level ground, hold both CGs at their heights."""
+def tyres_of(vehicle: Vehicle) -> TyreSet:
+    """TyreSet whose springs, at rest on level ground, hold both CGs at their heights."""
     m = vehicle.masses
     place = wheel_places(vehicle)
     place[:2] -= [m.a, 0.0, m.h_t - vehicle.pin_height]  # the front ones turn with the beam
     static = np.repeat(static_loads(vehicle), 2) / 2
     stiffness = np.repeat(vehicle.stiffness, 2)
     front = vehicle.front_drive / 2
-    return Tyres(
+    return TyreSet(
         np.array([2, 2, 1, 1, 3, 3]),
         place,
         np.repeat(RADIUS, 2) + static / stiffness,
@@ -113,7 +113,7 @@ def _turned(turn: Array, v: tuple[float, float, float]) -> tuple[float, float, f
 
 @kernel
 def tyre_on_ground(
-    k: int, tyres: Tyres, soil: Array, drive: float, slip: float, along: float, across: float, load: float,
+    k: int, tyres: TyreSet, soil: Array, drive: float, slip: float, along: float, across: float, load: float,
     camber: float, step: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """(force along the wheel, force across it to the right, N; tan of the lagged slip after the step).
@@ -148,7 +148,7 @@ def govern(wanted: float, forward: float, drive: Array, step: float) -> None:
 
 
 @kernel
-def steering_angles(tyres: Tyres, mean: float) -> tuple[float, float]:
+def steering_angles(tyres: TyreSet, mean: float) -> tuple[float, float]:
     """Angles of the left and right front wheel, rad, whose cotangents' mean is that of `mean`."""
     tangent = math.tan(mean)
     skew = tyres.ackermann * tangent
@@ -157,7 +157,7 @@ def steering_angles(tyres: Tyres, mean: float) -> tuple[float, float]:
 
 @kernel
 def apply_forces(
-    field: HeightField, tyres: Tyres, soil: Array, delta: float, wanted: float, step: float,
+    field: HeightField, tyres: TyreSet, soil: Array, delta: float, wanted: float, step: float,
     xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
     slip: Array, drive: Array, xfrc: Array, told: Array,
 ) -> None:  # fmt: skip

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tilth.simulator.scenario import STEP_S
 from tilth.simulator.spatial.engine import IMPLEMENT, TRACTOR, engine, mujoco
-from tilth.simulator.spatial.forces import TOLD, Tyres, apply_forces, tyres_of
+from tilth.simulator.spatial.forces import TOLD, TyreSet, apply_forces, tyres_of
 from tilth.simulator.spatial.height_field import HeightField, height
 from tilth.simulator.spatial.vehicle import Vehicle
 
@@ -63,13 +63,13 @@ class Space:
 
 
 @dataclass(slots=True)
-class Plant:
+class SpatialPlant:
     """The engine with its tyres and its governor, at one instant."""
 
     vehicle: Vehicle
     ground: HeightField
     step: float  # s
-    tyres: Tyres = field(init=False)
+    tyres: TyreSet = field(init=False)
     model: Any = field(init=False)
     data: Any = field(init=False)
     slip: Array = field(init=False)  # (6,), tangents
@@ -93,7 +93,7 @@ class Plant:
         """Places and velocities of all bodies at this instant: the first half of a step."""
         mujoco().mj_step1(self.model, self.data)
 
-    def advance(self, delta: float, wanted: float, tyres: Tyres | None = None) -> None:
+    def advance(self, delta: float, wanted: float, tyres: TyreSet | None = None) -> None:
         """Forces, and the second half of a step. delta: mean wheel angle amid the step, rad; wanted: m/s."""
         xpos, xmat, xipos, cvel, com = self._engine
         apply_forces(
@@ -114,7 +114,7 @@ class Plant:
 
 
 def _moved(place: Array, turn: Array, twist: Array, root: Array, before: float) -> Array:
-    """One row of Plant.bodies. turn: the body's axes as columns; twist: turn rate and velocity of `root`."""
+    """One row of SpatialPlant.bodies. turn: the body's axes as columns; twist: turn rate and velocity of `root`."""
     psi = math.atan2(turn[1, 0], turn[0, 0])
     psi = before + math.remainder(psi - before, math.tau)
     pitch, roll = -math.asin(turn[2, 0]), math.atan2(turn[2, 1], turn[2, 2])
@@ -133,9 +133,9 @@ def _moved(place: Array, turn: Array, twist: Array, root: Array, before: float) 
     ])  # fmt: skip
 
 
-def placed(vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array) -> Plant:
+def placed(vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array) -> SpatialPlant:
     """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,)."""
-    plant = Plant(vehicle, ground, step)
+    plant = SpatialPlant(vehicle, ground, step)
     plant.turns = [heading, heading]
     plant.soil = np.ascontiguousarray(soil, np.float64)
     up, north, east = height(ground, 0.0, 0.0)
@@ -165,12 +165,12 @@ def _quaternion(roll: float, pitch: float, heading: float) -> Array:
     ])  # fmt: skip
 
 
-def _set_going(plant: Plant, speed: float) -> None:
+def _set_going(plant: SpatialPlant, speed: float) -> None:
     """Give the rig its first speed, m/s, along the tractor."""
     plant.data.qvel[:3] += speed * plant.data.xmat[TRACTOR, 0::3]
 
 
-def _state(plant: Plant, rows: Array, delta: float, rate: float) -> Array:
+def _state(plant: SpatialPlant, rows: Array, delta: float, rate: float) -> Array:
     """As Motion.states, shape (13,)."""
     t, i = rows
     alpha = plant.told[:, TOLD.index("slip")].reshape(3, 2).mean(axis=1)
@@ -181,7 +181,7 @@ def _state(plant: Plant, rows: Array, delta: float, rate: float) -> Array:
 
 
 def run(
-    plant: Plant,
+    plant: SpatialPlant,
     start: Array,
     hand: Hand,
     valve: tuple[float, float] | None,
@@ -236,7 +236,7 @@ def run(
     return into
 
 
-def _record(into: Motion, j: int, plant: Plant, x: Array, rows: Array) -> None:
+def _record(into: Motion, j: int, plant: SpatialPlant, x: Array, rows: Array) -> None:
     into.states[j], into.bodies[j], into.tyres[j] = x, rows, plant.told
     into.drive[j], into.soil[j] = plant.drive[0], plant.soil
     into.beam[j] = plant.data.qpos[7]

@@ -13,14 +13,16 @@ from tilth.simulator.scenario import Scenario, Spatial
 from tilth.simulator.spatial.tyre import CURVES, RELAXATIONS
 
 Array = NDArray[np.float64]
+Three = tuple[float, float, float]
+"""Of front, rear and implement's axle."""
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right", "implement_left", "implement_right")
 SIDE: Final = (-1.0, 1.0)  # of left and right
 GRAVITY: Final = 9.80665
 
-STIFFNESS: Final = (250e3, 350e3, 300e3)  # N/m of each tyre: front, rear, implement
+STIFFNESS: Final[Three] = (250e3, 350e3, 300e3)  # N/m of each tyre: front, rear, implement
 DAMPING_S: Final = 0.008  # vertical damping over stiffness, s: with the side forces 0.09 of the roll mode
-TRACK: Final = (1.93, 1.93, 2.2)  # m, assumed: rows 76 inches apart, a grain cart
+TRACK: Final[Three] = (1.93, 1.93, 2.2)  # m, assumed: rows 76 inches apart, a grain cart
 PIN_HEIGHT: Final = 0.75  # m
 HITCH_HEIGHT: Final = 0.5  # m, assumed: a drawbar
 ROLL_GYRATION: Final = (1.0, 0.9)  # m, assumed
@@ -57,9 +59,9 @@ class Vehicle(NamedTuple):
     """All that the spatial plant is made of, besides ground and soil. Plain data, SI."""
 
     masses: Masses
-    stiffness: tuple[float, float, float]  # N/m of each tyre; front, rear, implement
-    damping: tuple[float, float, float]  # N s/m of each tyre
-    track: tuple[float, float, float]
+    stiffness: Three  # N/m of each tyre
+    damping: Three  # N s/m of each tyre
+    track: Three  # m
     pin_height: float
     hitch_height: float
     roll_gyration: tuple[float, float]
@@ -78,20 +80,16 @@ class Vehicle(NamedTuple):
 def vehicle_of(masses: Masses, scenario: Scenario, rng: np.random.Generator) -> Vehicle:
     """As the scenario says, else nominal or drawn. The same numbers are drawn whatever is given."""
     given, draws = scenario.spatial, _draws(scenario.spatial, rng)
-
-    def factors(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(value * draws[name] for value in values)
-
-    stiffness = given.vertical_stiffness or factors("stiffness", STIFFNESS)
-    damping = given.vertical_damping or tuple(DAMPING_S * draws["damping"] * k for k in stiffness)
+    stiffness = given.vertical_stiffness or _each(STIFFNESS, draws["stiffness"])
+    roll_t, roll_i = ROLL_GYRATION
     return Vehicle(
         masses,
-        stiffness,  # type: ignore[arg-type]
-        damping,  # type: ignore[arg-type]
-        given.track or factors("track", TRACK),  # type: ignore[arg-type]
+        stiffness,
+        given.vertical_damping or _each(stiffness, DAMPING_S * draws["damping"]),
+        given.track or _each(TRACK, draws["track"]),
         _first(given.pin_height, draws["pin_height"]),
         _first(given.hitch_height, draws["hitch_height"]),
-        given.roll_gyration or factors("gyration", ROLL_GYRATION),  # type: ignore[arg-type]
+        given.roll_gyration or (roll_t * draws["gyration"], roll_i * draws["gyration"]),
         given.tyre or CURVES[int(draws["tyre"])],
         given.relaxation or RELAXATIONS[int(draws["relaxation"])],
         _first(given.load_exponent, draws["load_exponent"]),
@@ -103,6 +101,11 @@ def vehicle_of(masses: Masses, scenario: Scenario, rng: np.random.Generator) -> 
         given.front_drive,
         _first(scenario.ground.rms, draws["rms"]),
     )
+
+
+def _each(values: Three, factor: float) -> Three:
+    front, rear, implement = values
+    return front * factor, rear * factor, implement * factor
 
 
 def _first(given: float | None, other: float) -> float:
@@ -120,7 +123,7 @@ def _draws(given: Spatial, rng: np.random.Generator) -> dict[str, float]:
     return dict.fromkeys(drawn, 0.0) | ones | plain
 
 
-def static_loads(vehicle: Vehicle) -> tuple[float, float, float]:
+def static_loads(vehicle: Vehicle) -> Three:
     """Loads of front, rear and implement's axle at rest on level ground, N: moments about each support."""
     m = vehicle.masses
     implement = m.m_i * GRAVITY * m.d / (m.d + m.e)

@@ -15,11 +15,12 @@ from tilth.simulator.spatial import vehicle as v
 from tilth.simulator.spatial.engine import TRACTOR
 from tilth.simulator.spatial.forces import TOLD
 from tilth.simulator.spatial.height_field import height_field
-from tilth.simulator.spatial.plant import AT, Motion, Plant, placed, run
+from tilth.simulator.spatial.plant import AT, Motion, SpatialPlant, placed, run
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra `spatial`")
 
 RIG = v.Masses(1.7, 1.2, 2.1, 3.62, 0.1, 9391.0, 2127.0, 35709.0, 6402.0, 1.1, 1.2)
+NOMINAL, EVEN = Spatial(), Ground()
 SOIL = np.array([220e3, 486e3, 167e3, 1.1, 1.5, 1.1])
 LOAD, ALONG, ACROSS, SLIP = (TOLD.index(name) for name in ("load", "along", "across", "slip"))
 
@@ -35,9 +36,9 @@ class Straight:
 
 
 def stand(
-    spatial: Spatial = Spatial(), ground: Ground = Ground(), masses: v.Masses = RIG, heading: float = 0.0,
+    spatial: Spatial = NOMINAL, ground: Ground = EVEN, masses: v.Masses = RIG, heading: float = 0.0,
     soil: np.ndarray = SOIL, rolling: float = 0.02,
-) -> Plant:  # fmt: skip
+) -> SpatialPlant:  # fmt: skip
     scenario = Scenario(plant="spatial", spatial=spatial, ground=ground, soil=Soil(rolling=rolling))
     made = v.vehicle_of(masses, scenario, np.random.default_rng(1))
     field = height_field(ground, made.rms, np.random.default_rng(2))
@@ -45,7 +46,7 @@ def stand(
 
 
 def drive(
-    plant: Plant, seconds: float, delta_deg: float = 0.0, speed: float = 4.5,
+    plant: SpatialPlant, seconds: float, delta_deg: float = 0.0, speed: float = 4.5,
     soil: Callable[[float], np.ndarray] = lambda t: SOIL,
 ) -> Motion:  # fmt: skip
     start = np.zeros(13)
@@ -60,8 +61,8 @@ def gradients(motion: Motion) -> np.ndarray:
     return np.asarray(-last[:, AT["roll"]] / (last[:, AT["yaw_rate"]] * last[:, AT["forward"]]))
 
 
-def static_gradients(plant: Plant) -> tuple[float, float]:
-    """Moments about the line from the front pin to the ground under the rear axle; about the implement's axle.
+def static_gradients(plant: SpatialPlant) -> tuple[float, float]:
+    """Moments about the line from the front pin to the ground under the rear axle, and of the implement.
 
     The front axle hangs on its pin, so that only the rear tyres keep the tractor upright. Forces of the hitch
     are left out.
@@ -110,8 +111,8 @@ def test_the_gradient_is_the_same_in_tight_turns(delta_deg: float) -> None:
     )
 
 
-def modes(plant: Plant, speed: float) -> list[tuple[float, float, np.ndarray]]:
-    """(frequency, Hz; damping; share of each coordinate) of how a small disturbance of straight running dies."""
+def modes(plant: SpatialPlant, speed: float) -> list[tuple[float, float, np.ndarray]]:
+    """(frequency, Hz; damping; share of each coordinate) of small disturbances of straight running."""
     drive(plant, 3.0, speed=speed)
     model, data = plant.model, plant.data
     at = [array.copy() for array in (data.qpos, data.qvel, plant.slip, plant.drive)]
@@ -149,7 +150,7 @@ def test_energy_is_what_the_forces_have_done() -> None:
     ground = Ground(rms=0.02, slope_deg=4.0, downhill_deg=60.0)
     plant = stand(Spatial(step=0.0005, combined=True), ground)
     drive(plant, 1.0, 8.0)
-    data, energies, work, powers = plant.data, [], 0.0, []
+    data, energies, powers = plant.data, [], []
     for _ in range(4000):
         plant.kinematics()
         energies.append(float(data.energy.sum()))
@@ -193,7 +194,7 @@ def test_at_rest_on_level_ground_it_is_as_the_machine_file_says() -> None:
 
 
 def test_the_true_parameters_are_those_of_small_slip_in_a_turn() -> None:
-    """Whatever the curve: side force over slip of each axle in the gentlest turn, and how slip comes about."""
+    """Whatever the curve: side force over slip of each axle in the gentlest turn."""
     for tyre in ("exponential", "tanh", "brush", "magic"):
         motion = drive(stand(Spatial(tyre=tyre, grip=0.7)), 6.0, 0.3)
         last = motion.tyres[-1]

@@ -46,8 +46,7 @@ def test_what_is_told_is_not_drawn_and_changes_no_other_draw() -> None:
         for s in (told, Scenario(plant="spatial", spatial=Spatial(draw=True)))
     )
     assert (one.pin_height, one.tyre, one.rms) == (0.3, "brush", 0.0)
-    same = {"pin_height": other.pin_height, "tyre": other.tyre, "rms": other.rms}
-    assert one._replace(**same) == other
+    assert one._replace(pin_height=other.pin_height, tyre=other.tyre, rms=other.rms) == other
 
 
 def test_static_loads_are_those_of_the_layer_below() -> None:
