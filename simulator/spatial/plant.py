@@ -114,7 +114,7 @@ class SpatialPlant:
 
 
 def _moved(place: Array, turn: Array, twist: Array, root: Array, before: float) -> Array:
-    """One row of SpatialPlant.bodies. turn: the body's axes as columns; twist: turn rate and velocity of `root`."""
+    """As SpatialPlant.bodies, of one. turn: its axes as columns; twist: turn rate and velocity of `root`."""
     psi = math.atan2(turn[1, 0], turn[0, 0])
     psi = before + math.remainder(psi - before, math.tau)
     pitch, roll = -math.asin(turn[2, 0]), math.atan2(turn[2, 1], turn[2, 2])
