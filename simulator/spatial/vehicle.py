@@ -21,7 +21,7 @@ SIDE: Final = (-1.0, 1.0)  # of left and right
 GRAVITY: Final = 9.80665
 
 STIFFNESS: Final[Three] = (250e3, 350e3, 300e3)  # N/m of each tyre: front, rear, implement
-DAMPING_S: Final = 0.012  # vertical damping over stiffness, s: with the side forces 0.09 of the roll mode
+DAMPING_S: Final = 0.012  # vertical damping over stiffness, s: with the side forces 0.10 of the roll mode
 TRACK: Final[Three] = (1.93, 1.93, 2.2)  # m, assumed: rows 76 inches apart, a grain cart
 PIN_HEIGHT: Final = 0.75  # m
 HITCH_HEIGHT: Final = 0.5  # m, assumed: a drawbar
