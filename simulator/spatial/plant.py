@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.compiled import kernel
 from tilth.simulator.scenario import STEP_S
 from tilth.simulator.spatial.engine import IMPLEMENT, TRACTOR, engine, mujoco
 from tilth.simulator.spatial.forces import TOLD, TyreSet, apply_forces, tyres_of
@@ -32,6 +33,10 @@ MOVED: Final = (
 wrapped; horizontal velocity of the CG along and across the heading, m/s; rates of those angles, rad/s; turn
 rates about its own axes, rad/s."""
 AT: Final = {name: k for k, name in enumerate(MOVED)}
+
+_OF_THE_TRACTOR: Final = [AT[name] for name in ("north", "east", "heading", "forward", "right", "yaw_rate")]
+_OF_THE_IMPLEMENT: Final = [AT["heading"], AT["yaw_rate"]]
+_SLIP: Final = TOLD.index("slip")
 
 
 class Hand(Protocol):
@@ -105,32 +110,36 @@ class SpatialPlant:
     def bodies(self) -> Array:
         """MOVED of tractor and implement, after `kinematics`, shape (2, len(MOVED))."""
         rows = np.empty((2, len(MOVED)))
-        root = self.data.subtree_com[TRACTOR]
+        xpos, xmat, _, cvel, com = self._engine
         for k, body in enumerate(BODIES):
-            place, turn, twist = self.data.xpos[body], self.data.xmat[body], self.data.cvel[body]
-            rows[k] = _moved(place, turn.reshape(3, 3), twist, root, self.turns[k])
-            self.turns[k] = rows[k, AT["heading"]]
+            moved(xpos[body], xmat[body], cvel[body], com[TRACTOR], self.turns[k], rows[k])
+            self.turns[k] = float(rows[k, 5])
         return rows
 
 
-def _moved(place: Array, turn: Array, twist: Array, root: Array, before: float) -> Array:
-    """As SpatialPlant.bodies, of one. turn: its axes as columns; twist: turn rate and velocity of `root`."""
-    psi = math.atan2(turn[1, 0], turn[0, 0])
-    psi = before + math.remainder(psi - before, math.tau)
-    pitch, roll = -math.asin(turn[2, 0]), math.atan2(turn[2, 1], turn[2, 2])
-    velocity = twist[3:] + np.cross(twist[:3], place - root)
-    gyro = turn.T @ twist[:3]
+@kernel
+def moved(place: Array, turn: Array, twist: Array, root: Array, before: float, out: Array) -> None:
+    """Fill out, shape (len(MOVED),), with what MOVED says of one body.
+
+    turn: its axes as columns, shape (9,), row by row. twist: its turn rate and the velocity of the point
+    `root`, shape (6,). before: its heading at the last look, rad.
+    """
+    psi = math.atan2(turn[3], turn[0])
+    psi = before + math.remainder(psi - before, 2.0 * math.pi)
+    pitch, roll = -math.asin(turn[6]), math.atan2(turn[7], turn[8])
+    x, y, z = place[0] - root[0], place[1] - root[1], place[2] - root[2]
+    north = twist[3] + twist[1] * z - twist[2] * y
+    east = twist[4] + twist[2] * x - twist[0] * z
+    for i in range(3):
+        out[i] = place[i]
+        out[11 + i] = turn[i] * twist[0] + turn[3 + i] * twist[1] + turn[6 + i] * twist[2]
     sine, cosine = math.sin(psi), math.cos(psi)
-    across = gyro[1] * math.sin(roll) + gyro[2] * math.cos(roll)
-    yaw_rate = across / math.cos(pitch)
-    return np.array([
-        *place, roll, pitch, psi,
-        velocity[0] * cosine + velocity[1] * sine,
-        velocity[1] * cosine - velocity[0] * sine,
-        gyro[0] + yaw_rate * math.sin(pitch),
-        gyro[1] * math.cos(roll) - gyro[2] * math.sin(roll),
-        yaw_rate, *gyro,
-    ])  # fmt: skip
+    yaw_rate = (out[12] * math.sin(roll) + out[13] * math.cos(roll)) / math.cos(pitch)
+    out[3], out[4], out[5] = roll, pitch, psi
+    out[6], out[7] = north * cosine + east * sine, east * cosine - north * sine
+    out[8] = out[11] + yaw_rate * math.sin(pitch)
+    out[9] = out[12] * math.cos(roll) - out[13] * math.sin(roll)
+    out[10] = yaw_rate
 
 
 def placed(vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array) -> SpatialPlant:
@@ -173,11 +182,13 @@ def _set_going(plant: SpatialPlant, speed: float) -> None:
 def _state(plant: SpatialPlant, rows: Array, delta: float, rate: float) -> Array:
     """As Motion.states, shape (13,)."""
     t, i = rows
-    alpha = plant.told[:, TOLD.index("slip")].reshape(3, 2).mean(axis=1)
-    return np.array([
-        t[AT["north"]], t[AT["east"]], t[AT["heading"]], i[AT["heading"]], t[AT["forward"]], t[AT["right"]],
-        t[AT["yaw_rate"]], i[AT["yaw_rate"]], *alpha, delta, rate,
-    ])  # fmt: skip
+    x = np.empty(13)
+    x[[0, 1, 2, 4, 5, 6]] = t[_OF_THE_TRACTOR]
+    x[[3, 7]] = i[_OF_THE_IMPLEMENT]
+    slip = plant.told[:, _SLIP]
+    x[8:11] = (slip[0::2] + slip[1::2]) / 2
+    x[11], x[12] = delta, rate
+    return x
 
 
 def run(
@@ -204,39 +215,32 @@ def run(
     _set_going(plant, float(start[4]))
     delta, rate = float(start[11]), 0.0
     plant.kinematics()
-    x = _state(plant, plant.bodies(), delta, rate)
     for k in range(0, n, hold):
         end = min(k + hold, n)
+        x = _state(plant, plant.bodies(), delta, rate)
         told = hand.steer(k, min(end, n - 1), x)
-        asked, speeds = (
-            np.broadcast_to(np.asarray(one, np.float64), (min(end, n - 1) - k + 1,)) for one in told
-        )
+        shape = (min(end, n - 1) - k + 1,)
+        asked, speeds = (np.broadcast_to(np.asarray(one, np.float64), shape).tolist() for one in told)
         plant.soil = np.ascontiguousarray(soil(k * STEP_S, x), np.float64)
         for j in range(k, end):
-            after = min(j - k + 1, len(asked) - 1)
+            now, after = j - k, min(j - k + 1, len(asked) - 1)
+            if valve is None:
+                delta, rate = asked[now], (asked[after] - asked[now]) / STEP_S
+            rows, beam = plant.bodies(), float(plant.data.qpos[7])
+            at_sample = delta, rate
             for s in range(substeps):
                 share = (s + 0.5) / substeps
-                command = asked[j - k] + share * (asked[after] - asked[j - k])
-                if valve is None:
-                    rate = (asked[after] - asked[j - k]) / STEP_S
-                    delta = float(command)
-                if j > k or s > 0 or k > 0:
-                    plant.kinematics()
-                wanted = speeds[j - k] + share * (speeds[after] - speeds[j - k])
-                rows = plant.bodies() if s == 0 else None
-                plant.advance(delta, float(wanted))
-                if rows is not None:
-                    x = _state(plant, rows, delta, rate)
-                    _record(into, j, plant, x, rows)
+                command = asked[now] + share * (asked[after] - asked[now])
                 if valve is not None:
-                    rate += plant.step * (valve[0] * float(command) - valve[1] * rate)
+                    rate += plant.step * (valve[0] * command - valve[1] * rate)
                     delta += plant.step * rate
+                amid = command if valve is None else delta - 0.5 * plant.step * rate
+                plant.advance(amid, speeds[now] + share * (speeds[after] - speeds[now]))
+                if s == 0:
+                    into.states[j], into.bodies[j] = _state(plant, rows, *at_sample), rows
+                    into.tyres[j], into.soil[j] = plant.told, plant.soil
+                    into.drive[j], into.beam[j] = plant.drive[0], beam
+                plant.kinematics()
         if progress is not None:
             progress(k * STEP_S)
     return into
-
-
-def _record(into: Motion, j: int, plant: SpatialPlant, x: Array, rows: Array) -> None:
-    into.states[j], into.bodies[j], into.tyres[j] = x, rows, plant.told
-    into.drive[j], into.soil[j] = plant.drive[0], plant.soil
-    into.beam[j] = plant.data.qpos[7]
