@@ -137,6 +137,15 @@ def tyre_on_ground(
 
 
 @kernel
+def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float:
+    """Of a body along its own x axis, m/s. Arguments as those of plant.moved."""
+    arm = (place[0] - root[0], place[1] - root[1], place[2] - root[2])
+    spin = _cross((twist[0], twist[1], twist[2]), arm)
+    velocity = (twist[3] + spin[0], twist[4] + spin[1], twist[5] + spin[2])
+    return _dot(velocity, (turn[0], turn[3], turn[6]))
+
+
+@kernel
 def govern(wanted: float, forward: float, drive: Array, step: float) -> None:
     """Drive force towards a speed, m/s. drive: N, and the integral of the speed that was missing, m."""
     error = wanted - forward
@@ -170,10 +179,7 @@ def apply_forces(
     xfrc[:, :] = 0.0
     angles = steering_angles(tyres, delta)
     root = com[1]
-    to_cg = (xpos[1, 0] - root[0], xpos[1, 1] - root[1], xpos[1, 2] - root[2])
-    spin = _cross((cvel[1, 0], cvel[1, 1], cvel[1, 2]), to_cg)
-    velocity = (cvel[1, 3] + spin[0], cvel[1, 4] + spin[1], cvel[1, 5] + spin[2])
-    govern(wanted, _dot(velocity, (xmat[1, 0], xmat[1, 3], xmat[1, 6])), drive, step)
+    govern(wanted, forward_speed(xpos[1], xmat[1], cvel[1], root), drive, step)
     for k in range(6):
         b = tyres.body[k]
         turn = xmat[b]
