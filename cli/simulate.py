@@ -22,6 +22,7 @@ from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
+from tilth.simulator.spatial.engine import NotInstalled, check_installed
 from tilth.simulator.tractor import drive
 
 
@@ -29,7 +30,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "simulate",
         help="drive a scenario: write its log and the truth beside it, or put it on a bus",
-        description="Drive a scenario file (examples/scenarios/ has some) on the nonlinear model and write "
+        description="Drive a scenario file (examples/scenarios/ has some) on the plant that it names, write "
         "the frames that a recorder would have taken; LOG.truth.json and LOG.truth.csv say what was true. Or "
         "send them in real time on a bus on which no receiver is heard; docs/buses.md says which.",
     )
@@ -130,6 +131,11 @@ def _source(args: argparse.Namespace) -> SimulationInput:
         raise WrongUse(
             f"{args.scenario}: cannot be read ({reason}); give a scenario file, as in examples/scenarios"
         ) from None
+    if scenario.plant == "spatial":
+        try:
+            check_installed()
+        except NotInstalled as error:
+            raise WrongUse(f"{args.scenario}: {error}") from None
     seed = scenario.seed if args.seed is None else args.seed
     seconds = scenario.seconds if args.seconds is None else args.seconds
     if seed < 0:

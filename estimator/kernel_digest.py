@@ -17,7 +17,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-LAYERS: Final = ("tilth.schemas.", "tilth.estimator.")  # whose functions are compiled with a kernel
+LAYERS: Final = ("tilth.schemas.", "tilth.estimator.", "tilth.simulator.spatial.")
+"""Whose functions are compiled with a kernel."""
 KNOWN: Final = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "typing"})
 """Packages whose functions and types are told by their names: their versions are part of the digest."""
 PLAIN: Final = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)

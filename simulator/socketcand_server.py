@@ -18,7 +18,7 @@ from typing import BinaryIO, Final
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import Scenario
+from tilth.simulator.scenario import from_json
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import traffic
 
@@ -177,7 +177,8 @@ def main() -> None:
     with open(0, "rb", buffering=0) as orders:  # unbuffered: select() must see what readline() has not read
         order = json.loads(orders.readline())
         machine = parse_machine(order["machine_text"])
-        truth = drive(machine, order["seed"], order["seconds"], Scenario(clock_offset_s=0.0))
+        scenario = replace(from_json(order["scenario"]), clock_offset_s=0.0)
+        truth = drive(machine, order["seed"], order["seconds"], scenario)
         server = open_server()
         _tell({"port": server.port})
         _tell({"sent": _play_truth(server, machine, truth, orders)})

@@ -13,10 +13,12 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import can
+import numpy as np
 import pytest
 import zenoh
 from loopback import PATIENCE_S
@@ -26,7 +28,8 @@ from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
 from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import PARAMETERS, Attitude, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.demo import (
     Demo,
@@ -112,6 +115,21 @@ def test_its_log_replays_to_the_byte(short: dict[str, Any], capsys: pytest.Captu
     assert not replayed["truncated"]
     for key in ("frames", "measurements", "poses", "rejected", "estimates", "nuisances"):
         assert replayed[key] == short[key], key
+
+
+@pytest.mark.skipif(find_spec("mujoco") is None, reason="needs the extra `spatial`")
+def test_in_space_it_rolls_over_uneven_ground(tmp_path: Path, machine: Machine) -> None:
+    words = ["--spatial", "--seconds", "3", "--json", "--log", str(tmp_path)]
+    done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["frames_lost"] == 0
+    assert answer["truth"] == pytest.approx(draw(machine, 1, Scenario()))
+    decoder = Decoder(machine)
+    told = [m for frame in frames(Path(answer["log"][0])) for m in decoder.measurements(frame)]
+    rolls = [one.roll for one in told if isinstance(one, Attitude) and one.roll is not None]
+    assert len(rolls) > 20
+    assert np.ptp(rolls) > np.radians(1.5)  # it rolls, and each receiver has another zero and more noise
 
 
 def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
