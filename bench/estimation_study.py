@@ -374,7 +374,7 @@ def followed(run: Driven) -> Followed:
     events = []
     for frame in traffic(run.truth_machine, run.truth):
         said = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
         for publication in said:
             value = publication.value
             if isinstance(value, Estimate):

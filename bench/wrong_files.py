@@ -331,7 +331,7 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
     for frame in frames:
         out += fitted_at_once(state, frame.t_ns)
         out += fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
     seen = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.counts], {})
@@ -468,7 +468,7 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
     for frame in simulate(machine, scenario.seed, seconds, scenario):
         began = began or frame.t_ns
         out = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
         if state.consistency.confirmed and math.isnan(confirmed_s):
             confirmed_s = (frame.t_ns - began) * 1e-9
         if not state.consistency.confirmed and math.isfinite(confirmed_s):

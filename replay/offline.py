@@ -186,7 +186,7 @@ class _Run:
             if self._anew:
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
-                log_time.follow(time, record)
+                log_time.take_stamp(time, record)
                 even_ns = time.silent_ns if self.fitter.own else 0  # a clock of tilth's is never set
                 summary.duration_ns = before_ns + time.passed_ns + even_ns
                 if pace is not None:

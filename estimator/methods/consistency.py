@@ -171,11 +171,11 @@ def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
 def soil_changed(state: Consistency, machine: Machine) -> None:
     """Begin anew with what driving says of the file: what tells other soil from another rig takes seconds."""
     if state.confirmed:
-        learn_anew(state, machine)
+        discard_findings(state, machine)
         state.confirmed = True
 
 
-def learn_anew(state: Consistency, machine: Machine) -> None:
+def discard_findings(state: Consistency, machine: Machine) -> None:
     """Forget what was found with measurements that were none, such as smoothed turn rates."""
     state.open, state.rows = open_tracker.initial(machine), []
     state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
@@ -196,7 +196,7 @@ def _found(
 ) -> dict[str, str]:
     found = {**_receivers(pose), **_parked(aligner), **_latencies(machine, aligner)}
     found |= {
-        f"receiver.{flag.of}.roll_corrected": receiver_checks.in_words(checks, flag)
+        f"receiver.{flag.of}.roll_corrected": receiver_checks.describe(checks, flag)
         for flag in receiver_checks.flags(checks)
         if flag.kind in _ROLL
     }
@@ -234,7 +234,7 @@ def _parked(aligner: Aligner) -> dict[str, str]:
             "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
     return {
         key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
-        for key, what, mean in zip(keys, _OFFSETS, aligner.lasting.parked, strict=True)
+        for key, what, mean in zip(keys, _OFFSETS, aligner.long_term.parked, strict=True)
         if mean.count >= PARKED_POSES and abs(mean.value) > PARKED
     }
 
@@ -372,7 +372,7 @@ def _confirm(state: Consistency, machine: Machine) -> None:
         state.lacks = _doubt(now)
         return
     wide = open_tracker.still_open(now)
-    known = state.rates_known and not motion_check.waits(state.motion)
+    known = state.rates_known and not motion_check.roll_check_pending(state.motion)
     enough = state.agreed >= SETTLES and len(state.rows) >= LEAST_STRETCHES
     state.confirmed = not wide and enough and known
     state.accused &= not state.confirmed

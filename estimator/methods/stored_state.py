@@ -21,7 +21,7 @@ from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import INPUTS, Record, Stretch
 from tilth.estimator.record.steady_driving import Steadiness
 from tilth.estimator.results.advice import Advisor
-from tilth.estimator.state_json import Stored, to_plain
+from tilth.estimator.state_json import Stored, to_json_data
 
 Json = dict[str, Any]
 
@@ -31,30 +31,30 @@ N: Final = len(NAMES)
 def steady_state_json(state: SteadyState) -> Json:
     """Ready for JSON."""
     return {
-        "mean": to_plain(state.x),
-        "covariance": to_plain(state.p),
-        "prior_sd": to_plain(state.prior),
-        "prior_logs": to_plain(state.prior_logs),
-        "logs": to_plain(state.logs),
-        "log_covariance": to_plain(state.log_p),
-        "steadiness": to_plain(state.steadiness),
+        "mean": to_json_data(state.x),
+        "covariance": to_json_data(state.p),
+        "prior_sd": to_json_data(state.prior),
+        "prior_logs": to_json_data(state.prior_logs),
+        "logs": to_json_data(state.logs),
+        "log_covariance": to_json_data(state.log_p),
+        "steadiness": to_json_data(state.steadiness),
         "seen_ns": state.seen_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
-        "steady_s": to_plain(state.steady_s),
-        "sideslip_s": to_plain(state.sideslip_s),
-        "surprise": to_plain(state.surprise),
+        "steady_s": to_json_data(state.steady_s),
+        "sideslip_s": to_json_data(state.sideslip_s),
+        "surprise": to_json_data(state.surprise),
         "forgotten": state.forgotten,
         "refused": dict(state.refused),
         "reason": state.reason,
-        "supported": to_plain(state.supported),
-        "events": to_plain(state.events),
+        "supported": to_json_data(state.supported),
+        "events": to_json_data(state.events),
     }
 
 
-def steady_state_of(plain: Any) -> SteadyState:
+def steady_state_of(raw: Any) -> SteadyState:
     """What `steady_state_json` gave."""
-    stored, n = Stored(plain, "the state of steady_state"), len(STATES)
+    stored, n = Stored(raw, "the state of steady_state"), len(STATES)
     state = SteadyState(
         x=stored.array("mean", n),
         p=stored.array("covariance", n, n),
@@ -82,25 +82,25 @@ def steady_state_of(plain: Any) -> SteadyState:
 def tracker_json(state: TrackerState) -> Json:
     """Ready for JSON."""
     return {
-        "mean": to_plain(state.mean),
-        "covariance": to_plain(state.covariance),
-        "prior_mean": to_plain(state.prior_mean),
-        "prior_sd": to_plain(state.prior_sd),
-        "motion": to_plain(state.x),
-        "motion_covariance": to_plain(state.P_xx),
-        "cross_covariance": to_plain(state.P_xtheta),
-        "noise_ratios": to_plain(state.residual_ratio),
-        "push_variances": to_plain(state.push),
-        "running": to_plain(state.running),
+        "mean": to_json_data(state.mean),
+        "covariance": to_json_data(state.covariance),
+        "prior_mean": to_json_data(state.prior_mean),
+        "prior_sd": to_json_data(state.prior_sd),
+        "motion": to_json_data(state.x),
+        "motion_covariance": to_json_data(state.P_xx),
+        "cross_covariance": to_json_data(state.P_xtheta),
+        "noise_ratios": to_json_data(state.residual_ratio),
+        "push_variances": to_json_data(state.push),
+        "running": to_json_data(state.running),
         "since": state.since,
-        "waiting": to_plain(state.waiting),
-        "ticks_before": to_plain(state.before),
-        "steering": to_plain(state.steering),
-        "marks": to_plain(state.marks),
+        "waiting": to_json_data(state.waiting),
+        "ticks_before": to_json_data(state.before),
+        "steering": to_json_data(state.steering),
+        "marks": to_json_data(state.marks),
         "marks_after": state.marks_after,
-        "counts": to_plain(state.counts),
-        "distance": to_plain(state.distance),
-        "window_s": to_plain(state.window_s),
+        "counts": to_json_data(state.counts),
+        "distance": to_json_data(state.distance),
+        "window_s": to_json_data(state.window_s),
         "seen_ns": state.seen_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
@@ -108,17 +108,17 @@ def tracker_json(state: TrackerState) -> Json:
         "changes": state.changes,
         "restarts": state.restarts,
         "refused": dict(state.refused),
-        "supported": to_plain(state.given),
-        "advisor": to_plain(state.advisor),
+        "supported": to_json_data(state.given),
+        "advisor": to_json_data(state.advisor),
         "reason": state.reason,
-        "events": to_plain(state.events),
-        "steered": to_plain(state.steered),
+        "events": to_json_data(state.events),
+        "steered": to_json_data(state.steered),
     }
 
 
-def tracker_of(plain: Any) -> TrackerState:
+def tracker_of(raw: Any) -> TrackerState:
     """What `tracker_json` gave."""
-    stored = Stored(plain, "the state of tracker")
+    stored = Stored(raw, "the state of tracker")
     state = TrackerState(
         mean=stored.array("mean", N),
         covariance=stored.array("covariance", N, N),
@@ -131,7 +131,7 @@ def tracker_of(plain: Any) -> TrackerState:
         push=stored.array("push_variances", 3),
         running=stored.value(bool, "running"),
         since=stored.value(int, "since"),
-        waiting=stored.maybe(Record, "waiting"),
+        waiting=stored.optional(Record, "waiting"),
         before=stored.array("ticks_before", -1, len(INPUTS)),
         steering=stored.value(float, "steering"),
         marks=stored.value(list[Mark], "marks"),
@@ -159,42 +159,42 @@ def tracker_of(plain: Any) -> TrackerState:
 def pem_json(state: PemState) -> Json:
     """Ready for JSON."""
     return {
-        "mean": to_plain(state.mean),
-        "covariance": to_plain(state.covariance),
-        "prior_mean": to_plain(state.prior_mean),
-        "prior_sd": to_plain(state.prior_sd),
-        "window": to_plain(state.window),
-        "closed": to_plain(state.closed),
-        "job": to_plain(state.job),
-        "decided": to_plain(state.decided),
+        "mean": to_json_data(state.mean),
+        "covariance": to_json_data(state.covariance),
+        "prior_mean": to_json_data(state.prior_mean),
+        "prior_sd": to_json_data(state.prior_sd),
+        "window": to_json_data(state.window),
+        "closed": to_json_data(state.closed),
+        "job": to_json_data(state.job),
+        "decided": to_json_data(state.decided),
         "late_ns": state.late_ns,
-        "distance": to_plain(state.distance),
+        "distance": to_json_data(state.distance),
         "seen_ns": state.seen_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
-        "window_s": to_plain(state.window_s),
+        "window_s": to_json_data(state.window_s),
         "fits": state.fits,
         "late": state.late,
         "changes": state.changes,
         "refused": dict(state.refused),
-        "supported": to_plain(state.given),
-        "last": to_plain(state.last),
+        "supported": to_json_data(state.given),
+        "last": to_json_data(state.last),
         "reason": state.reason,
-        "events": to_plain(state.events),
+        "events": to_json_data(state.events),
     }
 
 
-def pem_of(plain: Any) -> PemState:
+def pem_of(raw: Any) -> PemState:
     """What `pem_json` gave."""
-    stored = Stored(plain, "the state of pem")
+    stored = Stored(raw, "the state of pem")
     state = PemState(
         mean=stored.array("mean", N),
         covariance=stored.array("covariance", N, N),
         prior_mean=stored.array("prior_mean", N),
         prior_sd=stored.array("prior_sd", N),
         window=stored.value(list[Stretch], "window"),
-        closed=stored.maybe(Record, "closed"),
-        job=stored.maybe(pem.Job, "job"),
+        closed=stored.optional(Record, "closed"),
+        job=stored.optional(pem.Job, "job"),
         decided=stored.value(int, "decided"),
         late_ns=stored.value(int, "late_ns"),
         distance=stored.value(float, "distance"),
@@ -207,7 +207,7 @@ def pem_of(plain: Any) -> PemState:
         changes=stored.value(int, "changes"),
         refused=stored.value(dict[str, int], "refused"),
         given=stored.value(list[bool], "supported"),
-        last=stored.maybe(pem.Fit, "last"),
+        last=stored.optional(pem.Fit, "last"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
     )
@@ -218,33 +218,33 @@ def pem_of(plain: Any) -> PemState:
 def two_step_json(state: TwoStepState) -> Json:
     """Ready for JSON."""
     return {
-        "window": to_plain(state.window),
-        "closed": to_plain(state.closed),
-        "job": to_plain(state.job),
-        "decided": to_plain(state.decided),
+        "window": to_json_data(state.window),
+        "closed": to_json_data(state.closed),
+        "job": to_json_data(state.job),
+        "decided": to_json_data(state.decided),
         "late_ns": state.late_ns,
-        "values": to_plain(state.values),
-        "sds": to_plain(state.sds),
-        "runs": to_plain(state.runs),
-        "rank": to_plain(state.rank),
-        "window_s": to_plain(state.window_s),
+        "values": to_json_data(state.values),
+        "sds": to_json_data(state.sds),
+        "runs": to_json_data(state.runs),
+        "rank": to_json_data(state.rank),
+        "window_s": to_json_data(state.window_s),
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "late": state.late,
         "refused": dict(state.refused),
         "reason": state.reason,
         "nothing": state.nothing,
-        "events": to_plain(state.events),
+        "events": to_json_data(state.events),
     }
 
 
-def two_step_of(plain: Any) -> TwoStepState:
+def two_step_of(raw: Any) -> TwoStepState:
     """What `two_step_json` gave."""
-    stored = Stored(plain, "the state of pem_two_step")
+    stored = Stored(raw, "the state of pem_two_step")
     state = TwoStepState(
         window=stored.value(list[Stretch], "window"),
-        closed=stored.maybe(Record, "closed"),
-        job=stored.maybe(two_step.Job, "job"),
+        closed=stored.optional(Record, "closed"),
+        job=stored.optional(two_step.Job, "job"),
         decided=stored.value(int, "decided"),
         late_ns=stored.value(int, "late_ns"),
         values=stored.array("values", 6),
@@ -268,25 +268,25 @@ def consistency_json(state: Consistency) -> Json:
     """Ready for JSON."""
     return {
         "open_tracker": tracker_json(state.open),
-        "wheel": to_plain(state.wheel),
-        "motion": to_plain(state.motion),
-        "findings": to_plain(state.findings),
-        "confirmed": to_plain(state.confirmed),
+        "wheel": to_json_data(state.wheel),
+        "motion": to_json_data(state.motion),
+        "findings": to_json_data(state.findings),
+        "confirmed": to_json_data(state.confirmed),
         "lacks": state.lacks,
         "agreed": state.agreed,
-        "rates_known": to_plain(state.rates_known),
-        "rows": to_plain(state.rows),
-        "methods": to_plain(state.methods),
-        "accused": to_plain(state.accused),
-        "forgets": to_plain(state.forgets),
+        "rates_known": to_json_data(state.rates_known),
+        "rows": to_json_data(state.rows),
+        "methods": to_json_data(state.methods),
+        "accused": to_json_data(state.accused),
+        "forgets": to_json_data(state.forgets),
     }
 
 
-def consistency_of(plain: Any) -> Consistency:
+def consistency_of(raw: Any) -> Consistency:
     """What `consistency_json` gave."""
-    stored = Stored(plain, "the state of consistency")
+    stored = Stored(raw, "the state of consistency")
     state = Consistency(
-        open=tracker_of(stored.plain("open_tracker")),
+        open=tracker_of(stored.raw("open_tracker")),
         wheel=stored.value(WheelCheck, "wheel"),
         motion=stored.value(MotionCheck, "motion"),
         findings=stored.value(dict[str, Finding], "findings"),

@@ -321,7 +321,7 @@ def simulate(
     return states
 
 
-_interpreted = rates.plain()
+_interpreted = rates.interpreted()
 
 
 def derivative(rig: Rig, x: Array, w: Array) -> Array:

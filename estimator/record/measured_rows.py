@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.geometry import lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import Stamped
-from tilth.estimator.pose.roll_pitch import HALF_NS, RollPitch, noise_of_rate, share_of_sway
+from tilth.estimator.pose.roll_pitch import HALF_NS, RollPitch, roll_rate_noise, trusted_share
 from tilth.estimator.record.record import EAST, HEADING, NORTH, VELOCITY, YAW_RATE
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
@@ -86,7 +86,7 @@ def _span(swaying: list[float], body: int, start: Knot, end: Knot, after: Knot) 
         yaw_rate = (start.values[3 + body], end.values[3 + body])
     seconds = POSE_NS * 1e-9
     low, high = (last.roll - first.roll) / seconds, (then.roll_before - last.roll_before) / seconds
-    share = share_of_sway(swaying, high, noise_of_rate(last, then))
+    share = trusted_share(swaying, high, roll_rate_noise(last, then))
     left = math.sqrt(share * swaying[1])
     early = share * (last.roll_before - first.roll_before) / seconds
     return _Span(

@@ -15,7 +15,7 @@ from tilth.estimator.methods import consistency
 from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
 from tilth.estimator.methods.stored_state import consistency_json, consistency_of
 from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
@@ -62,7 +62,7 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
     state = changed(row.initial(MACHINE))
     text = json.dumps(row.to_json(state))
     again = row.from_json(json.loads(text))
-    assert type(again) is type(state) and to_plain(again) == to_plain(state)
+    assert type(again) is type(state) and to_json_data(again) == to_json_data(state)
     assert json.dumps(row.to_json(again)) == text
     assert len(json.loads(text)) == len(fields(state))
 
@@ -74,7 +74,7 @@ def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
     state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
     state.findings = {"a": consistency.Finding("a", "is wrong")}
     again = consistency_of(json.loads(json.dumps(consistency_json(state))))
-    assert to_plain(again) == to_plain(state)
+    assert to_json_data(again) == to_json_data(state)
 
 
 def test_it_is_plain_json_of_a_version_and_not_long() -> None:

@@ -17,7 +17,7 @@ from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -82,7 +82,7 @@ class Pocket:
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
-        known = (method, json.dumps(to_plain(job)))
+        known = (method, json.dumps(to_json_data(job)))
         if known not in MADE:  # most runs here are of the same drive
             MADE[known] = self._worker.made(method, job)
         return MADE[known]
@@ -122,7 +122,7 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     # Not to the bit: here linear algebra has as many threads as there are cores.
     assert np.allclose(found.mean, here.mean, atol=1e-6)
     assert (found.iterations, found.rows, found.advice) == (here.iterations, here.rows, here.advice)
-    assert to_plain(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_plain(found)
+    assert to_json_data(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_json_data(found)
     assert worker.seconds is not None and worker.seconds > 0.0
 
 

@@ -49,7 +49,7 @@ def run(machine: Machine, frames: list[Frame]) -> tuple[fold.State, list[Publica
         for method, _, _ in fold.pending(state):
             out += fold.adopt(state, frame.t_ns, method, None)
         out += fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
     return state, out
 
 

@@ -34,7 +34,7 @@ from tilth.estimator.filters import likelihood
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.results.recommend import PREFERRED
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Flag, Frame, Measurement, Mount, Pose, Status
 from tilth.schemas.flow import Velocity as VelocityMeasurement
@@ -311,7 +311,7 @@ def test_not_a_number_is_soon_forgotten(method: str) -> None:
     for estimate in run.estimates(method):
         assert np.isfinite(estimate.log_covariance).all()
         assert all(np.isfinite(pair).all() for pair in map(np.array, estimate.nuisances.values()))
-    plain = to_plain(run.state.estimators[method])
+    plain = to_json_data(run.state.estimators[method])
     assert all(map(math.isfinite, numbers(plain)))
 
 
@@ -321,8 +321,8 @@ def test_not_a_number_is_refused_and_counted() -> None:
     assert run.state.rejected["not_a_number"] == decoder.given
     for publication in run.publications:
         if isinstance(publication.value, (Measurement, Pose)):
-            assert all(map(math.isfinite, numbers(to_plain(publication.value))))
+            assert all(map(math.isfinite, numbers(to_json_data(publication.value))))
         if publication.topic.startswith("/soil_tire"):
             assert isinstance(publication.value, Estimate)
             closed = replace(publication.value, bound=())  # a bound may be infinite, and says so
-            assert all(map(math.isfinite, numbers(to_plain(closed))))
+            assert all(map(math.isfinite, numbers(to_json_data(closed))))

@@ -86,7 +86,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
 def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[MOVED] after as many ticks, less one, by the nonlinear model."""
     geometry = unknowns.geometry(SETUP.geometry, point)
-    rig = rig_at.plain()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
+    rig = rig_at.interpreted()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
@@ -153,7 +153,7 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
 @pytest.mark.parametrize(("kind", "place"), KINDS)
 def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int) -> None:
     x, point = somewhere(3)
-    run = predict_joint_measurement.plain()
+    run = predict_joint_measurement.interpreted()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
         geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_TRACKER + len(ACTIVE))

@@ -19,7 +19,7 @@ from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import BodyPose, Pose, Status
 
 Array = NDArray[np.float64]
@@ -199,7 +199,7 @@ def test_a_window_is_asked_for_fitted_and_merged_and_never_called_usable() -> No
     assert np.array_equal(job.record.ticks, record.ticks) and np.array_equal(job.record.rows, record.rows)
     assert two_step.wanted(state, t_ns) is None  # one at a time
     made = two_step.fit(MACHINE, job)
-    again = two_step.fit(MACHINE, from_plain(two_step.Job, to_plain(job)))
+    again = two_step.fit(MACHINE, from_json_data(two_step.Job, to_json_data(job)))
     assert np.array_equal(made.values, again.values) and np.array_equal(made.sds, again.sds)
     back = two_step_of(two_step_json(state))
     said = two_step.adopt(state, MACHINE, made, t_ns + 3 * 10**9)

@@ -110,22 +110,22 @@ def test_utc_follows_the_earliest_arrivals_and_a_jump(jump_s: float) -> None:
     clock = UtcClock()
     assert clock.utc_ns(START_NS) is None
     for k in range(30):
-        clock.measured(
+        clock.update(
             START_NS + k * 1_000_000_000 + (k * 7 % 5) * 3_000_000, START_NS - 10**9 + k * 10**9, 1e-4
         )
     said = clock.utc_ns(START_NS + 30 * 10**9)
     assert said is not None
     assert abs(said - (START_NS + 29 * 10**9)) < 2e6
-    clock.measured(START_NS + 31 * 10**9, START_NS + 30 * 10**9 + round(jump_s * 1e9), 1e-4)
+    clock.update(START_NS + 31 * 10**9, START_NS + 30 * 10**9 + round(jump_s * 1e9), 1e-4)
     said = clock.utc_ns(START_NS + 31 * 10**9)
     assert said == START_NS + 30 * 10**9 + round(jump_s * 1e9)
 
 
 def test_a_coarse_time_never_replaces_a_fine_one() -> None:
     clock = UtcClock()
-    clock.measured(START_NS, START_NS, 0.25)
-    clock.measured(START_NS + 10**9, START_NS + 10**9 - 5_000_000, 1e-4)
-    clock.measured(START_NS + 2 * 10**9, START_NS + 2 * 10**9 + 200_000_000, 0.25)
+    clock.update(START_NS, START_NS, 0.25)
+    clock.update(START_NS + 10**9, START_NS + 10**9 - 5_000_000, 1e-4)
+    clock.update(START_NS + 2 * 10**9, START_NS + 2 * 10**9 + 200_000_000, 0.25)
     assert clock.utc_ns(START_NS + 2 * 10**9) == START_NS + 2 * 10**9 - 5_000_000
 
 

@@ -8,7 +8,7 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.fold import initial, step
-from tilth.estimator.pose.log_time import LogTime, follow
+from tilth.estimator.pose.log_time import LogTime, take_stamp
 from tilth.schemas.flow import Event, Frame
 from tilth.simulator.tractor import Scenario
 from tilth.simulator.traffic import simulate
@@ -26,7 +26,7 @@ def moves(stamps: Iterable[tuple[float, str]]) -> tuple[list[float], LogTime]:
     time, said = LogTime(), []
     for at, bus in stamps:
         t_ns = round((START + at) * 1e9)
-        moved = follow(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
+        moved = take_stamp(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
         said += [moved * 1e-9] if moved else []
     return said, time
 
@@ -125,7 +125,7 @@ def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none()
     waited = LogTime()
     for at, taken in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.1, 20.1)):
         frame = Frame(round((START + taken) * 1e9), round((START + at) * 1e9), "can0", 0, True, False, b"")
-        assert follow(waited, frame) == 0
+        assert take_stamp(waited, frame) == 0
 
 
 def test_a_second_clock_costs_no_pose_and_is_counted() -> None:

@@ -18,8 +18,8 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant
 from tilth.estimator.record.record import YAW_RATE, concatenate
-from tilth.estimator.state_json import from_plain, to_plain
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
@@ -72,8 +72,8 @@ class Smoothed:
         if self.mean:
             return replace(measurement, yaw_rate=float(np.mean([r for t, r in heard if t > at - tau])))
         before, last = self.held.get(mount, rate), heard[-2:][0]
-        keep = math.exp(-(at - last[0]) / tau)
-        self.held[mount] = keep * before + (1.0 - keep) * (last[1] + rate) / 2
+        save_learned = math.exp(-(at - last[0]) / tau)
+        self.held[mount] = save_learned * before + (1.0 - save_learned) * (last[1] + rate) / 2
         return replace(measurement, yaw_rate=self.held[mount])
 
 
@@ -98,7 +98,7 @@ def drive(
             receiver_checks.observe(state, tracks, pose)
             count += 1
             if count == stored_at:
-                state = from_plain(ReceiverChecks, json.loads(json.dumps(to_plain(state))))
+                state = from_json_data(ReceiverChecks, json.loads(json.dumps(to_json_data(state))))
             for kind, text in receiver_checks.events(state):
                 found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
     return state, found
@@ -244,14 +244,14 @@ def test_its_state_is_plain_data_that_goes_on_exactly() -> None:
     state, found = drive(ROUGH, 20.0, edit, turned_round(IMPLEMENT))
     again = Smoothed(dict.fromkeys(TRACTOR, 1.0))
     stored, found_again = drive(ROUGH, 20.0, again, turned_round(IMPLEMENT), stored_at=37)
-    assert to_plain(stored) == to_plain(state) and found_again == found
+    assert to_json_data(stored) == to_json_data(state) and found_again == found
 
 
 def test_after_a_step_of_the_clock_intervals_begin_anew_and_findings_stay() -> None:
     state, _ = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
     before = receiver_checks.flags(state)
     receiver_checks.clock_stepped(state)
-    assert receiver_checks.flags(state) == before and state.seen_ns == 0
+    assert receiver_checks.flags(state) == before and state.last_pose_ns == 0
 
 
 # In the fold.
@@ -278,21 +278,21 @@ def rows() -> list[Frame]:
     return smoothed_frames(26.0)
 
 
-def learned_before() -> dict[str, Kept]:
+def learned_before() -> dict[str, SavedPosterior]:
     state = fold.initial(MACHINE)
     own = state.estimators[pem.METHOD]
     own.mean[:6] += 0.2
     own.covariance[:6, :6] *= 0.25
     own.informed_ns = 1
     state.consistency.confirmed = True
-    return fold.keep(state, 1)
+    return fold.save_learned(state, 1)
 
 
 def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_used(
     rows: list[Frame],
 ) -> None:
     state = fold.initial(MACHINE)
-    fold.go_on(state, learned_before(), 0.0, rows[0].t_ns)
+    fold.resume(state, learned_before(), 0.0, rows[0].t_ns)
     out = [p.value for row in rows for p in fold.step(state, row)]
     # Until it is found, one method or another may well disagree.
     events = [value for value in out if isinstance(value, Event) and value.kind != "disagreement"]

@@ -22,7 +22,7 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Stretch
 from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -410,8 +410,8 @@ def test_the_state_is_plain_and_goes_on_as_it_was() -> None:
     state, other, same = record_builder.initial(circle.machine), None, 0
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(8.0)))):
         if number == 20:
-            other = from_plain(RecordState, json.loads(json.dumps(to_plain(state))))
-            assert to_plain(other) == to_plain(state)
+            other = from_json_data(RecordState, json.loads(json.dumps(to_json_data(state))))
+            assert to_json_data(other) == to_json_data(state)
         one = record_builder.observe(state, aligned, pose)
         if other is not None:
             two = record_builder.observe(other, aligned, pose)

@@ -22,7 +22,7 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import YAW_RATE
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor, Candidate
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
@@ -281,7 +281,7 @@ def test_a_running_advisor_works_out_one_candidate_at_a_time_and_goes_on_from_pl
         texts.append(advice.renew(state, MACHINE, MEAN, covariance, SPEED, 1 + k * 1_000_000_000))
         assert len(state.table) == k // 10 + 1
     assert len(set(texts[:10])) == 1 and "chirp" in texts[-1]
-    again = from_plain(Advisor, to_plain(state))
+    again = from_json_data(Advisor, to_json_data(state))
     later = 1 + 40 * 1_000_000_000
     assert advice.renew(again, MACHINE, MEAN, covariance, SPEED, later) == advice.renew(
         state, MACHINE, MEAN, covariance, SPEED, later
