@@ -26,7 +26,7 @@ from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Pose
@@ -176,8 +176,8 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
     case, length = estimation_study.HELD_OUT, round(WINDOW * scale)
     run = estimation_study.driven(machine(), case, 1, max(40.0 * scale, 12.0))
-    given = estimation_study.poses_and_stretches(run)
-    record = estimation_study.windows([stretch for _, stretch in given if stretch is not None], length)[0]
+    given = estimation_study.poses_and_segments(run)
+    record = estimation_study.windows([segment for _, segment in given if segment is not None], length)[0]
     mean, sd = unknowns.prior(machine())
     job = pem.Job(0, 0, record, mean, np.diag(sd**2))
     pem.fit(machine(), job)
@@ -199,11 +199,11 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     return rows
 
 
-def _track(given: list[tuple[Pose, Stretch | None]]) -> None:
+def _track(given: list[tuple[Pose, Segment | None]]) -> None:
     row = ROW["tracker"]
     state = row.initial(machine())
-    for pose, stretch in given:
-        row.take(state, machine(), pose, stretch)
+    for pose, segment in given:
+        row.take(state, machine(), pose, segment)
 
 
 def best(way: Callable[[], object]) -> float:

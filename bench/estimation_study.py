@@ -22,7 +22,7 @@ from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import GEOMETRY, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.record.record import TICK_NS, Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
@@ -227,7 +227,7 @@ def driven(packaged: Machine, case: Case, seed: int, seconds: float | None = Non
     return Driven(machine, replace(truth, nuisances=truth.nuisances | dict(case.nuisances)), real)
 
 
-def poses_and_stretches(run: Driven) -> list[tuple[Pose, Stretch | None]]:
+def poses_and_segments(run: Driven) -> list[tuple[Pose, Segment | None]]:
     """What an estimator is given in a run."""
     state, recording = fold.initial(run.machine), record_builder.initial(run.machine)
     return [
@@ -238,20 +238,20 @@ def poses_and_stretches(run: Driven) -> list[tuple[Pose, Stretch | None]]:
     ]
 
 
-def stretches(run: Driven) -> list[Stretch]:
+def segments(run: Driven) -> list[Segment]:
     """The record of a run, stretch by stretch."""
-    return [stretch for _, stretch in poses_and_stretches(run) if stretch is not None]
+    return [segment for _, segment in poses_and_segments(run) if segment is not None]
 
 
-def windows(some: list[Stretch], length: int = WINDOW) -> list[Record]:
+def windows(some: list[Segment], length: int = WINDOW) -> list[Record]:
     """The stretches that may teach, in windows of so many that follow one another."""
-    made: list[list[Stretch]] = []
-    for stretch in some:
-        if stretch.reason:
+    made: list[list[Segment]] = []
+    for segment in some:
+        if segment.reason:
             continue
-        if not stretch.follows or not made or len(made[-1]) == length:
+        if not segment.follows or not made or len(made[-1]) == length:
             made.append([])
-        made[-1].append(stretch)
+        made[-1].append(segment)
     return [concatenate(window) for window in made if len(window) == length]
 
 
@@ -295,7 +295,7 @@ def window_of(
 ) -> Fitted | None:
     """The first windows of a run, fitted; None where the run has fewer."""
     run = driven(packaged, case, seed)
-    records = windows(stretches(run), length)[:count]
+    records = windows(segments(run), length)[:count]
     return fitted(run, records) if len(records) == count else None
 
 
@@ -309,7 +309,7 @@ def trajectory_error(
     implement) by what was fitted, then both by what is true. The start is the true one; the wheel angle,
     speed and roll are measured, their zero and gain as fitted. None where the run has no two windows."""
     run = driven(packaged, case, seed)
-    records = windows(stretches(run), length)
+    records = windows(segments(run), length)
     if len(records) < 2:
         return None
     found = fitted(run, records[:1])

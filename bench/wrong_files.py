@@ -334,7 +334,7 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
         fold.request_fits(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    seen = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.counts], {})
+    seen = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.active], {})
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
         if isinstance(value, Event) and value.kind == CONTRADICTION and not seen.first:

@@ -20,7 +20,7 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
@@ -99,8 +99,8 @@ class State:
         counts = dict(self.decoder.rejected)
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
-        if self.time.astray:
-            counts["other_time"] = self.time.astray
+        if self.time.stray:
+            counts["other_time"] = self.time.stray
         if self.not_numbers:
             counts["not_a_number"] = self.not_numbers
         return counts
@@ -221,16 +221,16 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
-    stretch = record_builder.observe(state.record, state.aligner, pose)
+    segment = record_builder.observe(state.record, state.aligner, pose)
     if not state.ready:
         return
-    doubtful = _check_consistency(state, t_ns, pose, stretch, out)
-    if doubtful and stretch is not None:
-        stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
+    doubtful = _check_consistency(state, t_ns, pose, segment, out)
+    if doubtful and segment is not None:
+        segment = replace(segment, follows=False, reason=consistency.REFUSED)
     estimates = []
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
-        estimate = row.take(method_state, state.machine, pose, stretch)
+        estimate = row.take(method_state, state.machine, pose, segment)
         if estimate is not None:
             estimates.append(estimate)
         _publish_events(state, t_ns, row, out)
@@ -239,15 +239,15 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
 
 
 def _check_consistency(
-    state: State, t_ns: int, pose: Pose, stretch: Stretch | None, out: list[Publication]
+    state: State, t_ns: int, pose: Pose, segment: Segment | None, out: list[Publication]
 ) -> bool:
     """Check the data against the machine file. Returns whether they contradict it, so that nothing is
     learned."""
-    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, stretch)
+    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, segment)
     for kind, text in events:
         _publish_event(state, t_ns, kind, text, out)
-    if state.consistency.forgets:
-        state.consistency.forgets = False
+    if state.consistency.must_forget:
+        state.consistency.must_forget = False
         _reset_estimators(state, t_ns)
     return consistency.stops_learning(state.consistency)
 
@@ -319,7 +319,7 @@ def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
     them."""
     jobs = []
     for row in rows_for(state.machine):
-        job = row.fitting.wanted(state.estimators[row.method], t_ns) if row.fitting else None
+        job = row.fitting.request_fit(state.estimators[row.method], t_ns) if row.fitting else None
         if job is not None:
             jobs.append((row.method, job))
     return jobs

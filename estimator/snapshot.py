@@ -39,8 +39,8 @@ def snapshot(state: State) -> str:
         "consistency": consistency_json(state.consistency),
         "estimators": {row.method: row.to_json(state.estimators[row.method]) for row in rows},
         "checks": to_json_data(state.checks),
-        "kept": {method: previous_run.to_json() for method, previous_run in state.previous_run.items()},
-        "kept_ns": state.previous_run_ns,
+        "previous_run": {method: previous_run.to_json() for method, previous_run in state.previous_run.items()},
+        "previous_run_ns": state.previous_run_ns,
         "frames": state.frames,
         "measurements": state.measurements,
         "poses": state.poses,
@@ -121,9 +121,9 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         checks=stored.value(ReceiverChecks, "checks"),
         previous_run={
             method: SavedPosterior.from_json(stored_posterior)
-            for method, stored_posterior in stored.raw("kept").items()
+            for method, stored_posterior in stored.raw("previous_run").items()
         },
-        previous_run_ns=stored.value(int, "kept_ns"),
+        previous_run_ns=stored.value(int, "previous_run_ns"),
         frames=stored.value(int, "frames"),
         measurements=stored.value(int, "measurements"),
         poses=stored.value(int, "poses"),

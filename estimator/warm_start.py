@@ -124,7 +124,7 @@ def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: flo
     prior_mean, prior = fresh.mean, fresh.covariance
     active = np.flatnonzero(np.diag(prior) > 0.0)
     mean, covariance = saved.mean.copy(), saved.covariance.copy()
-    for name in memory.passing:
+    for name in memory.per_run:
         k = memory.names.index(name)
         mean[k] = prior_mean[k]
         covariance[k, :] = covariance[:, k] = 0.0

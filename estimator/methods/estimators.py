@@ -14,7 +14,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import learned, pem, steady_state, stored_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.methods.stored_state import Json
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -24,7 +24,7 @@ class Fitting:
     """How a row's fits are asked for, made and taken. The job that waits stands in `state.job`."""
 
     latency_ns: int  # of the log's time, from asking to taking
-    wanted: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
+    request_fit: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
     fit: Callable[[Machine, Any], Any]  # pure
     rehearse: Callable[[Machine], None]  # a fit of nothing, which compiles what a fit needs
     adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
@@ -35,7 +35,7 @@ class Memory:
     """What of a row's state goes on in the next run, besides `informed_ns`."""
 
     names: tuple[str, ...]  # of what the vector holds
-    passing: tuple[str, ...]  # names that begin anew with each run
+    per_run: tuple[str, ...]  # names that begin anew with each run
     learned: Callable[[Any], Learned]  # of a state
     resume: Callable[[Any, Learned], None]  # changes the state, which is fresh
 
@@ -47,7 +47,7 @@ class Estimator:
     to_json: Callable[[Any], Json]  # the whole state
     from_json: Callable[[Any], Any]  # the state; raises ValueError where it is not what `to_json` gave
     take: Callable[
-        [Any, Machine, Pose, Stretch | None], Estimate | None
+        [Any, Machine, Pose, Segment | None], Estimate | None
     ]  # changes the state; an estimate when one is due
     estimate: Callable[[Any, Machine, int], Estimate]  # what can be said at a time, ns
     clock_stepped: Callable[
@@ -55,7 +55,7 @@ class Estimator:
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
     fitting: Fitting | None = None
     memory: Memory | None = None
-    asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
+    enabled: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
     prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
     kernels: tuple[Kernel[..., Any], ...] = ()  # that `prepare` compiles
 
@@ -93,7 +93,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        fitting=Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
+        fitting=Fitting(pem.LATENCY_NS, pem.request_fit, pem.fit, pem.rehearse, pem.adopt),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
@@ -105,9 +105,9 @@ ESTIMATORS: tuple[Estimator, ...] = (
         two_step.estimate,
         two_step.clock_stepped,
         fitting=Fitting(
-            two_step.LATENCY_NS, two_step.wanted, two_step.fit, two_step.rehearse, two_step.adopt
+            two_step.LATENCY_NS, two_step.request_fit, two_step.fit, two_step.rehearse, two_step.adopt
         ),
-        asked_for=lambda machine: machine.estimation.two_step,
+        enabled=lambda machine: machine.estimation.two_step,
         # No memory: 7.20 forgets nothing, so that what it merged begins anew with each run.
     ),
 )
@@ -117,4 +117,4 @@ ROW: dict[str, Estimator] = {row.method: row for row in ESTIMATORS}
 
 def rows_for(machine: Machine) -> tuple[Estimator, ...]:
     """The rows that run on a machine, in their order, which is also that of their fits in the worker."""
-    return tuple(row for row in ESTIMATORS if row.asked_for(machine))
+    return tuple(row for row in ESTIMATORS if row.enabled(machine))

@@ -24,12 +24,12 @@ class Learned:
 def of_steady_state(state: SteadyState) -> Learned:
     """Of what this method knows."""
     counts = {"steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s)}
-    return Learned(state.x.copy(), state.p.copy(), counts)
+    return Learned(state.x.copy(), state.P.copy(), counts)
 
 
 def into_steady_state(state: SteadyState, learned: Learned) -> None:
     """In the place of what this method knows."""
-    state.x, state.p = learned.mean, learned.covariance
+    state.x, state.P = learned.mean, learned.covariance
     state.steady_s = _counted(learned, "steady_s")
     state.sideslip_s = _counted(learned, "sideslip_s")
 

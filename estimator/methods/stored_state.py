@@ -7,7 +7,7 @@ missing, of another type or shape, or not known.
 
 from typing import Any, Final
 
-from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import N_TRACKER
 from tilth.estimator.filters.unknowns import NAMES
 from tilth.estimator.methods import pem, two_step
@@ -18,7 +18,7 @@ from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.methods.two_step import TwoStepState
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.record.record import INPUTS, Record, Stretch
+from tilth.estimator.record.record import INPUTS, Record, Segment
 from tilth.estimator.record.steady_driving import Steadiness
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.state_json import Stored, to_json_data
@@ -32,18 +32,18 @@ def steady_state_json(state: SteadyState) -> Json:
     """Ready for JSON."""
     return {
         "mean": to_json_data(state.x),
-        "covariance": to_json_data(state.p),
-        "prior_sd": to_json_data(state.prior),
+        "covariance": to_json_data(state.P),
+        "prior_sd": to_json_data(state.prior_sd),
         "prior_logs": to_json_data(state.prior_logs),
         "logs": to_json_data(state.logs),
-        "log_covariance": to_json_data(state.log_p),
+        "log_covariance": to_json_data(state.log_covariance),
         "steadiness": to_json_data(state.steadiness),
-        "seen_ns": state.seen_ns,
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "steady_s": to_json_data(state.steady_s),
         "sideslip_s": to_json_data(state.sideslip_s),
-        "surprise": to_json_data(state.surprise),
+        "surprise": to_json_data(state.mean_nis),
         "forgotten": state.forgotten,
         "refused": dict(state.refused),
         "reason": state.reason,
@@ -57,18 +57,18 @@ def steady_state_of(raw: Any) -> SteadyState:
     stored, n = Stored(raw, "the state of steady_state"), len(STATES)
     state = SteadyState(
         x=stored.array("mean", n),
-        p=stored.array("covariance", n, n),
-        prior=stored.array("prior_sd", n),
+        P=stored.array("covariance", n, n),
+        prior_sd=stored.array("prior_sd", n),
         prior_logs=stored.array("prior_logs", 3),
         logs=stored.array("logs", 3),
-        log_p=stored.array("log_covariance", 3, 3),
+        log_covariance=stored.array("log_covariance", 3, 3),
         steadiness=stored.value(Steadiness, "steadiness"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         steady_s=stored.value(float, "steady_s"),
         sideslip_s=stored.value(float, "sideslip_s"),
-        surprise=stored.value(float, "surprise"),
+        mean_nis=stored.value(float, "surprise"),
         forgotten=stored.value(int, "forgotten"),
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
@@ -92,27 +92,27 @@ def tracker_json(state: TrackerState) -> Json:
         "noise_ratios": to_json_data(state.residual_ratio),
         "push_variances": to_json_data(state.push),
         "running": to_json_data(state.running),
-        "since": state.since,
-        "waiting": to_json_data(state.waiting),
-        "ticks_before": to_json_data(state.before),
+        "since": state.segments_since_start,
+        "waiting": to_json_data(state.pending),
+        "ticks_before": to_json_data(state.ticks_before),
         "steering": to_json_data(state.steering),
-        "marks": to_json_data(state.marks),
-        "marks_after": state.marks_after,
+        "marks": to_json_data(state.checkpoints),
+        "marks_after": state.segments_since_checkpoint,
         "counts": to_json_data(state.counts),
         "distance": to_json_data(state.distance),
         "window_s": to_json_data(state.window_s),
-        "seen_ns": state.seen_ns,
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "changed_ns": state.changed_ns,
         "changes": state.changes,
         "restarts": state.restarts,
         "refused": dict(state.refused),
-        "supported": to_json_data(state.given),
+        "supported": to_json_data(state.has_number),
         "advisor": to_json_data(state.advisor),
         "reason": state.reason,
         "events": to_json_data(state.events),
-        "steered": to_json_data(state.steered),
+        "steered": to_json_data(state.needs_steering),
     }
 
 
@@ -130,27 +130,27 @@ def tracker_of(raw: Any) -> TrackerState:
         residual_ratio=stored.array("noise_ratios", 3),
         push=stored.array("push_variances", 3),
         running=stored.value(bool, "running"),
-        since=stored.value(int, "since"),
-        waiting=stored.optional(Record, "waiting"),
-        before=stored.array("ticks_before", -1, len(INPUTS)),
+        segments_since_start=stored.value(int, "since"),
+        pending=stored.optional(Record, "waiting"),
+        ticks_before=stored.array("ticks_before", -1, len(INPUTS)),
         steering=stored.value(float, "steering"),
-        marks=stored.value(list[Mark], "marks"),
-        marks_after=stored.value(int, "marks_after"),
+        checkpoints=stored.value(list[Checkpoint], "marks"),
+        segments_since_checkpoint=stored.value(int, "marks_after"),
         counts=stored.array("counts", 3),
         distance=stored.value(float, "distance"),
         window_s=stored.value(float, "window_s"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         changed_ns=stored.value(int, "changed_ns"),
         changes=stored.value(int, "changes"),
         restarts=stored.value(int, "restarts"),
         refused=stored.value(dict[str, int], "refused"),
-        given=stored.value(list[bool], "supported"),
+        has_number=stored.value(list[bool], "supported"),
         advisor=stored.value(Advisor, "advisor"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
-        steered=stored.value(list[int], "steered"),
+        needs_steering=stored.value(list[int], "steered"),
     )
     stored.end()
     return state
@@ -169,7 +169,7 @@ def pem_json(state: PemState) -> Json:
         "decided": to_json_data(state.decided),
         "late_ns": state.late_ns,
         "distance": to_json_data(state.distance),
-        "seen_ns": state.seen_ns,
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "window_s": to_json_data(state.window_s),
@@ -177,7 +177,7 @@ def pem_json(state: PemState) -> Json:
         "late": state.late,
         "changes": state.changes,
         "refused": dict(state.refused),
-        "supported": to_json_data(state.given),
+        "supported": to_json_data(state.has_number),
         "last": to_json_data(state.last),
         "reason": state.reason,
         "events": to_json_data(state.events),
@@ -192,13 +192,13 @@ def pem_of(raw: Any) -> PemState:
         covariance=stored.array("covariance", N, N),
         prior_mean=stored.array("prior_mean", N),
         prior_sd=stored.array("prior_sd", N),
-        window=stored.value(list[Stretch], "window"),
+        window=stored.value(list[Segment], "window"),
         closed=stored.optional(Record, "closed"),
         job=stored.optional(pem.Job, "job"),
         decided=stored.value(int, "decided"),
         late_ns=stored.value(int, "late_ns"),
         distance=stored.value(float, "distance"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         window_s=stored.value(float, "window_s"),
@@ -206,7 +206,7 @@ def pem_of(raw: Any) -> PemState:
         late=stored.value(int, "late"),
         changes=stored.value(int, "changes"),
         refused=stored.value(dict[str, int], "refused"),
-        given=stored.value(list[bool], "supported"),
+        has_number=stored.value(list[bool], "supported"),
         last=stored.optional(pem.Fit, "last"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
@@ -233,7 +233,7 @@ def two_step_json(state: TwoStepState) -> Json:
         "late": state.late,
         "refused": dict(state.refused),
         "reason": state.reason,
-        "nothing": state.nothing,
+        "nothing": state.failure,
         "events": to_json_data(state.events),
     }
 
@@ -242,7 +242,7 @@ def two_step_of(raw: Any) -> TwoStepState:
     """What `two_step_json` gave."""
     stored = Stored(raw, "the state of pem_two_step")
     state = TwoStepState(
-        window=stored.value(list[Stretch], "window"),
+        window=stored.value(list[Segment], "window"),
         closed=stored.optional(Record, "closed"),
         job=stored.optional(two_step.Job, "job"),
         decided=stored.value(int, "decided"),
@@ -257,7 +257,7 @@ def two_step_of(raw: Any) -> TwoStepState:
         late=stored.value(int, "late"),
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
-        nothing=stored.value(str, "nothing"),
+        failure=stored.value(str, "nothing"),
         events=stored.value(list[tuple[str, str]], "events"),
     )
     stored.end()
@@ -272,13 +272,13 @@ def consistency_json(state: Consistency) -> Json:
         "motion": to_json_data(state.motion),
         "findings": to_json_data(state.findings),
         "confirmed": to_json_data(state.confirmed),
-        "lacks": state.lacks,
+        "lacks": state.missing,
         "agreed": state.agreed,
         "rates_known": to_json_data(state.rates_known),
         "rows": to_json_data(state.rows),
         "methods": to_json_data(state.methods),
-        "accused": to_json_data(state.accused),
-        "forgets": to_json_data(state.forgets),
+        "accused": to_json_data(state.open_restarted),
+        "forgets": to_json_data(state.must_forget),
     }
 
 
@@ -291,13 +291,13 @@ def consistency_of(raw: Any) -> Consistency:
         motion=stored.value(MotionCheck, "motion"),
         findings=stored.value(dict[str, Finding], "findings"),
         confirmed=stored.value(bool, "confirmed"),
-        lacks=stored.value(str, "lacks"),
+        missing=stored.value(str, "lacks"),
         agreed=stored.value(int, "agreed"),
         rates_known=stored.value(bool, "rates_known"),
         rows=stored.value(list[tuple[float, float]], "rows"),
         methods=stored.value(dict[str, dict[str, str]], "methods"),
-        accused=stored.value(bool, "accused"),
-        forgets=stored.value(bool, "forgets"),
+        open_restarted=stored.value(bool, "accused"),
+        must_forget=stored.value(bool, "forgets"),
     )
     stored.end()
     return state

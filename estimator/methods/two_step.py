@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merge_scalar
-from tilth.estimator.record.record import TICK_NS, Record, Stretch
+from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 METHOD: Final = "pem_two_step"
 PUBLISH_NS: Final = 10_000_000_000
 LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the one worker makes that fit first
-_WHY_NOT: Final = (
+_REASONS: Final = (
     "rank {rank} of 3: yaw rate and articulation do not tell three stiffnesses apart",
     "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow",
 )
@@ -42,7 +42,7 @@ class Job:
 class TwoStepState:
     """The window being driven, and what those before gave. Plain data; times ns."""
 
-    window: list[Stretch] = field(default_factory=list)
+    window: list[Segment] = field(default_factory=list)
     closed: Record | None = None  # waits to be asked for
     job: Job | None = None  # asked for, not taken yet
     decided: int = OPEN  # of the job: see windows.OPEN
@@ -57,7 +57,7 @@ class TwoStepState:
     late: int = 0  # fits that came too late
     refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
     reason: str = ""  # why nothing is collected now
-    nothing: str = ""  # why the last window gave nothing
+    failure: str = ""  # why the last window gave nothing
     events: list[tuple[str, str]] = field(default_factory=list)  # none so far
 
 
@@ -66,12 +66,12 @@ def initial(machine: Machine) -> TwoStepState:
     return TwoStepState()
 
 
-def take(state: TwoStepState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
+def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
     """Take one stretch; an estimate each PUBLISH_NS. The pose serves as the time."""
-    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, stretch, PUBLISH_NS) else None
+    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
 
 
-def wanted(state: TwoStepState, t_ns: int) -> Job | None:
+def request_fit(state: TwoStepState, t_ns: int) -> Job | None:
     """A fit to ask for at the frame of t_ns, once a window has closed."""
     if state.closed is None or state.job is not None:
         return None
@@ -98,7 +98,7 @@ def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int
         state.late += 1
         return estimate(state, machine, t_ns)
     state.late += state.late_ns > 0
-    state.rank, state.nothing = made.rank, made.reason
+    state.rank, state.failure = made.rank, made.reason
     if made.reason:
         refuse(state, made.reason)
     for k in range(len(PARAMETERS)):
@@ -120,7 +120,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
     _, prior_sd = unknowns.prior(machine)
-    shares = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
+    log_sds = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
     excitation = {"runs": float(state.runs.max()), "late": float(state.late)}
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
@@ -129,7 +129,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
         method=METHOD,
         model=MODEL,
         parameters=parameters,
-        log_covariance=tuple(np.diag(shares**2).ravel().tolist()),  # the method knows of no correlations
+        log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method knows of no correlations
         per_mass=per_mass(machine, parameters),
         rank=state.rank,
         excitation=excitation,
@@ -140,10 +140,10 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
 def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstimate:
     if not state.runs[k]:
         return ParameterEstimate(
-            None, None, Status.UNESTIMATED, state.nothing or "no window has been fitted yet"
+            None, None, Status.UNESTIMATED, state.failure or "no window has been fitted yet"
         )
-    why_not = _WHY_NOT[k // 3].format(rank=state.rank)
-    return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, why_not, age)
+    reason = _REASONS[k // 3].format(rank=state.rank)
+    return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, reason, age)
 
 
 def clock_stepped(state: TwoStepState, by_ns: int) -> None:

@@ -33,7 +33,7 @@ class OffTimeFrames:
     needed_ns: int  # how long they must last to be accepted
     passed_ns: int  # LogTime.passed_ns before them
     lasted_ns: int = 0  # how long they have lasted
-    astray: int = 0  # how many of them were not used
+    stray: int = 0  # how many of them were not used
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class LogTime:
     latest_ns: int = 0  # greatest stamp since the last step back; 0 before the first
     passed_ns: int = 0  # time during which frames came, without silences and steps
     silent_ns: int = 0  # sum of the silences
-    astray: int = 0  # stray frames: the log's time before and after them was another
+    stray: int = 0  # stray frames: the log's time before and after them was another
     bus_ns: dict[str, int] = field(default_factory=dict)  # bus -> its greatest stamp since the last jump
     off_time: OffTimeFrames | None = None  # frames at another time that may turn out to be right
 
@@ -78,8 +78,8 @@ def _off_time_frame(time: LogTime, frame: Frame, at_ns: int, needed_ns: int) -> 
     off_time.needed_ns = min(needed_ns, off_time.needed_ns)
     if _extend(off_time, at_ns):
         return _accept_jump(time, off_time, frame)
-    off_time.astray += 1
-    time.astray += 1
+    off_time.stray += 1
+    time.stray += 1
     return None
 
 
@@ -115,7 +115,7 @@ def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
     by_ns = off_time.since_ns - off_time.from_ns
     time.passed_ns = off_time.passed_ns + off_time.latest_ns - off_time.since_ns
     time.silent_ns += max(0, by_ns)
-    time.astray -= off_time.astray  # they were not stray: they were the first with the new time
+    time.stray -= off_time.stray  # they were not stray: they were the first with the new time
     time.latest_ns = max(frame.t_ns, off_time.latest_ns)
     time.bus_ns = {frame.bus: time.latest_ns}
     time.off_time = None

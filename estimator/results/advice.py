@@ -17,7 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
+from tilth.estimator.filters.predictor import REUSE_GAINS, STORE_GAINS, Innovations, Measured, innovations
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
@@ -43,17 +43,19 @@ from tilth.schemas.spread import share
 Array = NDArray[np.float64]
 
 SUPPORTED: Final = 0.5  # posterior over prior sd: above, a parameter or a combination is not determined
-PLAIN: Final = 2.0  # a ratio or product of two is named rather than a direction known so much better
-OPEN: Final = 1e-3  # information over prior information: below, a direction is left open
+PAIR_PREFERENCE: Final = (
+    2.0  # a ratio or product of two is named rather than a direction known so much better
+)
+LEAST_INFORMATION: Final = 1e-3  # information over prior information: below, a direction is left open
 SECONDS: Final = 10.0  # of a manoeuvre
 TARGET: Final = 0.10  # sd of a logarithm that is good enough: no wilder manoeuvre for less
-WORTH: Final = 0.85  # of the present sd: a manoeuvre that does not get below is not worth it
+WORTHWHILE: Final = 0.85  # of the present sd: a manoeuvre that does not get below is not worth it
 SLOWEST: Final = 1.5  # m/s: below, slip is too small to learn from
 LARGEST_ACCELERATION: Final = 2.0  # m/s^2, across, of what is advised
 HERTZ: Final = 5.0  # of a receiver nobody has timed
 EVERY_NS: Final = 10_000_000_000
-MOVED: Final = 0.15  # of a logarithm, or of the speed as a share: then the table is made anew
-UNHEARD: Final = 1e6  # sd of a measurement that corrects nothing: its error shows what is expected
+REBUILD_CHANGE: Final = 0.15  # of a logarithm, or of the speed as a share: then the table is made anew
+IGNORED_SD: Final = 1e6  # sd of a measurement that corrects nothing: its error shows what is expected
 
 
 class Candidate(NamedTuple):
@@ -87,7 +89,7 @@ def eigenvalues(information: Array, prior_sd: Array) -> tuple[float, ...]:
 def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
     """Smallest sd that the data alone allow each parameter; None where they leave it open."""
     values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
-    rows = np.sqrt(np.where(values > OPEN, values, 0.0))[:, None] * vectors.T
+    rows = np.sqrt(np.where(values > LEAST_INFORMATION, values, 0.0))[:, None] * vectors.T
     if not rows.any():
         return (None,) * len(prior_sd)
     found = identifiability.bound(rows, [str(k) for k in range(len(prior_sd))]).sd * prior_sd
@@ -101,21 +103,21 @@ def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAM
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
     single = [k for k in range(len(names)) if sd[k] <= SUPPORTED * prior_sd[k]]
-    words = [f"{names[k]} {share(sd[k])}" for k in single]
+    texts = [f"{names[k]} {share(sd[k])}" for k in single]
     rest = [k for k in range(len(names)) if k not in single]
     if len(rest) < 2:
-        return tuple(words)
+        return tuple(texts)
     here: Array = posterior[np.ix_(rest, rest)]
-    before: Array = prior[np.ix_(rest, rest)]
+    prior_variance: Array = prior[np.ix_(rest, rest)]
     for _ in range(len(rest) - 1):
-        weights = _best(here, before)
+        weights = _best(here, prior_variance)
         if weights is None:
             break
         sd_combination = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
-        words.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
+        texts.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
         # As if it were known: what comes next must be something else.
-        here, before = _conditioned(here, weights), _conditioned(before, weights)
-    return tuple(words)
+        here, prior_variance = _conditioned(here, weights), _conditioned(prior_variance, weights)
+    return tuple(texts)
 
 
 def _best(posterior: Array, prior: Array) -> Array | None:
@@ -129,25 +131,25 @@ def _best(posterior: Array, prior: Array) -> Array | None:
             weights[i], weights[j] = 1.0, sign
             pairs.append(weights)
     values, vectors = np.linalg.eigh(prior)
-    kept = values > 1e-9 * values[-1]
-    root = vectors[:, kept] / np.sqrt(values[kept])
+    positive = values > 1e-9 * values[-1]
+    root = vectors[:, positive] / np.sqrt(values[positive])
     _, directions = np.linalg.eigh(root.T @ posterior @ root)
     general = root @ directions[:, 0]
     general = np.round(general / np.abs(general).max(), 1)
     general *= np.sign(general[np.argmax(np.abs(general))])
     score, k = min((_sd_ratio(w, posterior, prior), k) for k, w in enumerate(pairs))
     best = _sd_ratio(general, posterior, prior)
-    if score <= min(SUPPORTED, PLAIN * best):
+    if score <= min(SUPPORTED, PAIR_PREFERENCE * best):
         return pairs[k]
     return np.asarray(general) if best <= SUPPORTED else None
 
 
 def _sd_ratio(weights: Array, posterior: Array, prior: Array) -> float:
     """Posterior over prior sd of a combination; 1 where the prior leaves nothing to learn."""
-    before = float(weights @ prior @ weights)
-    if before < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
+    prior_variance = float(weights @ prior @ weights)
+    if prior_variance < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
         return 1.0
-    return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / before)
+    return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / prior_variance)
 
 
 def _conditioned(covariance: Array, weights: Array) -> Array:
@@ -157,14 +159,14 @@ def _conditioned(covariance: Array, weights: Array) -> Array:
 
 
 def _combination(weights: Array, names: Sequence[str]) -> str:
-    over = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
-    under = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
-    if not over:
-        over, under = under, over
-    text = "·".join(over)
-    if not under:
+    numerator = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
+    denominator = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
+    if not numerator:
+        numerator, denominator = denominator, numerator
+    text = "·".join(numerator)
+    if not denominator:
         return text
-    return f"{text}/{under[0]}" if len(under) == 1 else f"{text}/({'·'.join(under)})"
+    return f"{text}/{denominator[0]}" if len(denominator) == 1 else f"{text}/({'·'.join(denominator)})"
 
 
 def _power(name: str, exponent: float) -> str:
@@ -192,24 +194,26 @@ def information(
     ticks = np.zeros((count, len(INPUTS)))
     ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
     ticks[:, U] = speed
-    watch = np.array([(k, 0.0, HEADING, body, 0.0, UNHEARD) for k in range(count) for body in (0, 1)])
-    predicted_values, _ = _prediction_errors(machine, ticks, watch, point[None], planar)
+    heading_rows = np.array(
+        [(k, 0.0, HEADING, body, 0.0, IGNORED_SD) for k in range(count) for body in (0, 1)]
+    )
+    predicted_values, _ = _prediction_errors(machine, ticks, heading_rows, point[None], planar)
     ticks[:, PSI : PSI + 2] = -predicted_values[0].reshape(count, 2)
     rows = _planned_rows(machine, count, hertz)
-    silent = rows.copy()
-    silent[:, SD] = UNHEARD
-    predicted_values, _ = _prediction_errors(machine, ticks, silent, point[None], planar)
+    ignored_rows = rows.copy()
+    ignored_rows[:, SD] = IGNORED_SD
+    predicted_values, _ = _prediction_errors(machine, ticks, ignored_rows, point[None], planar)
     rows[:, VALUE] = -predicted_values[0]
     _, prior_sd = unknowns.prior(machine)
-    free = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
-    nudges = 1e-3 * prior_sd[free]
-    points = np.tile(point, (len(free) + 1, 1))
-    points[np.arange(1, len(free) + 1), free] += nudges
+    active = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
+    nudges = 1e-3 * prior_sd[active]
+    points = np.tile(point, (len(active) + 1, 1))
+    points[np.arange(1, len(active) + 1), active] += nudges
     errors, variances = _prediction_errors(machine, ticks, rows, points, planar)
-    white = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
-    whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(free, free)] = white.T @ white
-    return whole
+    whitened = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
+    information_matrix = np.zeros((len(NAMES), len(NAMES)))
+    information_matrix[np.ix_(active, active)] = whitened.T @ whitened
+    return information_matrix
 
 
 def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
@@ -236,7 +240,7 @@ def _prediction_errors(
     """Prediction errors and their variances at each point, shape (q, m); all with the gains of the first."""
     e, S = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
     base = unknowns.base_geometry(machine)
-    modes = np.array([KEEP] + [FOLLOW] * (len(points) - 1), dtype=np.float64)
+    modes = np.array([STORE_GAINS] + [REUSE_GAINS] * (len(points) - 1), dtype=np.float64)
     measured = Measured(ticks, rows, np.tile(rows[:, VALUE], (len(points), 1)), np.ones(len(rows)))
     geometries = np.array([unknowns.geometry(base, point) for point in points])
     at = Point(points, np.exp(points[:, SIX]), geometries)
@@ -291,7 +295,7 @@ def advise(
     known = not undetermined
     if known:
         undetermined = [int(np.argmax(now))]
-    names = _and([PARAMETERS[k] for k in undetermined])
+    names = _join_names([PARAMETERS[k] for k in undetermined])
     if len(undetermined) == len(PARAMETERS):
         start = f"none of {names} is determined"
     else:
@@ -301,9 +305,9 @@ def advise(
     chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
-    words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
+    texts = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
     them = "it" if len(undetermined) == 1 else "them"
-    return f"{start}; {SECONDS:g} s of {words} would bring {them} to {share(*after[chosen])}"
+    return f"{start}; {SECONDS:g} s of {texts} would bring {them} to {share(*after[chosen])}"
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
@@ -311,7 +315,7 @@ def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
 
     after: sds of the parameters asked for, shape (k,), as `now`.
     """
-    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTH * now)}
+    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTHWHILE * now)}
     if not worth:
         return None
     enough = max(TARGET, 1.1 * min(worth.values()))
@@ -319,7 +323,7 @@ def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
     return min((c for c in worth if c.degrees == mildest), key=lambda c: worth[c])
 
 
-def _and(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
@@ -341,7 +345,10 @@ def renew(state: Advisor, machine: Machine, mean: Array, covariance: Array, spee
     state.renewed_ns = t_ns
     if speed < SLOWEST:
         return state.text
-    far = np.abs(mean - state.point)[SIX].max() > MOVED or abs(speed - state.speed) > MOVED * speed
+    far = (
+        np.abs(mean - state.point)[SIX].max() > REBUILD_CHANGE
+        or abs(speed - state.speed) > REBUILD_CHANGE * speed
+    )
     if not state.table or far:
         state.point, state.speed, state.table = mean.copy(), speed, []
     candidates = gentle(machine, state.speed)[::-1]  # the one that tells most first

@@ -70,7 +70,7 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
 def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
     state = consistency.initial(MACHINE)
     changed(state.open)
-    state.confirmed, state.accused, state.lacks = True, True, "little"
+    state.confirmed, state.open_restarted, state.missing = True, True, "little"
     state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
     state.findings = {"a": consistency.Finding("a", "is wrong")}
     again = consistency_of(json.loads(json.dumps(consistency_json(state))))

@@ -321,14 +321,14 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     job = own.job
     assert own.decided == AWAITED and job is fitter.jobs[pem.METHOD]
     own.closed = job.record  # the next window
-    assert pem.wanted(own, job.asked_ns + 40 * SECOND) is None and own.closed is not None
+    assert pem.request_fit(own, job.asked_ns + 40 * SECOND) is None and own.closed is not None
     later = job.asked_ns + pem.LATENCY_NS + GIVE_UP_NS
     assert fold.decided(later) == []
     (told,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
     assert (told.adopted, told.awaited, told.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
     told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
     assert any("not ready 300 s after it was due and is given up" in getattr(v, "text", "") for v in told_of)
-    asked = pem.wanted(own, later + 2)
+    asked = pem.request_fit(own, later + 2)
     assert asked is not None and own.closed is None
 
 

@@ -277,5 +277,5 @@ def test_what_is_left_open_is_as_wide_as_people_are_wrong_and_begins_at_the_file
     state = open_tracker.initial(machine)
     now = open_tracker.misfit(state, machine)
     assert now.total == 0.0 and not now.by_name.any()
-    assert set(open_tracker.still_open(now)) == set(open_tracker.SHOWN)
-    assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN.values()))).all()
+    assert set(open_tracker.unconfirmed(now)) == set(open_tracker.CONFIRMING_SD)
+    assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))).all()

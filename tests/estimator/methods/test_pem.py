@@ -22,7 +22,7 @@ from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
+from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
 from tilth.estimator.results.reporting import take_events
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
@@ -149,14 +149,14 @@ def _driven(seed: int) -> tuple[Record, Array]:
     )
     truth = drive(machine, seed, scenario.seconds, scenario)
     state, recording = initial(machine), record_builder.initial(machine)
-    stretches: list[Stretch] = []
+    segments: list[Segment] = []
     for frame in traffic(machine, truth):
         for publication in step(state, frame):
             if isinstance(publication.value, Pose):
-                stretch = record_builder.observe(recording, state.aligner, publication.value)
-                if stretch is not None and not stretch.reason:
-                    stretches.append(stretch)
-    return concatenate(stretches), np.log([truth.parameters[name] for name in PARAMETERS])
+                segment = record_builder.observe(recording, state.aligner, publication.value)
+                if segment is not None and not segment.reason:
+                    segments.append(segment)
+    return concatenate(segments), np.log([truth.parameters[name] for name in PARAMETERS])
 
 
 def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> None:
@@ -177,9 +177,9 @@ def test_a_job_is_asked_for_made_and_taken(machine: Machine) -> None:
     record, truth = _driven(1)
     state = pem.initial(machine)
     state.closed = record
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
-    assert pem.wanted(state, 6) is None  # one at a time
+    assert pem.request_fit(state, 6) is None  # one at a time
     again = pem_of(pem_json(state))
     assert again.job is not None and np.array_equal(again.job.record.rows, record.rows)
     estimate = pem.adopt(state, machine, pem.fit(machine, job), job.closed_ns)
@@ -196,7 +196,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     record, _ = _driven(1)
     state = pem.initial(machine)
     state.closed = record
-    pem.wanted(state, 5)
+    pem.request_fit(state, 5)
     before = state.mean.copy()
     estimate = pem.adopt(state, machine, None, 6)
     assert state.late == 1
@@ -212,7 +212,7 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     state.covariance[SIX, SIX] = 0.03**2 * np.eye(6)
     state.fits = 1
     state.closed = record
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
     made = pem.fit(machine, job)
     assert made.changed
@@ -228,7 +228,7 @@ def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> No
     rows[500, 4] = math.nan
     state = pem.initial(machine)
     state.closed = Record(record.t_ns, record.ticks, rows)
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
     made = pem.fit(machine, job)
     pem.adopt(state, machine, made, 6)

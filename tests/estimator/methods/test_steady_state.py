@@ -106,7 +106,7 @@ def test_intervals_hold_what_they_promise() -> None:
     for seed in range(runs):
         truth, nuisances = _drawn(seed)
         state, _ = learn(drive(seed, truth, nuisances=nuisances))
-        scaled[seed] = log_errors(state, truth) / np.sqrt(np.diag(state.log_p))
+        scaled[seed] = log_errors(state, truth) / np.sqrt(np.diag(state.log_covariance))
     inside = np.abs(scaled) < 1.96
     assert inside.mean() >= 0.93 and inside.mean(axis=0).min() >= 0.90
     # Neither lean nor too wide: with logarithms as states the lean was 0.2 to 0.5.
@@ -132,7 +132,7 @@ def test_intervals_hold_what_they_promise() -> None:
 )
 def test_what_the_file_has_wrong_moves_it_by_less_than_it_admits(name: str, error: float) -> None:
     state, _ = learn(drive(noise=0.0, nuisances={name: error}))
-    assert np.abs(log_errors(state, TRUTH) / np.sqrt(np.diag(state.log_p))).max() < 1.0
+    assert np.abs(log_errors(state, TRUTH) / np.sqrt(np.diag(state.log_covariance))).max() < 1.0
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_the_files_uncertainty_is_in_the_published_sd(old: str, sure: str, unsur
         state = steady_state.initial(machine)
         for pose in drive():
             steady_state.take(state, machine, pose)
-        sds.append(np.sqrt(np.diag(state.log_p)))
+        sds.append(np.sqrt(np.diag(state.log_covariance)))
     assert (sds[1] - sds[0]).max() > 0.02
 
 
@@ -174,7 +174,7 @@ def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float) 
 def test_it_says_what_is_determined_and_what_the_data_allow() -> None:
     state, said = learn(drive())
     assert [words.split()[0] for words in said.determined] == list(PARAMETERS[:3])
-    sds = np.sqrt(np.diag(state.log_p))
+    sds = np.sqrt(np.diag(state.log_covariance))
     assert np.all(np.array(said.bound[:3]) >= sds) and np.all(np.isinf(said.bound[3:]))
     _, untaught = learn(drive(turns=(0.0,) * 3))
     assert untaught.determined == () and untaught.bound == ()
@@ -200,7 +200,7 @@ def test_straight_driving_teaches_the_zero_and_no_stiffness() -> None:
     assert said.nuisances["wheel_zero"][0] == pytest.approx(0.005, abs=1.5e-3)
     assert said.rank < 3
     assert {p.status for p in said.parameters} == {Status.UNESTIMATED}
-    assert np.all(np.diag(state.log_p) > 0.999 * state.prior[:3] ** 2)
+    assert np.all(np.diag(state.log_covariance) > 0.999 * state.prior_sd[:3] ** 2)
 
 
 @pytest.mark.parametrize("roll", [math.radians(3), math.radians(-4)])
@@ -256,21 +256,21 @@ def test_what_must_not_teach_teaches_nothing_and_is_counted(reason: str, spoil) 
     assert state.refused[reason] > 400
     assert {p.status for p in said.parameters} == {Status.UNESTIMATED}
     assert said.parameters[0].reason == f"no steady turn yet (now: {reason})"
-    assert np.allclose(state.log_p, np.diag(state.prior[:3] ** 2), rtol=1e-6)
+    assert np.allclose(state.log_covariance, np.diag(state.prior_sd[:3] ** 2), rtol=1e-6)
 
 
 def test_turning_in_and_out_is_left_alone_until_the_implement_is_in_line() -> None:
     poses = list(drive())
     state = steady_state.initial(MACHINE)
-    taught: list[float] = []
+    usable: list[float] = []
     for pose in poses:
         before = state.steady_s
         steady_state.take(state, MACHINE, pose)
         if state.steady_s > before:
-            taught.append((pose.t_ns - START_NS) * 1e-9 % 12.0)
+            usable.append((pose.t_ns - START_NS) * 1e-9 % 12.0)
     # 6 lengths of 3.72 m at 4.5 m/s after a change of the wheel angle
-    assert min(taught) > 4.9
-    assert max(taught) > 11.3
+    assert min(usable) > 4.9
+    assert max(usable) > 11.3
 
 
 def test_a_number_grows_stale_and_says_since_when() -> None:
@@ -287,19 +287,19 @@ def test_an_outlier_changes_nothing() -> None:
     spoiled = [_body(p, yaw_rate=5.0) if k % 40 == 39 else p for k, p in enumerate(poses)]
     state, _ = learn(spoiled)
     assert np.abs(log_errors(state, TRUTH)).max() < 0.5
-    assert np.all(np.isfinite(state.p))
+    assert np.all(np.isfinite(state.P))
     assert clean.steady_s > state.steady_s
 
 
 def test_covariance_neither_winds_up_nor_goes_below_what_was_received() -> None:
     turns = (*TURNS, *(0.0,) * 300)  # an hour of straight rows
     state, said = learn(drive(turns=turns))
-    eigenvalues = np.linalg.eigvalsh(state.log_p / np.outer(state.prior[:3], state.prior[:3]))
+    eigenvalues = np.linalg.eigvalsh(state.log_covariance / np.outer(state.prior_sd[:3], state.prior_sd[:3]))
     assert eigenvalues[-1] <= 1.0 + 1e-9
     informed, _ = learn(drive())
-    assert np.all(np.diag(state.log_p) >= np.diag(informed.log_p))
-    assert np.abs(log_errors(state, TRUTH)).max() < 2 * math.sqrt(np.diag(state.log_p).max())
-    moved = np.abs(state.logs - informed.logs) / np.sqrt(np.diag(state.log_p))
+    assert np.all(np.diag(state.log_covariance) >= np.diag(informed.log_covariance))
+    assert np.abs(log_errors(state, TRUTH)).max() < 2 * math.sqrt(np.diag(state.log_covariance).max())
+    moved = np.abs(state.logs - informed.logs) / np.sqrt(np.diag(state.log_covariance))
     assert moved.max() < 1.0
     assert len(said.log_covariance) == len(PARAMETERS) ** 2
 
@@ -314,7 +314,7 @@ def test_the_mass_of_the_implement_is_carried_into_its_stiffness() -> None:
         state = steady_state.initial(machine)
         for pose in drive():
             steady_state.take(state, machine, pose)
-        sds.append(math.sqrt(state.log_p[2, 2]))
+        sds.append(math.sqrt(state.log_covariance[2, 2]))
     assert sds[1] > sds[0] + 0.03
 
 
@@ -330,7 +330,7 @@ def test_another_soil_is_learned_anew_or_not_spoken_of(factor: float) -> None:
     for k, parameter in enumerate(said.parameters[:3]):
         assert parameter.status in (Status.ESTIMATED, Status.UNESTIMATED)
         if parameter.status is Status.ESTIMATED:
-            assert abs(state.logs[k] - math.log(other[k])) < 3 * math.sqrt(state.log_p[k, k])
+            assert abs(state.logs[k] - math.log(other[k])) < 3 * math.sqrt(state.log_covariance[k, k])
 
 
 def test_straight_driving_does_not_renew_the_age() -> None:
@@ -342,7 +342,7 @@ def test_straight_driving_does_not_renew_the_age() -> None:
 def test_not_a_number_poisons_nothing() -> None:
     poses = [_body(p, yaw_rate=math.nan) if k % 7 == 0 else p for k, p in enumerate(drive())]
     state, _ = learn(poses)
-    assert np.all(np.isfinite(state.x)) and np.all(np.isfinite(state.p))
+    assert np.all(np.isfinite(state.x)) and np.all(np.isfinite(state.P))
 
 
 def test_a_soil_that_changed_is_an_event_once() -> None:
@@ -363,8 +363,8 @@ def test_a_soil_that_changed_is_an_event_once() -> None:
 def test_a_number_comes_and_goes_with_a_margin_between() -> None:
     state, _ = learn(drive())
     for share, expected in ((0.45, True), (0.55, True), (0.65, False), (0.55, False), (0.45, True)):
-        state.log_p = np.diag((share * state.prior[:3]) ** 2)
-        steady_state._support(state)
+        state.log_covariance = np.diag((share * state.prior_sd[:3]) ** 2)
+        steady_state._update_supported(state)
         assert state.supported == [expected] * 3
 
 

@@ -14,7 +14,7 @@ from tilth.estimator.filters import soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation
 from tilth.estimator.filters.propagation import rig_at
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_TRACKER, X_PAIR, X_POSITION, X_PUSH, Point
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
@@ -23,9 +23,9 @@ from tilth.estimator.filters.tracker_kernel import (
     JointEstimate,
     ProcessNoise,
     RowTally,
-    Segment,
+    SegmentArrays,
     predict_joint_measurement,
-    tracked,
+    track_segment,
 )
 from tilth.estimator.filters.tracker_model import Active
 from tilth.estimator.filters.unknowns import AT, SIX
@@ -33,14 +33,14 @@ from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Segment
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
-Given = list[tuple[Pose, Stretch | None]]
+Given = list[tuple[Pose, Segment | None]]
 
 TICKS = 10  # of a stretch
 FIELD = Soil(grip=0.7, rolling=0.06)
@@ -107,8 +107,8 @@ def half_a_stretch(x: Array, point: Array, covariance: Array, P_xx: Array) -> tu
     ticks[:, 6], ticks[:, 7] = 0.02, -0.01
     x, point, P_xx = x.copy(), point.copy(), P_xx.copy()
     P_xtheta = np.zeros((N_TRACKER, len(point)))
-    tracked(
-        Segment(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
+    track_segment(
+        SegmentArrays(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
         SETUP._replace(sds=np.zeros(3)), ACTIVE, np.zeros(N_TRACKER + len(ACTIVE)),
         ProcessNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((6, 2))),
     )  # fmt: skip
@@ -178,7 +178,7 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
 @cache
 def driven(
     scenario: Scenario, seed: int
-) -> tuple[fold.State, list[tuple[Pose, Stretch | None]], list[Event], Array]:
+) -> tuple[fold.State, list[tuple[Pose, Segment | None]], list[Event], Array]:
     """(the fold at the end, what the tracker was given, soil changes, true logarithms before any change)."""
     truth = drive(MACHINE, seed, scenario.seconds, scenario)
     state, recording = fold.initial(MACHINE), record_builder.initial(MACHINE)
@@ -196,8 +196,8 @@ def driven(
 
 def learned(given: Given) -> TrackerState:
     state = tracker.initial(MACHINE)
-    for pose, stretch in given:
-        tracker.take(state, MACHINE, pose, stretch)
+    for pose, segment in given:
+        tracker.take(state, MACHINE, pose, segment)
     return state
 
 
@@ -265,7 +265,7 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
     largest = []
     for _ in range(20):
         truth, mean, covariance = np.zeros(6), 0.7 * rng.normal(size=6), 0.49 * np.eye(6)
-        marks: list[Mark] = []
+        checkpoints: list[Checkpoint] = []
         found = 0.0
         for k in range(120):
             if k == 100:
@@ -274,9 +274,9 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
             gain = covariance @ h / (h @ covariance @ h + 0.3**2)
             mean = mean + gain * (h @ (truth - mean) + 0.3 * rng.normal())
             covariance = covariance - np.outer(gain, h @ covariance)
-            told = soil_change.likeliest(marks, mean, covariance)
+            told = soil_change.likeliest_change(checkpoints, mean, covariance)
             found = max(found, told.ratio if told and k >= 100 else 0.0)
-            marks = [*marks, Mark(mean, covariance)][-soil_change.MARKS :]
+            checkpoints = [*checkpoints, Checkpoint(mean, covariance)][-soil_change.MOST_CHECKPOINTS :]
         largest.append(found)
     assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
 
@@ -284,11 +284,11 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
 # What must teach nothing
 
 
-def straight(seconds: float, seed: int) -> list[Stretch]:
+def straight(seconds: float, seed: int) -> list[Segment]:
     """A straight row to the north, steered by small corrections, over ground that pushes."""
     rng = np.random.default_rng(seed)
     n, start_ns = TICKS, 10**15
-    stretches = []
+    segments = []
     for k in range(round(seconds / 0.2)):
         ticks = np.zeros((n, 8))
         ticks[:, 1] = 4.5
@@ -306,14 +306,14 @@ def straight(seconds: float, seed: int) -> list[Stretch]:
                     (tick, 0.0, NORTH, place, north + 0.01 * rng.normal(), 0.025),
                     (tick, 0.0, EAST, place, east + 0.01 * rng.normal(), 0.025),
                 ]
-        stretches.append(Stretch(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
-    return stretches
+        segments.append(Segment(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
+    return segments
 
 
-def follow(state: TrackerState, stretches: list[Stretch]) -> None:
-    for stretch in stretches:
-        state.seen_ns = stretch.record.end_ns
-        tracker.take_stretch(state, MACHINE, stretch)
+def follow(state: TrackerState, segments: list[Segment]) -> None:
+    for segment in segments:
+        state.last_pose_ns = segment.record.end_ns
+        tracker.take_segment(state, MACHINE, segment)
 
 
 def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
@@ -334,11 +334,11 @@ def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
 def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
     given = driven(RANDOM, 1)[1]
     k = next(k for k, (_, s) in enumerate(given) if s is not None and not s.reason) + 60
-    pose, stretch = given[k]
-    assert stretch is not None
-    rows = stretch.record.rows.copy()
+    pose, segment = given[k]
+    assert segment is not None
+    rows = segment.record.rows.copy()
     rows[5, column] = math.nan
-    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
     clean, state = learned(given), learned([*given[:k], (pose, spoilt), *given[k + 1 :]])
     assert clean.counts[BAD] == 0.0 and state.counts[BAD] == 1.0
     assert state.counts[USED] + 1.0 == pytest.approx(clean.counts[USED], abs=3.0)
@@ -347,11 +347,11 @@ def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
 
 def test_an_input_that_is_no_number_costs_one_stretch() -> None:
     given = driven(RANDOM, 1)[1]
-    pose, stretch = given[80]
-    assert stretch is not None
-    ticks = stretch.record.ticks.copy()
+    pose, segment = given[80]
+    assert segment is not None
+    ticks = segment.record.ticks.copy()
     ticks[3, 0] = math.inf
-    spoilt = Stretch(Record(stretch.record.t_ns, ticks, stretch.record.rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, ticks, segment.record.rows), segment.follows, "")
     state = learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.refused["inputs are no numbers"] == 1
     assert state.restarts == 2
@@ -360,11 +360,11 @@ def test_an_input_that_is_no_number_costs_one_stretch() -> None:
 
 def test_a_position_beyond_belief_is_left_out() -> None:
     given = driven(RANDOM, 1)[1]
-    pose, stretch = given[80]
-    assert stretch is not None
-    rows = stretch.record.rows.copy()
+    pose, segment = given[80]
+    assert segment is not None
+    rows = segment.record.rows.copy()
     rows[np.flatnonzero(rows[:, 2] == EAST)[0], 4] += 2.0
-    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
     clean, state = learned(given), learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.counts[GATED] == clean.counts[GATED] + 1.0
     assert np.all(np.abs(state.mean - clean.mean)[SIX] < 0.3 * np.sqrt(np.diag(clean.covariance)[SIX]))
@@ -373,16 +373,16 @@ def test_a_position_beyond_belief_is_left_out() -> None:
 def test_after_a_gap_nothing_jumps() -> None:
     given = driven(RANDOM, 1)[1]
     gap = [
-        (pose, replace(stretch, reason="no RTK fix") if stretch else None) for pose, stretch in given[60:80]
+        (pose, replace(segment, reason="no RTK fix") if segment else None) for pose, segment in given[60:80]
     ]
     state = learned([*given[:60], *gap])
     mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
-    pose, stretch = given[80]
-    assert stretch is not None
-    tracker.take(state, MACHINE, pose, replace(stretch, follows=False))
+    pose, segment = given[80]
+    assert segment is not None
+    tracker.take(state, MACHINE, pose, replace(segment, follows=False))
     largest = 0.0
-    for pose, stretch in given[81:]:
-        tracker.take(state, MACHINE, pose, stretch)
+    for pose, segment in given[81:]:
+        tracker.take(state, MACHINE, pose, segment)
         largest = max(largest, float(np.max(np.abs(state.mean[SIX] - mean) / sd)))
         mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
     assert state.refused["no RTK fix"] == 20
@@ -402,10 +402,10 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     assert {p.status for p in late.parameters} == {Status.STALE}
     assert all("nothing was learned" in p.reason for p in late.parameters)
     own.covariance[SIX, SIX] = (0.5 * own.prior_sd[0]) ** 2 * np.eye(6)  # is said as 0.58 of the prior's
-    own.given[0] = True
+    own.has_number[0] = True
     first = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
     assert first.status is Status.ESTIMATED  # not yet beyond LOST
-    own.given[0] = False
+    own.has_number[0] = False
     again = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
     assert again.status is Status.UNESTIMATED and "more steering" in again.reason
     assert again.value is None

@@ -17,7 +17,7 @@ from tilth.estimator.methods.stored_state import two_step_json, two_step_of
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Segment
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import BodyPose, Pose, Status
@@ -174,30 +174,30 @@ def pose_at(t_ns: int) -> Pose:
     return Pose(t_ns, 43.5, -83.4, body, body, 0.0, 0.007, 0.0, 0.002, 1, None, 0.0, 4, ())
 
 
-def stretches(record: Record) -> list[Stretch]:
+def segments(record: Record) -> list[Segment]:
     out = []
     for k in range(0, len(record.ticks), 10):
         own = (record.rows[:, 0] >= k) & (record.rows[:, 0] < k + 10)
         rows = record.rows[own] - np.array([k, 0, 0, 0, 0, 0])
-        out.append(Stretch(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, ""))
+        out.append(Segment(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, ""))
     return out
 
 
-def drive(state: two_step.TwoStepState, run: list[Stretch]) -> int:
+def drive(state: two_step.TwoStepState, run: list[Segment]) -> int:
     """Take them all; the instant after the last."""
-    for stretch in run:
-        two_step.take(state, MACHINE, pose_at(stretch.record.end_ns), stretch)
+    for segment in run:
+        two_step.take(state, MACHINE, pose_at(segment.record.end_ns), segment)
     return run[-1].record.end_ns
 
 
 def test_a_window_is_asked_for_fitted_and_merged_and_never_called_usable() -> None:
     state = two_step.initial(MACHINE)
     record = record_of(step_run(), noise=1.0)
-    t_ns = drive(state, stretches(record))
-    job = two_step.wanted(state, t_ns)
+    t_ns = drive(state, segments(record))
+    job = two_step.request_fit(state, t_ns)
     assert job is not None and job.asked_ns == t_ns and job.closed_ns == record.end_ns
     assert np.array_equal(job.record.ticks, record.ticks) and np.array_equal(job.record.rows, record.rows)
-    assert two_step.wanted(state, t_ns) is None  # one at a time
+    assert two_step.request_fit(state, t_ns) is None  # one at a time
     made = two_step.fit(MACHINE, job)
     again = two_step.fit(MACHINE, from_json_data(two_step.Job, to_json_data(job)))
     assert np.array_equal(made.values, again.values) and np.array_equal(made.sds, again.sds)
@@ -232,8 +232,8 @@ def test_a_second_window_is_merged_number_by_number() -> None:
 
 def test_a_late_fit_is_dropped_and_counted() -> None:
     state = two_step.initial(MACHINE)
-    t_ns = drive(state, stretches(record_of(step_run())))
-    assert two_step.wanted(state, t_ns) is not None
+    t_ns = drive(state, segments(record_of(step_run())))
+    assert two_step.request_fit(state, t_ns) is not None
     said = two_step.adopt(state, MACHINE, None, t_ns + 3 * 10**9)
     assert state.late == 1 and state.job is None
     assert {p.status for p in said.parameters} == {Status.UNESTIMATED}
@@ -241,12 +241,12 @@ def test_a_late_fit_is_dropped_and_counted() -> None:
 
 def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     state = two_step.initial(MACHINE)
-    run = stretches(record_of(step_run()))
+    run = segments(record_of(step_run()))
     run[20] = replace(run[20], reason="reverse")  # 4 s: too short to be fitted
     run[21] = replace(run[21], follows=False)
     t_ns = drive(state, run)
     assert state.refused == {"reverse": 1}
-    assert two_step.wanted(state, t_ns) is None
+    assert two_step.request_fit(state, t_ns) is None
     assert len(state.window) == 129
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0

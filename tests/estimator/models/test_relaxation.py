@@ -71,9 +71,9 @@ def _steady(u: float, geometry: Array, theta: Array, inputs: Array) -> Array:
 @pytest.mark.parametrize("speed", ["0.5", "1.0", "2.5", "4.5", "7.5"])
 @pytest.mark.parametrize(("table", "geometry", "theta"), _tables())
 def test_eigenvalues(table: str, geometry: Array, theta: Array, speed: str) -> None:
-    published = json.loads(REFERENCE.read_text())["eigenvalues"][table]["relaxation"][speed]
+    reported_covariance = json.loads(REFERENCE.read_text())["eigenvalues"][table]["relaxation"][speed]
     computed = np.linalg.eigvals(system_matrix(float(speed), geometry, theta)).tolist()
-    expected = [complex(*pair) for pair in published]
+    expected = [complex(*pair) for pair in reported_covariance]
     np.testing.assert_allclose(_sorted(computed), _sorted(expected), atol=1e-6)
 
 

@@ -41,7 +41,7 @@ def test_a_step_is_said_once_with_its_size_and_all_that_passed_counts(back: floa
     before, after = times(30.0, each), times(60.0, each, 30.0)
     said, time = moves([(t, "can0") for t in before] + [(t - back, "can0") for t in after])
     assert said == [pytest.approx(-back, abs=2 * each)]
-    assert passed(time) == pytest.approx(60.0, abs=0.2) and time.astray == 0
+    assert passed(time) == pytest.approx(60.0, abs=0.2) and time.stray == 0
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -116,7 +116,7 @@ def test_stamps_out_of_order_are_neither_steps_nor_time(stamps: Callable[[], Sta
 
 def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none() -> None:
     said, time = moves([(t, "can0") for t in [*times(30.0, 0.01), *times(75.0, 0.01, 45.0)]])
-    assert said == [pytest.approx(15.0, abs=0.02)] and time.astray == 0
+    assert said == [pytest.approx(15.0, abs=0.02)] and time.stray == 0
     assert passed(time) == pytest.approx(60.0, abs=0.1) and time.silent_ns == pytest.approx(15e9, rel=0.01)
     said, _ = moves([(t, "can0") for t in times(200.0, 15.0)])
     assert (

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tilth.estimator.results.recommend import BEGINS, ENDS, RECOMMENDED, SINCE_CHANGE, disagreement, recommend
+from tilth.estimator.results.recommend import (
+    AGREE_BELOW,
+    DISAGREE_ABOVE,
+    RECOMMENDED,
+    SINCE_CHANGE,
+    disagreement,
+    recommend,
+)
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 
 SIX = (220e3, 430e3, 100e3, 1.3, 1.6, 1.0)
@@ -103,11 +110,11 @@ def apart(squared: float, count: int, sd: float = 0.05) -> float:
 def test_a_disagreement_begins_late_and_ends_later() -> None:
     pem = estimate("pem")
     for share, before, found in (
-        (0.99 * BEGINS[3], False, False),
-        (1.01 * BEGINS[3], False, True),
-        (0.99 * BEGINS[3], True, True),
-        (1.01 * ENDS[3], True, True),
-        (0.99 * ENDS[3], True, False),
+        (0.99 * DISAGREE_ABOVE[3], False, False),
+        (1.01 * DISAGREE_ABOVE[3], False, True),
+        (0.99 * DISAGREE_ABOVE[3], True, True),
+        (1.01 * AGREE_BELOW[3], True, True),
+        (0.99 * AGREE_BELOW[3], True, False),
     ):
         steady = estimate("steady_state", THREE, off=apart(share, 3))
         told = disagreement(by_method(pem, steady), before)
