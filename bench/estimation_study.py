@@ -239,7 +239,7 @@ def poses_and_segments(run: Driven) -> list[tuple[Pose, Segment | None]]:
 
 
 def segments(run: Driven) -> list[Segment]:
-    """The record of a run, stretch by stretch."""
+    """The record of a run, segment by segment."""
     return [segment for _, segment in poses_and_segments(run) if segment is not None]
 
 

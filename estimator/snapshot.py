@@ -39,7 +39,7 @@ def snapshot(state: State) -> str:
         "consistency": consistency_json(state.consistency),
         "estimators": {row.method: row.to_json(state.estimators[row.method]) for row in rows},
         "checks": to_json_data(state.checks),
-        "previous_run": {method: previous_run.to_json() for method, previous_run in state.previous_run.items()},
+        "previous_run": {method: saved.to_json() for method, saved in state.previous_run.items()},
         "previous_run_ns": state.previous_run_ns,
         "frames": state.frames,
         "measurements": state.measurements,

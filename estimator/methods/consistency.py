@@ -1,9 +1,9 @@
-"""Do the data contradict the machine file? While they do, no number that rests on it is given.
+"""Do the data contradict the machine file? While they do, no estimate is published.
 
-Each check looks at one thing that the file says: where receivers stand, what they correct, how the wheels'
-angle follows the yaw rate, and, by the tracker with the file left open, lengths, wheel angle, latency and
-inertias. A check that fails names the key to look at. Until driving has shown that a gross error would have
-been seen, nothing is given either: a wrong file must never give a number.
+Each check compares the data with one part of the file: positions of receivers, their roll correction, the
+wheel angle against the yaw rate; and, by the open tracker (open_tracker.py), lengths, wheel angle, latency
+and inertias. A failed check names the key of the file. Before the driving was such that a gross error would
+have shown, no estimate is published either: a wrong file must never lead to a number.
 """
 
 import math
@@ -33,26 +33,24 @@ Array = NDArray[np.float64]
 
 CONTRADICTION: Final = FlagKind.CONTRADICTION
 REFUSED: Final = "the data contradict the machine file"
-BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
-BEGINS_TOTAL: Final = 90.0  # of all of them
-ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
+BEGINS: Final = 22.0  # chi-square of one open number, with all others within what the file allows
+BEGINS_TOTAL: Final = 90.0  # chi-square of all open numbers
+ENDS: Final = 0.4  # factor on these limits for the end of a contradiction
 POSES_TO_CONFIRM: Final = 40  # poses (8 s) in a row without doubt before the file counts as confirmed
-POSES_TO_DOUBT: Final = 60  # poses (12 s) in a row with doubt after which it does no longer
-LEAST_POSES: Final = 5  # poses (1 s) in a row before it is said
-LEAST_POSES_OPEN: Final = (
-    40  # poses (8 s), of what the open filter says: other soil looks like it for seconds
-)
-POSES_TO_END: Final = 50  # poses (10 s) in a row without it before it is over
-POSES_TO_FORGET: Final = 25  # poses (5 s): what was learned while one lasted so long is forgotten
-RIVAL_SHARE: Final = 0.6  # of the best explanation: another as good as that is named beside it
-OUTLIER_SHARE: Final = 0.25  # share of the rows of the last WATCHED stretches that nothing explains
+POSES_TO_DOUBT: Final = 60  # poses (12 s) in a row with doubt before it is not confirmed any more
+LEAST_POSES: Final = 5  # poses (1 s) in a row before a finding becomes active
+LEAST_POSES_OPEN: Final = 40  # poses (8 s), of the open tracker: for seconds, other soil has the same effect
+POSES_TO_END: Final = 50  # poses (10 s) in a row without a finding before it ends
+POSES_TO_FORGET: Final = 25  # poses (5 s): what was learned during a longer contradiction is discarded
+RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi-square is named as well
+OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
 OUTLIER_SEGMENTS: Final = 100
-LEAST_SEGMENTS: Final = 40  # with steering (8 s), before the filter with the file left open is believed
-LATENCY_CHI_SQUARE: Final = 30.0  # chi-square of three differences of latency
-PARKED_LIMIT: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
-PARKED_POSES: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
+LEAST_SEGMENTS: Final = 40  # segments (8 s) with steering before the open tracker is used
+LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
+PARKED_LIMIT: Final = 0.2  # m, largest error of baselines and hitch while the rig stands or creeps
+PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
 
-NUISANCE_SDS: Final = 6.0  # of what a right file may differ by
+NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
 _KEYS: Final = {
     "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
@@ -77,36 +75,35 @@ class Finding:
 
     key: str
     text: str
-    poses: int = 0  # in a row in which it was found
-    absent: int = 0  # in a row in which it was not
-    active: bool = False  # it lasted long enough to count
-    by_method: bool = False  # it shows in what a method gives, which therefore has to go on learning
-    active_poses: int = 0  # poses since it counts
+    poses: int = 0  # poses in a row in which it was found
+    absent: int = 0  # poses in a row in which it was not found
+    active: bool = False  # it has lasted long enough to withhold estimates
+    by_method: bool = False  # found in a method's estimate; then learning continues, so that it can end
+    active_poses: int = 0  # poses since it became active
 
 
 @dataclass(slots=True)
 class Consistency:
-    """Plain data."""
+    """State of all checks."""
 
-    open: TrackerState
+    open: TrackerState  # the open tracker
     wheel: WheelCheck = field(default_factory=WheelCheck)
     motion: MotionCheck = field(default_factory=MotionCheck)
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
-    missing: str = "nothing has been driven yet"  # what keeps it from being confirmed
-    agreed: int = 0  # poses in a row in which the open filter agrees with the file; below 0: in which not
-    rates_known: bool = False  # whether turn rates lag: smoothed ones would make lengths look wrong
-    rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
+    missing: str = "nothing has been driven yet"  # why the file is not confirmed
+    agreed: int = 0  # poses in a row in which the open tracker agrees with the file; below 0: does not agree
+    rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
+    rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Method -> key -> what is wrong with what it last gave."""
-    open_restarted: bool = (
-        False  # the open filter found something before and was begun anew: the second time counts
-    )
-    must_forget: bool = False  # what was learned while a contradiction lasted is to be forgotten
+    """Method -> key -> what is wrong with its latest estimate."""
+    # after its first finding the open tracker was restarted; the next one counts
+    open_restarted: bool = False
+    must_forget: bool = False  # what was learned during a contradiction has to be discarded
 
 
 def initial(machine: Machine) -> Consistency:
-    """Nothing driven yet."""
+    """The state before any driving."""
     return Consistency(open_tracker.initial(machine))
 
 
@@ -114,7 +111,7 @@ def observe(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose,
     segment: Segment | None,
 ) -> list[tuple[str, str]]:  # fmt: skip
-    """Take one pose and the stretch that ended with it. (kind, text) of what has begun or is over."""
+    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events."""
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
     if segment is not None and open_tracker.take(state.open, machine, segment):
@@ -123,12 +120,12 @@ def observe(
     found = _findings_at_pose(state, machine, aligner, checks, pose)
     by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
     if found and not any(key in state.findings for key in by_method):
-        by_method = {}  # what follows from what was found
+        by_method = {}  # a consequence of what the other checks have found
     return _update_findings(state, machine, found, by_method)
 
 
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
-    """Look at what a method gives, before anything of it is withheld."""
+    """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = _implausible_stiffness(machine, estimate)
     limits = dict(zip(open_tracker.NAMES, NUISANCE_SDS * open_tracker.allowed(machine), strict=True))
     for name, (value, _) in estimate.nuisances.items():
@@ -140,17 +137,17 @@ def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> 
 
 
 def contradicted(state: Consistency) -> str:
-    """Why no number may be given, in words that name the keys; "" where nothing is contradicted."""
+    """Why no estimate may be published, with the keys; "" without a contradiction."""
     return "; ".join(finding.text for finding in state.findings.values() if finding.active)
 
 
 def stops_learning(state: Consistency) -> bool:
-    """Whether what is measured now must not teach."""
+    """Whether nothing may be learned from the present measurements."""
     return any(finding.active and not finding.by_method for finding in state.findings.values())
 
 
 def flags(state: Consistency) -> list[Flag]:
-    """Of the keys that are contradicted now."""
+    """One flag for each key that is contradicted now."""
     return [Flag(CONTRADICTION, finding.key) for finding in state.findings.values() if finding.active]
 
 
@@ -167,32 +164,33 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
 def _without_numbers(estimate: Estimate, status: Status, reason: str) -> Estimate:
     usable = (Status.ESTIMATED, Status.STALE)
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
-        return estimate  # it says itself why it gives nothing
+        return estimate  # it has no numbers, and its own reasons
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
     return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
 
 
 def soil_changed(state: Consistency, machine: Machine) -> None:
-    """Begin anew with what driving says of the file: what tells other soil from another rig takes seconds."""
+    """Restart the open tracker after a change of soil: it takes seconds to tell other soil from another
+    rig."""
     if state.confirmed:
         discard_findings(state, machine)
         state.confirmed = True
 
 
 def discard_findings(state: Consistency, machine: Machine) -> None:
-    """Forget what was found with measurements that were none, such as smoothed turn rates."""
+    """Discard all that was found with wrong measurements, such as smoothed turn rates."""
     state.open, state.rows = open_tracker.initial(machine), []
     state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
     state.methods, state.confirmed = {}, False
 
 
 def clock_stepped(state: Consistency) -> None:
-    """Time ran back: where the rig was means nothing any more; what was found stays."""
+    """The log's clock stepped back: the motion state is discarded; findings stay."""
     state.open.pending, state.open.running = None, False
     state.open.ticks_before = np.zeros((0, 8))
 
 
-# What is found at one pose: key -> what is wrong.
+# The findings of one pose: key of the machine file -> message.
 
 
 def _findings_at_pose(
@@ -214,7 +212,7 @@ def _findings_at_pose(
 
 
 def _misplaced_receivers(pose: Pose) -> dict[str, str]:
-    """What poses say of where receivers stand, while all of them have RTK."""
+    """Findings from the flags of a pose: receivers that are misplaced, swapped or late, if all have RTK."""
     if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return {}
     found = {}
@@ -233,7 +231,7 @@ def _misplaced_receivers(pose: Pose) -> dict[str, str]:
 
 
 def _parked_errors(aligner: Aligner) -> dict[str, str]:
-    """What distances say while the rig stands or creeps, when time plays no part in them."""
+    """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
     keys = ("receiver.position on the tractor", "receiver.position on the implement",
             "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
     return {
@@ -244,7 +242,7 @@ def _parked_errors(aligner: Aligner) -> dict[str, str]:
 
 
 def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
-    """Whether differences of latency that explain the distances are too large to be any."""
+    """A finding if the latencies that would explain the distances are implausibly different."""
     by_mount = {r.mount: r.latency.sd for r in machine.receiver}
     present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
     if len(present) < 2:
@@ -260,7 +258,7 @@ def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
 
 
 def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, str]:
-    """What the tracker with the file left open says of it."""
+    """The finding of the open tracker, or none."""
     if len(state.rows) < LEAST_SEGMENTS:
         return {}
     misfit = open_tracker.misfit(state.open, machine)
@@ -269,7 +267,7 @@ def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, st
     best = float(misfit.by_name.max())
     if best < share * BEGINS and misfit.total < share * BEGINS_TOTAL:
         return {}
-    if decided:  # under its first name for as long as it lasts
+    if decided:  # it keeps its key for as long as it lasts
         return {f.key: f.text for f in state.findings.values() if f.active and f.key in _KEYS.values()}
     order = np.argsort(-misfit.by_name)
     names = [open_tracker.NAMES[k] for k in order if misfit.by_name[k] >= RIVAL_SHARE * best]
@@ -297,7 +295,7 @@ _BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}
 
 
 def _outliers(state: Consistency) -> dict[str, str]:
-    """Whether a good part of what receivers say lately is beyond what any such rig does."""
+    """A finding if many of the recent measurements are outliers of the open tracker."""
     if len(state.rows) < OUTLIER_SEGMENTS // 2:
         return {}
     refused, rows = (state.rows[-1][k] - state.rows[0][k] for k in (0, 1))
@@ -309,7 +307,7 @@ def _outliers(state: Consistency) -> dict[str, str]:
 
 
 def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:
-    """Stiffnesses that no tyre has under its static load, as the key that must be wrong."""
+    """A finding if an estimated stiffness is impossible for a tyre with that static load."""
     loads = static_loads(rig_of(machine))
     for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
         if given.value is None or given.status is not Status.ESTIMATED:
@@ -321,13 +319,13 @@ def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, st
     return {}
 
 
-# What becomes of it.
+# The findings over time.
 
 
 def _update_findings(
     state: Consistency, machine: Machine, found: Mapping[str, str], by_method: Mapping[str, str]
 ) -> list[tuple[str, str]]:
-    """Keep count of what is found, and say what begins or is over."""
+    """Update the findings with those of one pose. Returns (kind, text) of those that begin or end."""
     events: list[tuple[str, str]] = []
     found = {**by_method, **found}
     for key, text in list(found.items()):
@@ -360,14 +358,15 @@ def _update_findings(
 
 
 def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
-    """Begin the open filter anew: from far off it may go astray, hardly twice in the same way."""
+    """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
+    twice."""
     state.open_restarted = True
     state.open, state.rows = open_tracker.initial(machine), []
     del state.findings[key]
 
 
 def _update_confirmation(state: Consistency, machine: Machine) -> None:
-    """Whether driving has shown that the file is right; what is doubted for long is withheld again."""
+    """Decide whether driving has confirmed the file; after a long doubt the confirmation is withdrawn."""
     misfit = open_tracker.misfit(state.open, machine)
     fits = float(misfit.by_name.max()) < ENDS * BEGINS and misfit.total < ENDS * BEGINS_TOTAL
     state.agreed = max(state.agreed, 0) + 1 if fits else min(state.agreed, 0) - 1

@@ -1,4 +1,4 @@
-"""What a method has learned, taken out of its state and put into a fresh one: for a warm start."""
+"""For the warm start: take what a method has learned out of its state, and put it into a fresh one."""
 
 import math
 from collections.abc import Mapping
@@ -16,9 +16,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Learned:
+    """The posterior of a method and its counters."""
+
     mean: Array  # [n]
     covariance: Array  # [n, n]
-    counts: Mapping[str, float]  # name -> a number that goes on
+    counts: Mapping[str, float]  # name -> counter that continues in the next run
 
 
 def of_steady_state(state: SteadyState) -> Learned:
@@ -61,6 +63,6 @@ def into_pem(state: PemState, learned: Learned) -> None:
 
 
 def _counted(learned: Learned, name: str) -> float:
-    """A number that goes on; none where it is no number."""
+    """A counter of the run before; 0 if it is not finite."""
     count = learned.counts[name]
     return count if math.isfinite(count) else 0.0

@@ -1,9 +1,9 @@
-"""The tracker with the machine file left open: what driving itself says of lengths, wheel angle and antennas.
+"""The open tracker: it estimates lengths, wheel angle and antennas of the machine file from driving.
 
-It is the filter of tracker.py, over the same stretches, with priors as wide as people are wrong. Where its
-answer is further from the file than the file's own uncertainty and the filter's allow, the file is wrong, or
-the rig is not the one that it describes. The antennas' places along a body are held: moved together with the
-centre of gravity they change nothing that is measured, so the lengths a to e answer for them.
+It is the filter of tracker.py over the same segments, with priors as wide as the errors that people make in a
+file. If its result differs from the file by more than the sds of file and filter allow, the file is wrong, or
+describes another rig. The antennas' positions along a body are fixed: shifting them together with the CG
+changes no measurement, so the lengths a to e stand for them.
 """
 
 import math
@@ -34,37 +34,38 @@ ALLOWED_SD: Final = {
     "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
     "m_i": 0.08, "I_t": 0.08, "I_i": 0.1,
 }  # fmt: skip
-"""Sd by which a right file may differ beyond its own sds: what the model is worth. From right files."""
+"""Sd by which a right file may differ from the result, besides the file's sds: error of the model. From
+drives with right files."""
 CONFIRMING_SD: Final = {
     "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
     "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
     "I_t": 0.25,
 }  # fmt: skip
-"""Sd from which on a gross error would have shown: only then the file counts as confirmed."""
+"""Largest sds with which a gross error would show; only then can the file be confirmed."""
 CONFIRMING_SD_ALONE: Final = {"a": 0.11, "I_t": 0.15}
-"""The same with all others as the file has them: a metre on the wheelbase and twice the inertia pass for each
-other, and either moves the stiffnesses by its whole size."""
+"""The same, if all other numbers are right: a metre on the wheelbase and twice the inertia have the same
+effect, and either changes the stiffnesses in proportion."""
 NAMES: Final = tuple(OPEN_SD)
 PLACES: Final = [AT[name] for name in NAMES]
-TYRE_LOG_SD: Final = 0.7  # prior sd of each of the six logarithms, at the least
-MEMORY: Final = 2400.0  # stretches with steering (8 min) over which what was found is forgotten
-SOIL_MEMORY: Final = 500.0  # stretches with steering (100 s), of the six: soil differs from place to place
-STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # what straight driving tells too
+TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
+MEMORY: Final = 2400.0  # segments with steering (8 min) over which the result is forgotten
+SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
+STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
 
 class Misfit(NamedTuple):
-    """How far the file is from what driving says."""
+    """Difference between the open tracker's result and the file."""
 
-    total: float  # chi-square over all that is open, len(NAMES) degrees of freedom
-    by_name: Array  # [n]; how much of it each one alone takes away
-    off: Array  # [n]; found less the file's, in the unit of each
-    sd: Array  # [n]; of what was found
-    alone: Array  # [n]; the same with all others as the file has them, and what a right file may differ by
+    total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
+    by_name: Array  # [n]; decrease of `total` if this number alone is freed
+    off: Array  # [n]; result minus the file's value, in the unit of each
+    sd: Array  # [n]; of the result
+    alone: Array  # [n]; sd of the difference if all other numbers are right, with the error that is allowed
 
 
 def initial(machine: Machine) -> TrackerState:
-    """At the machine file's values, with the priors of OPEN."""
+    """At the machine file's values, with the prior sds of OPEN_SD."""
     state = tracker.initial(machine)
     sd = state.prior_sd
     for name, ratio in OPEN_SD.items():
@@ -78,10 +79,10 @@ def initial(machine: Machine) -> TrackerState:
 
 
 def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
-    """Take one stretch; whether it told anything of what only steering tells."""
+    """Take one segment. Returns whether there was steering, so that all open numbers were learned."""
     tracker.take_segment(state, machine, segment)
     state.events.clear()
-    state.checkpoints.clear()  # a change of soil is the tracker's own to find
+    state.checkpoints.clear()  # only the tracker itself detects changes of soil
     learned = not state.reason and state.pending is not None
     if learned:
         _fade(state)
@@ -89,7 +90,7 @@ def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
 
 
 def _fade(state: TrackerState) -> None:
-    """Let what was found fade towards the prior: a receiver may be moved in the middle of a day."""
+    """Drift the posterior towards the prior: a receiver may be moved in the middle of a day."""
     for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
         share = math.exp(-1.0 / memory)
         drift(state.covariance, np.array(places), share, state.prior_sd)
@@ -97,7 +98,7 @@ def _fade(state: TrackerState) -> None:
 
 
 def misfit(state: TrackerState, machine: Machine) -> Misfit:
-    """What is found against the machine file."""
+    """The present difference from the machine file."""
     off = (state.mean - state.prior_mean)[PLACES]
     covariance = state.covariance[np.ix_(PLACES, PLACES)]
     inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
@@ -113,7 +114,7 @@ def misfit(state: TrackerState, machine: Machine) -> Misfit:
 
 
 def allowed(machine: Machine) -> Array:
-    """Sd by which a right file may differ from what is found, [n] in the order of NAMES."""
+    """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
     _, stated = unknowns.prior(machine)
     shape = unknowns.base_geometry(machine)
     out = np.array([math.hypot(stated[AT[name]], ALLOWED_SD[name]) for name in NAMES])
@@ -132,7 +133,7 @@ def allowed(machine: Machine) -> Array:
 
 
 def unconfirmed(now: Misfit) -> list[str]:
-    """The names of which a gross error would not have shown yet, widest first."""
+    """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
     ratio = {name: float(now.sd[NAMES.index(name)]) / limit for name, limit in CONFIRMING_SD.items()}
     for name, limit in CONFIRMING_SD_ALONE.items():
         ratio[name] = max(ratio[name], float(now.alone[NAMES.index(name)]) / limit)
@@ -140,5 +141,5 @@ def unconfirmed(now: Misfit) -> list[str]:
 
 
 def rejected_rows(state: TrackerState) -> tuple[float, float]:
-    """(rows refused as outliers or as no numbers, rows in all) so far."""
+    """(rows rejected as outliers or as not finite, all rows) so far."""
     return float(state.counts[GATED] + state.counts[BAD]), float(state.counts[[USED, GATED, BAD]].sum())

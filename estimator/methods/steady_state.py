@@ -1,18 +1,19 @@
 """Three cornering stiffnesses from steady driving, recursively.
 
 In a steady turn the relaxation lengths drop out (Karkee 2009, section 3.6). Yaw rate and articulation alone
-carry two numbers about three stiffnesses, at any speed: rank 2. With the lateral velocity of the tractor's CG
-as third output the rank is 3. This filter says which of the two it is before it says a number.
+determine two combinations of the three stiffnesses, at any speed: rank 2. With the lateral velocity of the
+tractor's CG as third output the rank is 3. The filter publishes the rank, and numbers only with rank 3.
 
-States: whatever the outputs depend on and nobody knows exactly, with the machine file's uncertainty, most of
-which data cannot tell from stiffness (`steady_outputs.CONSTANTS`); and of either antenna pair the heading
-error by multipath, which fades. Straight driving is a steady turn too, and the one that tells zero and
-misalignment.
+States: the constants that the outputs depend on and that are not known exactly, with the uncertainties of the
+machine file (`steady_outputs.CONSTANTS`); the data cannot separate most of them from stiffness. And the slow
+heading error of either antenna pair from multipath. Straight driving is a steady turn too: it shows the zero
+of the wheel angle and the misalignment of the pairs.
 
-Outputs are nearly linear in compliance 1/C, and the prior is normal in the logarithm. So the filter's states
-are compliances under a prior so wide that it says nothing; what data have told of them, a quadratic form, is
-brought together with the prior in logarithms when a number is wanted. With logarithms as states, slopes
-taken far from the truth made the 95 % interval of C_af hold 84 % of the truths drawn with an sd of 0.5.
+The outputs are nearly linear in compliance 1/C, but the prior is normal in the logarithm. So the filter's
+states are compliances, with a prior that is practically flat. The information of the data on them, a
+quadratic form, is combined with the logarithmic prior when an estimate is due. With logarithms as states,
+Jacobians taken far from the true values made the 95 % interval of C_af hold 84 % of true values drawn with an
+sd of 0.5.
 """
 
 import math
@@ -50,20 +51,21 @@ STATES = (*CONSTANTS, "slow_t", "slow_i")
 """The first three as compliance over the prior mean's; the others as unknowns.NAMES; rad."""
 AT = {name: k for k, name in enumerate(STATES)}
 PUBLISHED = ("wheel_zero", "wheel_gain", "pair_t", "pair_i", "rolling", "curvature")
-SOIL = [AT["rolling"], AT["curvature"]]  # what another soil changes besides
-STRAIGHT = [AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "slow_t", "slow_i")]  # what a row teaches
+SOIL = [AT["rolling"], AT["curvature"]]  # they differ with the soil too
+STRAIGHT = [AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "slow_t", "slow_i")]
+"""The states that are learned in straight driving."""
 SLOW = [AT["slow_t"], AT["slow_i"]]
 
 LEAST_ANGLE = math.radians(1.0)
-"""Of the wheels: below, the outputs' slope over stiffness is mostly the noise of wheel angle and roll, and
-squares of noise would add up to information that nobody received."""
-WIDE_SD = 3.0  # sd of a compliance over the prior mean's before any data: a flat prior beside the logarithm's
-LARGEST_SLIP = math.radians(6.0)  # of an axle: beyond, one number for the tyre curve is not enough
-NO_PAIR_SD = math.radians(2.0)  # sd of a heading error that lasts, of a body without two receivers
+"""Least wheel angle to learn stiffnesses. Below it the Jacobian over stiffness consists mostly of noise of
+wheel angle and roll, and the squares of this noise would add up to false information."""
+WIDE_SD = 3.0  # prior sd of a compliance, over the prior mean's: flat compared with the logarithmic prior
+LARGEST_SLIP = math.radians(6.0)  # of an axle: above, one number does not describe the tyre curve
+NO_PAIR_SD = math.radians(2.0)  # sd of the slow heading error of a body without two receivers
 GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
-NIS_MEMORY = 10.0  # samples, 10 s
-LARGEST_NIS = 6.0  # that one sample may count for
-NIS_LIMIT = 2.0  # beyond: the soil is another, or the rig is
+NIS_MEMORY = 10.0  # samples (10 s) over which the normalised innovation squared (NIS) per output is averaged
+LARGEST_NIS = 6.0  # largest NIS of one sample in that mean
+NIS_LIMIT = 2.0  # of the mean: above, soil or rig have changed
 NEWTON_STEPS = 50
 LONGEST_STEP = 0.5  # of a logarithm
 
@@ -74,7 +76,7 @@ _RELAXATION = ParameterEstimate(
 
 @dataclass(slots=True)
 class SteadyState:
-    """State of the filter. Times ns."""
+    """State of the filter. Times ns. P: covariance of x."""
 
     x: Array  # [21] in the order of STATES
     P: Array  # [21, 21]
@@ -88,10 +90,10 @@ class SteadyState:
     published_ns: int = 0
     steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
-    mean_nis: float = 1.0  # recent mean of the squared, normalised innovation per output; 1 is as expected
-    forgotten: int = 0  # times that learning began anew
+    mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
+    forgotten: int = 0  # times that the stiffnesses were reset
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
-    reason: str = ""  # why the latest pose taught nothing
+    reason: str = ""  # why the latest pose was refused
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
@@ -109,7 +111,7 @@ def initial(machine: Machine) -> SteadyState:
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:
-    """Take one pose; an estimate each PUBLISH_NS. Of stretches, which hold the dynamics, nothing is used."""
+    """Take one pose. Returns an estimate each PUBLISH_NS. The segment, with the dynamics, is not used."""
     seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else math.inf
     state.last_pose_ns = pose.t_ns
     _drift(state, seconds, pose)
@@ -128,21 +130,21 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
 
 
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
-    """Time ran back: forget what was going on, keep what was learned and how old it is."""
+    """The log's clock stepped back: discard the present block, keep the posterior and its age."""
     state.steadiness = Steadiness()
     state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
 
 
 def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
-    """Ornstein-Uhlenbeck drift: soil over distance, multipath over time, both towards the prior."""
+    """Propagate: Ornstein-Uhlenbeck drift of the soil over distance and of multipath over time."""
     seconds = min(seconds, 3600.0) if math.isfinite(seconds) else 0.0
     distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
     retained_soil = retained_share(distance)
     retained = np.ones(len(STATES))
     retained[SOIL] = retained_soil
     retained[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
-    # What the drift takes from rolling resistance and tyre curve is knowledge, not where they stood.
+    # The drift widens the sds of rolling resistance and tyre curve, but leaves their means.
     state.x[SLOW] *= retained[SLOW]
     added = (1 - retained**2) * state.prior_sd**2
     added[:3] = (1 - retained_soil**2) * (state.prior_sd[:3] * np.exp(state.prior_logs - state.logs)) ** 2
@@ -150,7 +152,7 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
 
 
 def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
-    """One update. Whether it taught of stiffness: not straight driving, nor outputs too far from expected."""
+    """One update. Returns whether stiffness was learned: not in straight driving, nor from an outlier."""
     zero = float(state.x[AT["wheel_zero"]])
     informative = abs(sample.wheel_angle - zero) > LEAST_ANGLE
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
@@ -180,9 +182,9 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
 
 
 def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> tuple[Array, Array]:
-    """(mean, covariance) after one measurement, (n,) and (n, n); P by Joseph's form, which stays positive.
+    """Kalman update: (mean (n,), covariance (n, n)); the Joseph form keeps the covariance positive definite.
 
-    innovation: (m,), measured less predicted. H: (m, n). R: (m, m), of the measurement's noise.
+    innovation: (m,), measured minus predicted. H: (m, n), Jacobian. R: (m, m), covariance of the noise.
     """
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     remaining = np.eye(len(x)) - gain @ H
@@ -197,7 +199,8 @@ def _refuse(state: SteadyState, reason: str) -> bool:
 
 
 def _reset_stiffness(state: SteadyState) -> None:
-    """What was learned no longer explains what is seen: keep the values, give up the confidence in them."""
+    """The posterior no longer explains the measurements: keep the means of the soil's states, reset their
+    sds."""
     if state.steady_s > 0:
         no_longer_fits = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
         text = f"{no_longer_fits}: the stiffnesses are learned anew"
@@ -214,9 +217,9 @@ def _reset_stiffness(state: SteadyState) -> None:
 def _linearise(
     state: SteadyState, machine: Machine, sample: SteadySample, informative: bool
 ) -> tuple[Array, Array, Array]:
-    """(outputs [3], their slope over STATES [3, 21], covariance from noisy inputs [3, 3]).
+    """(predicted outputs [3], Jacobian over STATES [3, 21], covariance from noisy inputs [3, 3]).
 
-    At the logarithms of data and prior, which are those of a stiffness above zero.
+    Linearised at the posterior logarithms, so that stiffnesses are positive.
     """
     n, x = len(CONSTANTS), state.x
     predicted, jacobian, input_jacobian = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
@@ -229,7 +232,7 @@ def _linearise(
         slope[:, fixed] = 0.0
     predicted = predicted + slope[:, :3] @ (x[:3] - compliance)
     for pair in ("pair_t", "slow_t"):
-        slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # too large a heading: more λ, less sideslip
+        slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # a heading that is too large: more λ, less sideslip
     for pair in ("pair_i", "slow_i"):
         slope[:, AT[pair]] = 0.0, -1.0, 0.0
     pairs = [AT[name] for name in ("pair_t", "pair_i", "slow_t", "slow_i")]
@@ -240,9 +243,9 @@ def _linearise(
 
 
 def _measured(sample: SteadySample, input_noise: Array) -> tuple[Array, Array]:
-    """(measured [3], white noise covariance [3, 3]) in the order of steady_outputs.OUTPUTS."""
+    """(measured [3], covariance of its white noise [3, 3]) in the order of steady_outputs.OUTPUTS."""
     measured = np.array([sample.yaw_rate, sample.articulation, sample.v or 0.0])
-    # One heading error enters both articulation and lateral velocity.
+    # The tractor's heading error acts on both articulation and lateral velocity.
     mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -sample.u, 0.0, 1.0]])
     sd = (sample.sd_yaw_rate, sample.sd_heading_t, sample.sd_heading_i, sample.sd_velocity)
     noise = mixing * np.array(sd)
@@ -250,7 +253,7 @@ def _measured(sample: SteadySample, input_noise: Array) -> tuple[Array, Array]:
 
 
 def _data_information(state: SteadyState) -> tuple[Array, Array]:
-    """What data alone say of the three compliances: information [3, 3], and that times the value [3]."""
+    """Of the data alone on the three compliances: information matrix [3, 3] and information vector [3]."""
     inverse = np.linalg.inv(state.P[:3, :3])
     information = inverse - np.eye(3) / WIDE_SD**2
     values, vectors = np.linalg.eigh((information + information.T) / 2)
@@ -260,7 +263,8 @@ def _data_information(state: SteadyState) -> tuple[Array, Array]:
 
 
 def _find_posterior(state: SteadyState) -> None:
-    """Logarithms of most probable stiffness and their covariance, from data and prior: Newton's method."""
+    """Set the most probable logarithms of stiffness and their covariance, from data and prior, by Newton's
+    method."""
     information, vector = _data_information(state)
     weight = np.diag(state.prior_sd[:3] ** -2)
 
@@ -286,9 +290,9 @@ def _find_posterior(state: SteadyState) -> None:
 
 
 def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:
-    """(rank, condition) of what the data, without the prior, say of the three logarithms.
+    """(rank, condition) of the data's information, without the prior, on the three logarithms.
 
-    A direction counts where its sd is below that share of the prior's.
+    A direction counts in the rank if its sd is below the share `supported` of the prior's.
     """
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
     values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
@@ -299,7 +303,7 @@ def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[i
 
 
 def _update_supported(state: SteadyState) -> None:
-    """Which stiffnesses the data support: each comes at SUPPORTED and goes at LOST."""
+    """Update which stiffnesses the data support: begins at SUPPORTED, ends at WITHDRAWN."""
     for k, was_supported in enumerate(state.supported):
         limit = WITHDRAWN if was_supported else SUPPORTED
         rank, _ = identifiability(state, limit)
@@ -307,7 +311,7 @@ def _update_supported(state: SteadyState) -> None:
 
 
 def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
-    """What can be said now."""
+    """The estimate at t_ns."""
     rank, condition = identifiability(state)
     information = advice.information_of(state.log_covariance, state.prior_sd[:3])
     bounds = advice.bound(information, state.prior_sd[:3])
@@ -340,7 +344,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 
 
 def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
-    """One stiffness: a number only where the data support it."""
+    """One stiffness, with a number only if the data support it."""
     missing = reason_without_data("no steady turn", state.reason) if age is None else _missing(state, rank)
     sd_log = math.sqrt(state.log_covariance[k, k])
     return parameter(state.logs[k], sd_log, state.supported[k], age, missing, "no steady driving")

@@ -1,8 +1,8 @@
 """The state of each method in the snapshot: one function writes it, one reads it back.
 
-Names of the parts are those of the log. They stay when an attribute is renamed. Where a part is added or gets
-another meaning, `VERSION` of estimator/snapshot.py changes too. Reading raises ValueError where a part is
-missing, of another type or shape, or not known.
+The names of the parts are those in the log; they stay when an attribute is renamed. If a part is added or
+gets another meaning, raise `VERSION` of estimator/snapshot.py too. Reading raises ValueError if a part is
+missing, has another type or shape, or is unknown.
 """
 
 from typing import Any, Final

@@ -1,8 +1,8 @@
 """All six parameters, recursively: an extended Kalman filter that takes every sample once, in order.
 
-Its states and equations stand in tracker_kernel.py, how another soil is noticed in soil_change.py. Here: what
-may teach, how the noise of ground and sensors is followed, and what is said. A stretch is taken when the one
-after it is there, because a latency smaller than the machine file's asks for wheel angles that come later.
+Its states and equations are in tracker_kernel.py, the detection of other soil in soil_change.py. This module
+decides what may be learned, adapts the noise of ground and sensors, and reports. A segment is processed when
+the next one is there: if the latency is smaller than that of the machine file, later wheel angles are needed.
 """
 
 import math
@@ -42,25 +42,25 @@ Array = NDArray[np.float64]
 METHOD = "tracker"
 
 SD_FACTOR: Final = 1.25
-"""By which what data told counts for less, as an sd, when it is said. The ground's waves and the receivers'
-slow errors last longer than the filter's model of them; the factor is from Monte Carlo over uneven ground."""
-SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # what only steering teaches
+"""Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
+errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
+SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # learned only with steering
 STEERING: Final = math.radians(1.5)
-"""Root mean square of the wheel angle lately, below which soil and tyres are not learned: what looks like
-information there is mostly the ground's own forces."""
-STEERING_MEMORY: Final = 6.0  # stretches, 1.2 s
+"""Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
+information comes mostly from the ground's forces."""
+STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
-"""Stretches (1 s) after x began anew in which soil and tyres are not learned either: slip angles that are
-not known yet would be taken for stiffness."""
+"""Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
+slip angles would be taken for stiffness."""
 
 PUSH_MEMORY_S: Final = 0.25
-SENSOR_NOISE_MEMORY: Final = 30.0  # stretches (6 s) over which the noise of the sensors is averaged
-PUSH_VARIANCE_MEMORY: Final = 50.0  # stretches (10 s), of the ground
-PUSH_FORGETTING: Final = 1000.0  # stretches in which the ground is forgotten
-LARGEST_PUSH: Final = 5.0  # over what was expected, that one stretch may show
-LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # of a stated sd
-LARGEST_REPORTED_LOG: Final = 10.0  # of a logarithm, that is said
-LARGEST_CHANGE: Final = 0.7  # of a logarithm, that the first guess after a change of soil may be
+SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
+PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
+PUSH_FORGETTING: Final = 1000.0  # segments over which these return to their prior
+LARGEST_PUSH: Final = 5.0  # largest ratio of observed to expected variance that one segment contributes
+LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
+LARGEST_REPORTED_LOG: Final = 10.0  # limit of a change of a logarithm in an event
+LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applied at a change of soil
 
 
 @dataclass(slots=True)
@@ -75,16 +75,16 @@ class TrackerState:
     P_xx: Array = field(default_factory=lambda: np.zeros((N_TRACKER, N_TRACKER)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_TRACKER, len(NAMES))))
     residual_ratio: Array = field(default_factory=lambda: np.ones(3))
-    """Variances of yaw rates, velocities, positions over the stated ones, running means."""
+    """Variances of yaw rates, velocities and positions over the stated ones, running means."""
     push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
     """Variances of the ground's pushes."""
-    running: bool = False  # x goes on where the next stretch begins
-    segments_since_start: int = 0  # stretches since x began anew
+    running: bool = False  # x is the state at the start of the next segment
+    segments_since_start: int = 0  # segments since x began anew
     pending: Record | None = None
     ticks_before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
     steering: float = 0.0  # recent mean square of the wheel angle, rad^2
     checkpoints: list[Checkpoint] = field(default_factory=list)
-    segments_since_checkpoint: int = 0  # stretches since the last mark
+    segments_since_checkpoint: int = 0  # segments since the last mark
     counts: Array = field(default_factory=lambda: np.zeros(3))  # rows: used, beyond belief, no numbers
     distance: float = 0.0  # taught over
     window_s: float = 0.0
@@ -94,10 +94,10 @@ class TrackerState:
     changed_ns: int = 0
     changes: int = 0
     restarts: int = 0
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    reason: str = ""  # why the latest stretch taught nothing of the soil
+    reason: str = ""  # why the latest segment taught nothing of the soil
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
     needs_steering: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
 
@@ -114,7 +114,7 @@ def initial(machine: Machine) -> TrackerState:
 
 
 def prepare(machine: Machine) -> None:
-    """Compile what `take` needs: a stretch of straight driving, and advice upon it."""
+    """Compile what `take` needs: run a segment of straight driving, and the advice after it."""
     ticks = np.tile([0.0, 4.0, *[0.0] * 6], (10, 1))
     rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(10)], dtype=np.float64)
     state = initial(machine)
@@ -123,7 +123,7 @@ def prepare(machine: Machine) -> None:
 
 
 def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one stretch; an estimate each PUBLISH_NS."""
+    """Take one segment; an estimate each PUBLISH_NS."""
     state.last_pose_ns = pose.t_ns
     if segment is not None:
         take_segment(state, machine, segment)
@@ -136,7 +136,7 @@ def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | N
 
 
 def take_segment(state: TrackerState, machine: Machine, segment: Segment) -> None:
-    """One stretch into the filter, as soon as the one after it is there."""
+    """Store a segment and process the one before it."""
     state.reason = ""
     if state.pending is not None:
         _learn(state, machine, state.pending, segment.record.ticks if segment.follows else None)
@@ -159,7 +159,7 @@ def _refuse(state: TrackerState, reason: str) -> None:
 
 
 def _learn(state: TrackerState, machine: Machine, record: Record, after: Array | None) -> None:
-    """One stretch through the filter. after: the ticks that follow it, shape (n, 8)."""
+    """Run the filter over one segment. after: the ticks that follow it, shape (n, 8), if there are any."""
     if not np.isfinite(record.ticks).all():
         _refuse(state, "inputs are no numbers")
         state.running = False
@@ -200,7 +200,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) -> None:
-    """x from the ticks, with what is not known of it, and not correlated with anything."""
+    """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = np.zeros(N_TRACKER)
     state.x[:N_STATES] = likelihood.first_state(record, setup)
     pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
@@ -211,7 +211,7 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) 
 
 
 def _check_learnable(state: TrackerState, record: Record) -> bool:
-    """Whether soil and tyres may be learned of a stretch; why not is counted."""
+    """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
     wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
     state.steering += (float(np.mean(wheel**2)) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
@@ -233,7 +233,7 @@ def _is_sound(state: TrackerState) -> bool:
 
 
 def _drift(state: TrackerState, metres: float) -> None:
-    """The six forget over distance: the law of the drift has the prior's covariance as its own."""
+    """Propagate the six over distance: a drift whose stationary covariance is the prior's."""
     state.distance += metres
     share = retained_share(metres)
     drift(state.covariance, np.arange(6), share, state.prior_sd)
@@ -244,7 +244,7 @@ def _drift(state: TrackerState, metres: float) -> None:
 
 
 def _adapt_noise(state: TrackerState, sums: Array) -> None:
-    """Noise of the sensors by what is left after correction, of the ground by how far it is seen to push."""
+    """Adapt the noise of the sensors to the residuals, and that of the ground to the estimated pushes."""
     measured = sums[:3, 1] > 0.0
     state.residual_ratio[measured] += (
         sums[:3][measured, 0] / sums[:3][measured, 1] - state.residual_ratio[measured]
@@ -252,13 +252,13 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
     state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
     ratio = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
-    # Of a push that is hard to see, what is seen goes with the square of its variance: hence the half.
+    # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
     logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_VARIANCE_MEMORY
     state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_FORGETTING)
 
 
 def _detect_soil_change(state: TrackerState) -> None:
-    """Has the soil changed since one of the marks? Then what was known of it is given up."""
+    """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
     if change is not None and change.ratio > soil_change.CHANGED:
         _forget_soil(state, change.logs)
@@ -271,7 +271,7 @@ def _detect_soil_change(state: TrackerState) -> None:
 
 
 def _forget_soil(state: TrackerState, logs: Array) -> None:
-    """The six from the prior's covariance on, about where the change seems to have led; nuisances stay."""
+    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
     factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -LARGEST_REPORTED_LOG, LARGEST_REPORTED_LOG))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
@@ -287,7 +287,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:
-    """Time ran back: forget where the rig was, keep what was learned and how old it is."""
+    """The log's clock stepped back: discard the motion state, keep the posterior and its age."""
     state.pending, state.running = None, False
     state.ticks_before = np.zeros((0, 8))
     state.last_pose_ns = state.published_ns = 0
@@ -296,7 +296,8 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
 
 
 def reported_covariance(state: TrackerState) -> Array:
-    """Covariance of the six logarithms as it is said, (6, 6): what data told counts for less."""
+    """Reported covariance of the six logarithms, (6, 6): the information of the data over SD_FACTOR
+    squared."""
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
@@ -304,7 +305,7 @@ def reported_covariance(state: TrackerState) -> Array:
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
-    """What can be said now."""
+    """The estimate at t_ns."""
     return six_parameter_estimate(
         state, machine, t_ns, METHOD, reported_covariance(state), "nothing has been learned",
         _excitation(state, t_ns), state.advisor.text,

@@ -1,6 +1,7 @@
-"""The dissertation's two steps as an estimator: the windows of pem, each fitted alone, merged by number.
+"""The dissertation's two-step identification as an estimator: it fits the windows of pem one by one and
+merges them.
 
-What the method is, and why none of its numbers is published as one to use: two_step_fit.
+two_step_fit describes the method, and why none of its numbers is published as usable.
 """
 
 import math
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 
 METHOD: Final = "pem_two_step"
 PUBLISH_NS: Final = 10_000_000_000
-LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the one worker makes that fit first
+LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the worker computes pem's fit first
 _REASONS: Final = (
     "rank {rank} of 3: yaw rate and articulation do not tell three stiffnesses apart",
     "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow",
@@ -31,33 +32,33 @@ _REASONS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A fit to be made."""
+    """A fit to compute."""
 
-    asked_ns: int  # of the frame at which the window closed
+    asked_ns: int  # t_ns of the frame at which it was requested
     closed_ns: int  # instant of its last tick
     record: Record
 
 
 @dataclass(slots=True)
 class TwoStepState:
-    """The window being driven, and what those before gave. Plain data; times ns."""
+    """The present window, and the merged results of those before. Times ns."""
 
     window: list[Segment] = field(default_factory=list)
-    closed: Record | None = None  # waits to be asked for
-    job: Job | None = None  # asked for, not taken yet
-    decided: int = OPEN  # of the job: see windows.OPEN
-    late_ns: int = 0  # by how much the fit was late that was decided last
+    closed: Record | None = None  # a complete window whose fit is not requested yet
+    job: Job | None = None  # requested, not adopted yet
+    decided: int = OPEN  # state of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the last decided fit was late
     values: Array = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
     sds: Array = field(default_factory=lambda: np.zeros(6))
-    runs: Array = field(default_factory=lambda: np.zeros(6))  # merged into each
+    runs: Array = field(default_factory=lambda: np.zeros(6))  # number of windows merged into each
     rank: int = 0  # of the last window
     window_s: float = 0.0
     informed_ns: int = 0
     published_ns: int = 0
     late: int = 0  # fits that came too late
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments, or windows
     reason: str = ""  # why nothing is collected now
-    failure: str = ""  # why the last window gave nothing
+    failure: str = ""  # why the last window gave no result
     events: list[tuple[str, str]] = field(default_factory=list)  # none so far
 
 
@@ -67,12 +68,13 @@ def initial(machine: Machine) -> TwoStepState:
 
 
 def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one stretch; an estimate each PUBLISH_NS. The pose serves as the time."""
+    """Take one segment; an estimate each PUBLISH_NS. The pose serves as the time."""
     return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
 
 
 def request_fit(state: TwoStepState, t_ns: int) -> Job | None:
-    """A fit to ask for at the frame of t_ns, once a window has closed."""
+    """The fit to request at the frame of t_ns: of a complete window, if no other fit is pending; else
+    None."""
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
@@ -81,7 +83,8 @@ def request_fit(state: TwoStepState, t_ns: int) -> Job | None:
 
 
 def fit(machine: Machine, job: Job) -> TwoStep:
-    """The result of a job: a function of its arguments alone. Sought from the machine file's tyres on."""
+    """The result of a job, a pure function of its arguments. The search starts at the tyres of the machine
+    file."""
     mean, _ = unknowns.prior(machine)
     start: Array = np.exp(mean[unknowns.SIX])
     return identify(Window(job.record, unknowns.base_geometry(machine), start, unknowns.levers(machine)))
@@ -92,7 +95,7 @@ def rehearse(machine: Machine) -> None:
 
 
 def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int) -> Estimate:
-    """Merge what a window gave, each number by itself (7.20, 7.21); None: there is none."""
+    """Merge the result of a window, each number by itself (7.20, 7.21); made: None if there is none."""
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
@@ -116,7 +119,7 @@ def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int
 
 
 def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
-    """What the method says now, with why it is not to be used."""
+    """The estimate at t_ns; each number has the reason why it must not be used."""
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
     _, prior_sd = unknowns.prior(machine)
@@ -129,7 +132,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
         method=METHOD,
         model=MODEL,
         parameters=parameters,
-        log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method knows of no correlations
+        log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method has no correlations
         per_mass=per_mass(machine, parameters),
         rank=state.rank,
         excitation=excitation,
@@ -147,7 +150,7 @@ def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstim
 
 
 def clock_stepped(state: TwoStepState, by_ns: int) -> None:
-    """Time ran back: the window and the fit under way are given up; what was learned stays."""
+    """The log's clock stepped back: discard the window and the pending fit; merged values stay."""
     state.window.clear()
     state.closed = state.job = None
     state.decided = OPEN

@@ -8,7 +8,7 @@ from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.receiver_track import SLOW_HOLD_NS, sample_at
 
 HALF_NS = POSE_NS // 2
-ROLL_RATE_MEMORY = 50.0  # stretches (10 s) over which the mean squares of roll rate and noise are taken
+ROLL_RATE_MEMORY = 50.0  # segments (10 s) over which the mean squares of roll rate and noise are taken
 
 
 @dataclass(frozen=True, slots=True)

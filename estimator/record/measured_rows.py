@@ -19,7 +19,7 @@ COLOURED_NOISE_FACTOR = (
     4.0  # what is left of a roll rate lasts for many samples: it counts as one error, not as many
 )
 Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
-Line = tuple[float, float]  # value at the start and at the end of a stretch
+Line = tuple[float, float]  # value at the start and at the end of a segment
 Halves = tuple[float, float, float]  # and in its middle
 
 

@@ -70,7 +70,7 @@ def concatenate(segments: Sequence[Segment]) -> Record:
         record = segment.record
         if record.t_ns != end_ns:
             raise ValueError(
-                f"a stretch begins {(record.t_ns - end_ns) * 1e-9:g} s after the end of the last"
+                f"a segment begins {(record.t_ns - end_ns) * 1e-9:g} s after the end of the last"
             )
         shifted = record.rows.copy()
         shifted[:, 0] += ticks

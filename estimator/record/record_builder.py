@@ -20,12 +20,12 @@ from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 
-TICKS = POSE_NS // TICK_NS  # of a stretch
+TICKS = POSE_NS // TICK_NS  # of a segment
 SLOWEST = 1.0  # m/s
 LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
 ROUGHEST_HEADING = math.radians(2.0)  # largest sd of a heading to linearise about
 WHEEL_GAP_NS = 150_000_000  # longest gap that is interpolated: the period of a 10 Hz sensor, with its jitter
-SETTLING = 10  # stretches (2 s) that are driven after a refusal before anything is learned again
+SETTLING = 10  # segments (2 s) that are driven after a refusal before anything is learned again
 
 _REFUSING = (
     (MISPLACED, "receivers do not fit the rig"),
@@ -42,11 +42,11 @@ class RecordState:
     knots: list[Knot] = field(default_factory=list)  # the last three poses
     psi: list[float] = field(default_factory=lambda: [0.0, 0.0])  # last headings, not wrapped
     used: UsedSamples = field(default_factory=UsedSamples)
-    settled: int = 0  # stretches since the last one that was refused
-    usable: bool = False  # whether the last stretch may teach
+    settled: int = 0  # segments since the last one that was refused
+    usable: bool = False  # whether the last segment may teach
     segments: int = 0  # that may teach
     samples: int = 0  # rows in them
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
 
 
 def initial(machine: Machine) -> RecordState:
@@ -62,7 +62,7 @@ def clock_stepped(state: RecordState) -> None:
 
 
 def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
-    """The stretch that ends where the pose before this one stands; None before the third pose."""
+    """The segment that ends where the pose before this one stands; None before the third pose."""
     knots = state.knots
     if knots and pose.t_ns <= knots[-1].t_ns:
         clock_stepped(state)

@@ -6,7 +6,7 @@ import numpy as np
 
 from tilth.estimator.record.record import Record, Segment, concatenate
 
-WINDOW: Final = 150  # stretches, 30 s
+WINDOW: Final = 150  # segments, 30 s
 SHORTEST: Final = 50  # segments, 10 s: a shorter window is not fitted
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
@@ -27,9 +27,7 @@ def collect(
 ) -> bool:
     """Take the segment that ends at the pose before that of t_ns. Returns whether an estimate is due.
 
-    every_ns: interval of estimates.
-
-    least_steering: sd of the wheel angle, rad, below which a window is not worth a fit.
+    every_ns: interval of estimates. least_steering: smallest sd of the wheel angle, rad, of a window to fit.
     """
     if segment is not None:
         _add_segment(state, segment, least_steering)

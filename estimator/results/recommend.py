@@ -1,4 +1,5 @@
-"""Which of the methods' estimates a controller should use: one rule, said with each recommendation."""
+"""Which of the methods' estimates should a controller use? One rule; each recommendation says how it was
+chosen."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -11,10 +12,10 @@ from tilth.schemas.flow import Estimate, Status
 
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
-"""Best first: pem uses every sample of a window, tracker follows at once, steady_state speaks where neither
-can. No other method is recommended."""
-FRESH_S: Final = 120.0  # pem's window is older: a method that follows at once is better
-SINCE_CHANGE: Final = "since_soil_change_s"  # in `excitation` of a method that sees changes at once
+"""Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
+from which neither can learn. No other method is recommended."""
+FRESH_S: Final = 120.0  # if pem's window is older, tracker is better
+SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
 
 DISAGREE_ABOVE: Final = {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5}
 """Chi-square of so many parameters, 0.1 %."""
@@ -23,10 +24,10 @@ AGREE_BELOW: Final = {1: 3.8, 2: 6.0, 3: 7.8, 4: 9.5, 5: 11.1, 6: 12.6}
 
 
 def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = False) -> Estimate:
-    """The best that gives numbers; the one that claims less while the methods disagree.
+    """The best estimate with numbers; while methods disagree, the one with the largest variance.
 
     estimates: method -> latest. disagree: whether `disagreement` found one. `rule` of the result says why it
-    was chosen. What a method calls invalid is not passed on.
+    was chosen. Values with status INVALID are removed.
     """
     usable = list(_usable(estimates))
     if not usable:
@@ -42,7 +43,10 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
 
 
 def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
-    """Which methods disagree beyond their covariances, in words; "": none. before: whether some did."""
+    """Text that names the methods which disagree beyond their covariances; "" if none do.
+
+    before: whether some disagreed at the last call.
+    """
     limits = AGREE_BELOW if before else DISAGREE_ABOVE
     candidates = [
         e
@@ -52,7 +56,7 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
     for k, one in enumerate(candidates):
         for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
-            if shared and not distance <= limits[shared]:  # not a number is no agreement
+            if shared and not distance <= limits[shared]:  # nan counts as disagreement
                 return (
                     f"{one.method} and {other.method} disagree: squared distance {distance:.0f} over "
                     f"{shared} parameters, of which chance allows {DISAGREE_ABOVE[shared]:.0f}"
@@ -61,7 +65,7 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
 
 
 def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]:
-    """(estimate, why it is the one to use), best first; one method may come twice."""
+    """(estimate, rule by which it is chosen), best first; one method may come twice."""
     sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
     by_method = {e.method: e for e in sound}
     pem, tracker = by_method.get("pem"), by_method.get("tracker")
@@ -100,24 +104,24 @@ def _copy_as_recommended(estimate: Estimate, t_ns: int, rule: str) -> Estimate:
 
 
 def _usable_parameters(estimate: Estimate, status: Status | None = None) -> set[int]:
-    """Parameters with a number that may be used, of this status or of any."""
+    """Indices of the parameters with a number and this status; None: ESTIMATED or STALE."""
     statuses = (Status.ESTIMATED, Status.STALE) if status is None else (status,)
     return {k for k, p in enumerate(estimate.parameters) if p.value is not None and p.status in statuses}
 
 
 def _is_finite(estimate: Estimate) -> bool:
-    """Whether numbers are numbers: what is not must reach no controller."""
+    """Whether all numbers are finite and values positive: others must not reach a controller."""
     values = [p.value for p in estimate.parameters if p.value is not None]
     return all(0.0 < v < math.inf for v in values) and all(map(math.isfinite, estimate.log_covariance))
 
 
 def _age(estimate: Estimate) -> float:
-    """Since data last informed what it gives, s."""
+    """Greatest age of its usable parameters, s; infinite without one."""
     return max((estimate.parameters[k].age_s or 0.0 for k in _usable_parameters(estimate)), default=math.inf)
 
 
 def _variance(estimate: Estimate, candidates: Mapping[str, Estimate]) -> float:
-    """Mean over the parameters that all of them give; a method that shares none is not compared."""
+    """Mean variance over the parameters that all candidates have, or, if there is none, over its own."""
     shared = set.intersection(*(_usable_parameters(e) for e in candidates.values())) or _usable_parameters(
         estimate
     )
@@ -125,7 +129,8 @@ def _variance(estimate: Estimate, candidates: Mapping[str, Estimate]) -> float:
 
 
 def _distance(one: Estimate, other: Estimate) -> tuple[float, int]:
-    """(squared distance of the logarithms over the sum of their covariances, over how many parameters)."""
+    """(squared Mahalanobis distance of the logarithms, with the sum of the covariances; number of
+    parameters)."""
     shared = sorted(_usable_parameters(one, Status.ESTIMATED) & _usable_parameters(other, Status.ESTIMATED))
     if not shared:
         return 0.0, 0

@@ -75,11 +75,11 @@ def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
     assert resume(after, save_learned(before, NOW), 0.0, NOW)[row.method] == ""
     memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
     assert new.informed_ns == old.informed_ns
-    stays = [k for k, name in enumerate(memory.names) if name not in memory.passing]
+    stays = [k for k, name in enumerate(memory.names) if name not in memory.per_run]
     learned, fresh = memory.learned(new), memory.learned(row.initial(MACHINE))
     assert learned.mean[stays] == pytest.approx(memory.learned(old).mean[stays], abs=1e-9)
     assert learned.counts == memory.learned(old).counts
-    for name in memory.passing:
+    for name in memory.per_run:
         k = memory.names.index(name)
         assert learned.covariance[k, k] == pytest.approx(fresh.covariance[k, k])
     assert from_json(after) == after.estimators.keys()

@@ -42,7 +42,7 @@ from tilth.simulator.traffic import traffic
 Array = NDArray[np.float64]
 Given = list[tuple[Pose, Segment | None]]
 
-TICKS = 10  # of a stretch
+TICKS = 10  # of a segment
 FIELD = Soil(grip=0.7, rolling=0.06)
 ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
 RANDOM = Scenario(

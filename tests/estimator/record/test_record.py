@@ -29,7 +29,7 @@ def test_stretches_put_together_are_one_record() -> None:
     assert parts[1].record.rows[:, 0].tolist() == [3, 9]  # left as it was
     with pytest.raises(ValueError, match=r"0\.2 s after"):
         concatenate([parts[0], parts[2]])
-    with pytest.raises(ValueError, match="no stretch"):
+    with pytest.raises(ValueError, match="no segment"):
         concatenate([])
     assert Record(5).end_ns == 5
 
