@@ -62,7 +62,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True)
-class Plain:
+class PeerResult:
     """What one way of estimating gave of one record."""
 
     error: Array
@@ -94,14 +94,14 @@ def linear(kind: str, seconds: float, seed: int) -> Linear:
 def merged_rows(seconds: float, seed: int) -> Linear:
     """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
     first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
-    told, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
+    setup, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
     noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
     for k in range(ROW_WINDOWS):
         again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
-        found = likelihood.maximise_posterior(linear_plant.record_of(run), told, mean, covariance)
+        found = likelihood.maximise_posterior(linear_plant.record_of(run), setup, mean, covariance)
         mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
@@ -131,23 +131,23 @@ def follow(case: Case, seed: int) -> Followed:
     return estimation_study.followed(estimation_study.driven(machine(), case, seed))
 
 
-# Plain alternatives, on the same record.
+# Other programs on the same record.
 
 
-def plain(seconds: float, seed: int) -> dict[str, Plain]:
+def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
     """Each way on one record of the linear plant, random steering."""
     run = linear_plant.plant(rig_of(machine()), seed, "random", seconds)
     record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(machine())
-    told, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
+    setup, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
     y, wheel = record.rows[:, 4].reshape(-1, 4), record.ticks[:, 0]
     sds = np.repeat(linear_plant.SDS, 2)
     white = linear_plant.white(rig_of(machine()))
     noise_mean = [*np.log(white), *np.log(linear_plant.SDS)]
     noise_sd = [*sd[NOISE][:3], sd[AT["s_yaw_rate"]], sd[AT["s_position"]]]
-    data = (y, wheel, told.geometry, linear_plant.SPEED)
+    data = (y, wheel, setup.geometry, linear_plant.SPEED)
 
     def own() -> tuple[Array, Array]:
-        found = likelihood.maximise_posterior(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, setup, mean, covariance)
         return found.mean[SIX], np.sqrt(np.diag(found.covariance)[SIX])
 
     ways: dict[str, Callable[[], tuple[Array, Array]]] = {
@@ -165,7 +165,7 @@ def plain(seconds: float, seed: int) -> dict[str, Plain]:
     for name, way in ways.items():
         began = time.perf_counter()
         logs, sd_logs = way()
-        made[name] = Plain(logs - truth, sd_logs, time.perf_counter() - began)
+        made[name] = PeerResult(logs - truth, sd_logs, time.perf_counter() - began)
     return made
 
 

@@ -59,10 +59,10 @@ NMEA_2000: Final = 0xC07891000B002720
 HIDDEN_M: Final = 0.03  # m, of a lever arm or a CG
 DROP: Final = 0.7  # of all stiffnesses
 CHANGE_S: Final = 62.0  # into the run, on a straight stretch
-INFORMED: Final = math.radians(2.0)  # of the wheels: from here on a manoeuvre tells something
+INFORMED: Final = math.radians(2.0)  # wheel angle from which on a manoeuvre is informative
 
 
-def as_told(machine: Machine) -> Machine:
+def as_in_file(machine: Machine) -> Machine:
     return machine
 
 
@@ -72,8 +72,8 @@ class Case:
 
     name: str
     scenario: Scenario
-    believed: Changed = as_told  # of the packaged machine: what the estimators are told
-    driven: Changed = as_told  # what is driven, of what the estimators are told
+    believed: Changed = as_in_file  # of the packaged machine: what the estimators are told
+    driven: Changed = as_in_file  # what is driven, of what the estimators are told
     nuisances: Mapping[str, float] = field(default_factory=dict)  # of Truth, instead of what is drawn
 
 
@@ -83,14 +83,14 @@ def all_receivers(first_name: int, machine: Machine) -> Machine:
     return machine.model_copy(update={"receiver": receivers})
 
 
-def centres_moved(machine: Machine) -> Machine:
+def shifted_cgs(machine: Machine) -> Machine:
     """Both CGs HIDDEN_M further forward than the file says, with everything that is measured from them."""
     tractor, implement = machine.tractor, machine.implement
 
     def by(quantity: Quantity, change: float) -> Quantity:
         return quantity.model_copy(update={"value": quantity.value + change})
 
-    moved = {
+    shifted = {
         "tractor": tractor.model_copy(
             update={
                 "a": by(tractor.a, -HIDDEN_M), "b": by(tractor.b, HIDDEN_M), "c": by(tractor.c, HIDDEN_M),
@@ -104,10 +104,10 @@ def centres_moved(machine: Machine) -> Machine:
             for r in machine.receiver
         ],
     }  # fmt: skip
-    return machine.model_copy(update=moved)
+    return machine.model_copy(update=shifted)
 
 
-def on_left_kingpin(machine: Machine) -> Machine:
+def left_kingpin_sensor(machine: Machine) -> Machine:
     """The wheel-angle sensor on the left kingpin, as the file says."""
     return machine.model_copy(
         update={
@@ -122,7 +122,7 @@ def _late(seconds: float) -> dict[str, float]:
     return {f"latency_{mount}": seconds for mount in mounts}
 
 
-_TURNED: Final = {"pair_tractor": math.radians(0.2), "pair_implement": math.radians(-0.2)}
+_PAIR_YAW: Final = {"pair_tractor": math.radians(0.2), "pair_implement": math.radians(-0.2)}
 _LEVERS: Final = {
     f"forward_{mount}": sign * HIDDEN_M
     for mount, sign in (
@@ -142,16 +142,16 @@ HIDDEN: Final = (
     Case("wheel_gain_up", _SURVEYED, nuisances=_KNOWN | {"wheel_gain": 1.02}),
     Case("wheel_gain_down", _SURVEYED, nuisances=_KNOWN | {"wheel_gain": 0.98}),
     Case("slope", replace(_SURVEYED, ground=_SLOPE), nuisances=_KNOWN),
-    Case("pair_yaw", _SURVEYED, nuisances=_KNOWN | _TURNED),
+    Case("pair_yaw", _SURVEYED, nuisances=_KNOWN | _PAIR_YAW),
     Case("levers", _SURVEYED, nuisances=_KNOWN | _LEVERS),
-    Case("centres", _SURVEYED, driven=centres_moved, nuisances=_KNOWN),
-    Case("kingpin", _SURVEYED, believed=on_left_kingpin, nuisances=_KNOWN),
+    Case("centres", _SURVEYED, driven=shifted_cgs, nuisances=_KNOWN),
+    Case("kingpin", _SURVEYED, believed=left_kingpin_sensor, nuisances=_KNOWN),
     Case(
         "all_errors",
         _ALL,
-        believed=on_left_kingpin,
-        driven=centres_moved,
-        nuisances=_late(0.15) | _TURNED | _LEVERS | {"wheel_gain": 1.02, "wheel_zero": math.radians(0.5)},
+        believed=left_kingpin_sensor,
+        driven=shifted_cgs,
+        nuisances=_late(0.15) | _PAIR_YAW | _LEVERS | {"wheel_gain": 1.02, "wheel_zero": math.radians(0.5)},
     ),
 )
 """Errors that the machine file does not tell, one at a time and together; the others are nothing."""
@@ -269,12 +269,12 @@ class Fitted:
 
 def fitted(run: Driven, records: list[Record]) -> Fitted:
     """The posterior of the first record is the prior of the next; noise levels begin anew with each."""
-    told = rig_setup(run.machine)
+    setup = rig_setup(run.machine)
     prior_mean, prior_sd = unknowns.prior(run.machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
-        found = likelihood.maximise_posterior(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, setup, mean, covariance)
         information += found.information
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))
@@ -315,10 +315,10 @@ def trajectory_error(
     found = fitted(run, records[:1])
     rig = fitted_rig(run.machine, found.mean)
     zero, gain = found.mean[AT["wheel_zero"]], math.exp(found.mean[AT["wheel_gain"]])
-    own = _distances(run, records[1], rig, zero, gain)
+    fitted_errors = _distances(run, records[1], rig, zero, gain)
     nuisances = run.truth.nuisances
     best = _distances(run, records[1], run.truth.rig, nuisances["wheel_zero"], nuisances["wheel_gain"])
-    return (*own, *best)
+    return (*fitted_errors, *best)
 
 
 def fitted_rig(machine: Machine, mean: Array) -> Rig:
@@ -373,9 +373,9 @@ def followed(run: Driven) -> Followed:
     series: dict[str, list[list[float]]] = {}
     events = []
     for frame in traffic(run.truth_machine, run.truth):
-        said = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
+        publications = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
-        for publication in said:
+        for publication in publications:
             value = publication.value
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *_numbers(value)])
@@ -407,5 +407,5 @@ def _numbers(estimate: Estimate) -> list[float]:
 def first_informed(wheel: Array, after_s: float) -> float:
     """When the wheels first turn beyond INFORMED after a time, s; infinite if never."""
     from_ = round(after_s / STEP_S)
-    turned = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
-    return (from_ + int(turned[0])) * STEP_S if len(turned) else math.inf
+    beyond_limit = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
+    return (from_ + int(beyond_limit[0])) * STEP_S if len(beyond_limit) else math.inf

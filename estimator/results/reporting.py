@@ -78,7 +78,8 @@ def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple
 
 
 def reason_without_data(what: str, reason: str) -> str:
-    """The reason of a parameter while a method has not learned anything. reason: why it does not learn now."""
+    """The reason of a parameter while a method has not learned anything. reason: why it does not learn
+    now."""
     return f"{what} yet (now: {reason})" if reason else f"{what} yet"
 
 

@@ -50,7 +50,7 @@ def discrete(rig: Rig) -> tuple[Array, Array, Array]:
     return exact[:8, :8], exact[:8, 8], exact[:8, 9:]
 
 
-def own_record(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
+def record_of_own_model(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
     """Gyros and headings at every tick of a rig that moves as the relaxation model on uneven ground."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
@@ -88,7 +88,7 @@ def without_pairs(machine: Machine) -> RigSetup:
 def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machine) -> None:
     """Against the dense covariance of all measurements at once, built without any filter."""
     rig = TABLE_7_2
-    record = own_record(rig, 3, seconds=0.6)
+    record = record_of_own_model(rig, 3, seconds=0.6)
     mean, covariance = alone(machine)
     mean[SIX] = np.log(rig.theta)
     mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
@@ -102,8 +102,8 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
-        turned = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
-        centre.append(f @ centre[-1] + g * turned)
+        wheel_angle = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
+        centre.append(f @ centre[-1] + g * wheel_angle)
         spreads.append(whole_f @ spreads[-1] @ whole_f.T + shock)
     columns = [1 + int(r[3]) if r[2] == YAW_RATE else 6 + int(r[3]) for r in record.rows]
     ticks = record.rows[:, 0].astype(int)
@@ -119,7 +119,7 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     assert np.sum(e**2 / s + np.log(s)) == pytest.approx(whole, rel=1e-7)
 
 
-def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
+def test_intervals_cover_on_data_of_the_same_model(machine: Machine) -> None:
     """Truths within ±50 % of the prior; bias and coverage over all six."""
     mean, covariance = alone(machine)
     rng = np.random.default_rng(11)
@@ -127,7 +127,9 @@ def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
     for seed, kind in enumerate(["random", "chirp", "step"] * 8):
         theta = np.exp(mean[SIX]) * rng.uniform(0.5, 1.5, 6)
         rig = TABLE_7_2._replace(**dict(zip(PARAMETERS, theta.tolist(), strict=True)))
-        found = maximise_posterior(own_record(rig, seed, kind=kind), without_pairs(machine), mean, covariance)
+        found = maximise_posterior(
+            record_of_own_model(rig, seed, kind=kind), without_pairs(machine), mean, covariance
+        )
         scores.append((found.mean[SIX] - np.log(theta)) / np.sqrt(np.diag(found.covariance)[SIX]))
         assert found.converged
     z = np.array(scores)
@@ -173,7 +175,7 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> N
     assert np.all(np.abs(z) < 4.0)
 
 
-def test_a_job_is_asked_for_made_and_taken(machine: Machine) -> None:
+def test_a_job_is_requested_fitted_and_adopted(machine: Machine) -> None:
     record, truth = _driven(1)
     state = pem.initial(machine)
     state.closed = record

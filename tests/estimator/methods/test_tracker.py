@@ -65,7 +65,7 @@ KINDS = (
 # The filter's equations
 
 
-MOVED = [*range(8), X_POSITION, X_POSITION + 1]
+CHANGED_CONSTANTS = [*range(8), X_POSITION, X_POSITION + 1]
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
 
 
@@ -76,7 +76,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     point = mean.copy()
     point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
     x = np.zeros(N_TRACKER)
-    x[MOVED] = simulated(x, point, np.full(150, READINGS[20]))
+    x[CHANGED_CONSTANTS] = simulated(x, point, np.full(150, READINGS[20]))
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
     x[X_PUSH:X_POSITION] = rng.normal(size=3) * [0.01, 0.01, 0.005]
     x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
@@ -123,7 +123,7 @@ def test_the_mean_moves_as_the_nonlinear_model_does() -> None:
     )
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
     true = simulated(x, point, READINGS[20:26] - late)
-    assert np.max(np.abs(true - x[MOVED])) > 0.01
+    assert np.max(np.abs(true - x[CHANGED_CONSTANTS])) > 0.01
     np.testing.assert_allclose(after[:8], true[:8], atol=2e-4)
     np.testing.assert_allclose(after[X_POSITION : X_POSITION + 2], true[8:], atol=2e-3)
 
@@ -161,8 +161,8 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         for j, name in enumerate(ACTIVE):
             nudged = unknowns.geometry(SETUP.geometry, point + 1e-7 * np.eye(len(point))[name])
             active.geometry[j] = (nudged - geometry) / 1e-7
-        seen = Observation(kind, place, 0.0, 4.5, 0.3)
-        value = run(x, seen, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
+        observation = Observation(kind, place, 0.0, 4.5, 0.3)
+        value = run(x, observation, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
         return value, h
 
     value, h = at(x, point)
@@ -183,15 +183,15 @@ def driven(
     truth = drive(MACHINE, seed, scenario.seconds, scenario)
     state, recording = fold.initial(MACHINE), record_builder.initial(MACHINE)
     given: Given = []
-    said: list[Event] = []
+    events: list[Event] = []
     for frame in traffic(MACHINE, truth):
         for publication in fold.step(state, frame):
             value = publication.value
             if isinstance(value, Pose):
                 given.append((value, record_builder.observe(recording, state.aligner, value)))
             elif isinstance(value, Event) and value.kind == "soil_change":
-                said.append(value)
-    return state, given, said, np.log([truth.parameters[name] for name in PARAMETERS])
+                events.append(value)
+    return state, given, events, np.log([truth.parameters[name] for name in PARAMETERS])
 
 
 def learned(given: Given) -> TrackerState:
@@ -213,11 +213,11 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
     """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that nobody told."""
     scores = []
     for seed in range(5):
-        state, _, said, truth = driven(RANDOM, seed)
+        state, _, events, truth = driven(RANDOM, seed)
         estimate = last(state)
         assert [p.status for p in estimate.parameters] == [Status.ESTIMATED] * 6
         assert estimate.rank == 6
-        assert said == []
+        assert events == []
         scores.append((np.log([p.value or 1.0 for p in estimate.parameters]) - truth) / sds(estimate))
         assert np.all(sds(estimate) < 0.2)
     z = np.array(scores)
@@ -228,8 +228,8 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
 
 def test_the_fold_and_its_stretches_give_the_same() -> None:
     state, given, _, _ = driven(RANDOM, 0)
-    own = learned(given)
-    assert own.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
+    method_state = learned(given)
+    assert method_state.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
 
 
 # Another soil
@@ -244,12 +244,12 @@ TURNS_AGAIN_S = 45.0
 
 
 def test_another_soil_is_noticed_within_seconds_and_learned() -> None:
-    state, given, said, truth = driven(CHANGED, 1)
-    assert len(said) == 1
-    after_s = (said[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
+    state, given, events, truth = driven(CHANGED, 1)
+    assert len(events) == 1
+    after_s = (events[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
     assert 0.0 < after_s < 3.0
-    assert said[0].latitude_deg is not None
-    assert "given up" in said[0].text
+    assert events[0].latitude_deg is not None
+    assert "given up" in events[0].text
     estimate = last(state)
     now = truth + np.log([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
     off = np.log([p.value or 1.0 for p in estimate.parameters]) - now
@@ -274,8 +274,8 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
             gain = covariance @ h / (h @ covariance @ h + 0.3**2)
             mean = mean + gain * (h @ (truth - mean) + 0.3 * rng.normal())
             covariance = covariance - np.outer(gain, h @ covariance)
-            told = soil_change.likeliest_change(checkpoints, mean, covariance)
-            found = max(found, told.ratio if told and k >= 100 else 0.0)
+            likeliest = soil_change.likeliest_change(checkpoints, mean, covariance)
+            found = max(found, likeliest.ratio if likeliest and k >= 100 else 0.0)
             checkpoints = [*checkpoints, Checkpoint(mean, covariance)][-soil_change.MOST_CHECKPOINTS :]
         largest.append(found)
     assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
@@ -331,7 +331,7 @@ def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
 
 
 @pytest.mark.parametrize("column", [4, 5, 1])
-def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
+def test_a_row_that_is_not_finite_is_left_out(column: int) -> None:
     given = driven(RANDOM, 1)[1]
     k = next(k for k, (_, s) in enumerate(given) if s is not None and not s.reason) + 60
     pose, segment = given[k]
@@ -358,7 +358,7 @@ def test_an_input_that_is_no_number_costs_one_stretch() -> None:
     assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.P_xx))
 
 
-def test_a_position_beyond_belief_is_left_out() -> None:
+def test_an_outlier_is_gated() -> None:
     given = driven(RANDOM, 1)[1]
     pose, segment = given[80]
     assert segment is not None
@@ -395,17 +395,19 @@ def test_after_a_gap_nothing_jumps() -> None:
 
 def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     state, _, _, _ = driven(RANDOM, 2)
-    own = state.estimators[tracker.METHOD]
+    method_state = state.estimators[tracker.METHOD]
     fresh = tracker.initial(MACHINE)
     assert {p.status for p in tracker.estimate(fresh, MACHINE, 5).parameters} == {Status.UNESTIMATED}
-    late = tracker.estimate(own, MACHINE, own.informed_ns + 301 * 10**9)
+    late = tracker.estimate(method_state, MACHINE, method_state.informed_ns + 301 * 10**9)
     assert {p.status for p in late.parameters} == {Status.STALE}
     assert all("nothing was learned" in p.reason for p in late.parameters)
-    own.covariance[SIX, SIX] = (0.5 * own.prior_sd[0]) ** 2 * np.eye(6)  # is said as 0.58 of the prior's
-    own.has_number[0] = True
-    first = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    method_state.covariance[SIX, SIX] = (0.5 * method_state.prior_sd[0]) ** 2 * np.eye(
+        6
+    )  # is said as 0.58 of the prior's
+    method_state.has_number[0] = True
+    first = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert first.status is Status.ESTIMATED  # not yet beyond LOST
-    own.has_number[0] = False
-    again = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    method_state.has_number[0] = False
+    again = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert again.status is Status.UNESTIMATED and "more steering" in again.reason
     assert again.value is None

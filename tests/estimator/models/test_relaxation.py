@@ -109,7 +109,7 @@ def _accelerations(u: float, g: Array, theta: Array, state: Array, inputs: Array
     _, r_t, _, alpha_f, alpha_r, alpha_i = state[:6]
     f_f, f_r, f_i = -theta[0] * alpha_f, -theta[1] * alpha_r, -theta[2] * alpha_i
     # unknown: a_t, a_i, r_t', r_i', hitch
-    left = np.array(
+    mass_matrix = np.array(
         [
             [m_t, 0, 0, 0, 1.0],
             [0, m_i, 0, 0, -1.0],
@@ -127,7 +127,7 @@ def _accelerations(u: float, g: Array, theta: Array, state: Array, inputs: Array
             0.0,
         ]
     )
-    a_t, _, dr_t, dr_i, _ = np.linalg.solve(left, right)
+    a_t, _, dr_t, dr_i, _ = np.linalg.solve(mass_matrix, right)
     return np.array([a_t - u * r_t, dr_t, dr_i])
 
 
@@ -160,8 +160,8 @@ def test_on_a_side_slope_the_tyres_carry_the_weight() -> None:
     """Straight on with the wheels that this needs: moments about the hitch and about the CG, by hand."""
     slope = 0.5  # m/s^2, right side down
     gravity = np.array([0.0, slope, slope])
-    turned = _steady(4.5, RIG, THETA, np.array([1.0, 0.0, 0.0]))[1]
-    delta = -_steady(4.5, RIG, THETA, gravity)[1] / turned
+    yaw_rate_per_angle = _steady(4.5, RIG, THETA, np.array([1.0, 0.0, 0.0]))[1]
+    delta = -_steady(4.5, RIG, THETA, gravity)[1] / yaw_rate_per_angle
     v, r, articulation = _steady(4.5, RIG, THETA, gravity + np.array([delta, 0.0, 0.0]))
     assert r == pytest.approx(0.0, abs=1e-12)
     assert v > 0.0  # it slips downhill, so it faces uphill

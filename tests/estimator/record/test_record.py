@@ -46,8 +46,8 @@ def test_a_turning_wheel_is_met_at_the_tick_whatever_the_sensors_phase(period_ms
 def test_a_wheel_sensor_that_was_silent_for_too_long_gives_no_angle() -> None:
     samples = [(k * 10_000_000, 0.1, 0.002) for k in range(-40, 40)]
     for silence_ms, given in ((130, True), (160, False)):
-        heard = deque(s for s in samples if not 20 <= s[0] // 1_000_000 < 20 + silence_ms)
-        assert (wheel_angles(heard, 0) is not None) == given
+        received = deque(s for s in samples if not 20 <= s[0] // 1_000_000 < 20 + silence_ms)
+        assert (wheel_angles(received, 0) is not None) == given
     assert wheel_angles(deque(s for s in samples if s[0] < 150_000_000), 0) is None
     assert wheel_angles(deque(), 0) is None
 

@@ -53,7 +53,7 @@ KNOWN = demo_machine(**{f"{end}]\n": f"{end}]\n{SURE}" for end in ("2.9", "3.1")
 EVEN = Ground()
 
 
-def said(machine: Machine, truth: Truth) -> list[Measurement]:
+def measurements(machine: Machine, truth: Truth) -> list[Measurement]:
     """What the sensors of a driven rig say, each 0.1 s after it was measured, with nothing rounded."""
     start = truth.scenario.utc_start_ns
     out: list[Measurement] = []
@@ -136,7 +136,7 @@ def errors(machine: Machine, truth: Truth, segments: list[Segment]) -> Array:
 
 
 def _origin(machine: Machine, truth: Truth) -> tuple[float, float]:
-    _, pose = next(posed(machine, said(machine, truth)[:2000]))
+    _, pose = next(posed(machine, measurements(machine, truth)[:2000]))
     return pose.origin_latitude_deg, pose.origin_longitude_deg
 
 
@@ -162,7 +162,7 @@ def instants(segments: list[Segment], kind: float, place: int) -> Array:
 )
 def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: float, position: float) -> None:
     truth = driven(ground)
-    state, out = record(KNOWN, said(KNOWN, truth))
+    state, out = record(KNOWN, measurements(KNOWN, truth))
     table = errors(KNOWN, truth, out)
     assert np.abs(of(table, YAW_RATE, 0, 1)[:, 2]).max() < 1e-3
     assert np.abs(of(table, VELOCITY, 0, 1, 2, 3)[:, 2]).max() < velocity
@@ -185,23 +185,23 @@ def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: fl
 def test_what_a_swaying_body_does_to_its_antennas_is_taken_out() -> None:
     """The cart's antennas are 3.1 m high; the tractor's receivers report points on the ground."""
     truth = driven(Ground(roll_sd_deg=1.5))
-    _, out = record(KNOWN, said(KNOWN, truth))
+    _, out = record(KNOWN, measurements(KNOWN, truth))
     table = errors(KNOWN, truth, out)
     roll_rate_squares = 3.1 * np.gradient(truth.implement.roll, truth.time)
     assert roll_rate_squares.std() > 0.25
     assert of(table, VELOCITY, 2, 3)[:, 2].std() < 0.25 * roll_rate_squares.std()
     assert np.abs(of(table, VELOCITY, 0, 1)[:, 2]).max() < 0.01
-    lean = 3.1 * truth.implement.roll
+    sway = 3.1 * truth.implement.roll
     off = table[np.isin(table[:, 0], (NORTH, EAST)) & (table[:, 1] >= 2)][:, 2]
-    assert off.std() < 0.1 * lean.std()
+    assert off.std() < 0.1 * sway.std()
 
 
 def test_noise_of_roll_is_not_taken_for_swaying() -> None:
     even = driven(noise=1.0)
-    table = errors(KNOWN, even, record(KNOWN, said(KNOWN, even))[1][40:])
+    table = errors(KNOWN, even, record(KNOWN, measurements(KNOWN, even))[1][40:])
     assert of(table, VELOCITY, 2, 3)[:, 2].std() < 1.2 * of(table, VELOCITY, 0, 1)[:, 2].std()
     rough = driven(Ground(roll_sd_deg=1.5), noise=1.0)
-    table = of(errors(KNOWN, rough, record(KNOWN, said(KNOWN, rough))[1][40:]), VELOCITY, 2, 3)
+    table = of(errors(KNOWN, rough, record(KNOWN, measurements(KNOWN, rough))[1][40:]), VELOCITY, 2, 3)
     assert table[:, 2].std() < 0.1
     assert table[:, 2].std() < 1.6 * table[:, 3].mean()  # what the sd says of it
 
@@ -209,7 +209,7 @@ def test_noise_of_roll_is_not_taken_for_swaying() -> None:
 def test_a_lone_receiver_gives_its_heading() -> None:
     text = KNOWN.model_copy(update={"receiver": [r for r in KNOWN.receiver if r.mount is not ALL[3]]})
     truth = driven()
-    _, out = record(text, said(text, truth))
+    _, out = record(text, measurements(text, truth))
     table = errors(text, truth, out)
     assert len(of(table, HEADING, 1)) > 100 and not len(of(table, HEADING, 0))
     assert np.abs(of(table, HEADING, 1)[:, 2]).max() < 2e-3
@@ -295,12 +295,10 @@ REFUSED: list[tuple[Change, str]] = [
 
 
 @pytest.mark.parametrize(("change", "reason"), REFUSED, ids=[f"{k}-{r[1]}" for k, r in enumerate(REFUSED)])
-def test_a_refusal_lasts_for_the_poses_beside_it_and_two_seconds_of_driving(
-    change: Change, reason: str
-) -> None:
+def test_a_refusal_holds_for_neighbouring_poses_and_two_seconds(change: Change, reason: str) -> None:
     state, out = edited({30: change})
-    wanted = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
-    assert [s.reason for s in out[:41]] == wanted
+    expected_reasons = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
+    assert [s.reason for s in out[:41]] == expected_reasons
     assert {s.reason for s in out[41:]} == {""}
     assert [s.follows for s in out[:12]] == [False] * 11 + [True]
     assert [s.follows for s in out[27:43]] == [True] + [False] * 14 + [True]
@@ -320,8 +318,8 @@ def test_a_receiver_that_is_late_or_lost_refuses_nothing(flags: tuple[str, ...])
 
 
 def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
-    moved = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
-    _, out = edited(moved)
+    new_origin = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
+    _, out = edited(new_origin)
     assert Counter(s.reason for s in out[28:41]) == {"new origin of the plane": 2, "settling": 10, "": 1}
     circle = Circle()
     state, out = record_builder.initial(circle.machine), []
@@ -341,14 +339,14 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
         (6.0, 6.4, None, "no wheel angle"),
         (6.0, 6.4, 0.27, "outside the small-angle model"),
     ):
-        heard: list[Measurement] = []
+        received: list[Measurement] = []
         for m in circle.measurements(12.0):
             if isinstance(m, WheelAngle) and first <= (m.rx_ns - START_NS) * 1e-9 < last:
                 if angle is None:
                     continue
                 m = replace(m, angle=angle)
-            heard.append(m)
-        state, out = record(circle.machine, heard)
+            received.append(m)
+        state, out = record(circle.machine, received)
         assert set(state.refused) == {"settling", *([reason] if reason else [])}
         if reason:
             shut = [(s.record.t_ns - START_NS) * 1e-9 for s in out if s.reason == reason]
@@ -357,12 +355,12 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
 
 def test_a_receiver_without_a_fix_or_silent_gives_no_rows() -> None:
     circle = Circle(noise_m=0.005)
-    heard = [
+    received = [
         m
         for m in circle.measurements(20.0)
         if m.origin.mount is not ALL[3] or not 8.0 < (m.rx_ns - START_NS) * 1e-9 < 12.0
     ]
-    _, out = record(circle.machine, heard)
+    _, out = record(circle.machine, received)
     times = instants(out, VELOCITY, 3)
     assert not ((times > 8.0) & (times < 11.8)).any()
     assert ((times > 12.2) & (times < 19.0)).sum() > 30
@@ -405,7 +403,7 @@ def test_time_that_runs_back_starts_anew() -> None:
     assert state.segments == 2 * usable and state.refused == {"settling": 20} and state.used.late == 0
 
 
-def test_the_state_is_plain_and_goes_on_as_it_was() -> None:
+def test_a_stored_state_continues_exactly() -> None:
     circle = Circle(noise_m=0.01, jitter_s=0.01)
     state, other, same = record_builder.initial(circle.machine), None, 0
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(8.0)))):
