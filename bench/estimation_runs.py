@@ -92,7 +92,8 @@ def linear(kind: str, seconds: float, seed: int) -> Linear:
 
 
 def merged_rows(seconds: float, seed: int) -> Linear:
-    """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
+    """Windows of row following on one rig, the posterior of each is the prior of the next; noise levels start
+    again."""
     first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
     setup, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
     noise, covariance = before[NOISE, NOISE].copy(), before

@@ -72,8 +72,8 @@ class Case:
 
     name: str
     scenario: Scenario
-    believed: Changed = as_in_file  # of the packaged machine: what the estimators are told
-    driven: Changed = as_in_file  # what is driven, of what the estimators are told
+    believed: Changed = as_in_file  # change of the packaged machine in the file of the estimators
+    driven: Changed = as_in_file  # further change, in the rig that is driven
     nuisances: Mapping[str, float] = field(default_factory=dict)  # of Truth, instead of what is drawn
 
 
@@ -203,7 +203,7 @@ CASES: Final = {c.name: c for c in (*HIDDEN, *COVERAGE, SOIL_CHANGE, STEPS, HELD
 class Driven:
     """A run of a case."""
 
-    machine: Machine  # as the estimators are told
+    machine: Machine  # the file of the estimators
     truth: Truth
     truth_machine: Machine
 
@@ -244,7 +244,7 @@ def segments(run: Driven) -> list[Segment]:
 
 
 def windows(some: list[Segment], length: int = WINDOW) -> list[Record]:
-    """The stretches that may teach, in windows of so many that follow one another."""
+    """Windows of `length` consecutive segments that may be learned from."""
     made: list[list[Segment]] = []
     for segment in some:
         if segment.reason:
@@ -268,7 +268,7 @@ class Fitted:
 
 
 def fitted(run: Driven, records: list[Record]) -> Fitted:
-    """The posterior of the first record is the prior of the next; noise levels begin anew with each."""
+    """The posterior of the first record is the prior of the next; noise levels start again with each."""
     setup = rig_setup(run.machine)
     prior_mean, prior_sd = unknowns.prior(run.machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)

@@ -190,7 +190,7 @@ def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
             gain = cross @ np.linalg.inv(S)
             P = P - gain @ cross.transpose(0, 2, 1)
             P = f @ P @ f.transpose(0, 2, 1) + q[:, :, None] * np.eye(STATES)
-            P = (P + P.transpose(0, 2, 1)) / 2  # or it drifts away from symmetry
+            P = (P + P.transpose(0, 2, 1)) / 2  # keeps it symmetric
             innovation_covariances.append(S)
         e[k] = y[k] - x[:, :, outputs]
         x = x + e[k] @ gain.transpose(0, 2, 1)

@@ -8,7 +8,7 @@ from plain_least_squares import DT, OUTPUT_STATES, discrete, middles
 Array = NDArray[np.float64]
 
 STEP = 1e-4
-AGAIN = 25  # samples after which the slopes over the parameters are made anew
+AGAIN = 25  # samples after which the Jacobian over the parameters is renewed
 
 
 class Tracking(ExtendedKalmanFilter):  # type: ignore[misc]

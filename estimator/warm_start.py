@@ -44,7 +44,7 @@ class SavedPosterior:
 
     @classmethod
     def from_json(cls, raw: Any) -> "SavedPosterior":
-        """What `to_json` gave. Raises ValueError."""
+        """The record that `to_json` wrote. Raises ValueError."""
         stored = Stored(raw, "what was stored")
         saved = cls(
             tuple(stored.value(list[str], "names")),

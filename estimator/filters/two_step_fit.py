@@ -48,8 +48,8 @@ SETTLING_LENGTHS: Final = 6.0  # in lengths d + e, for the implement to fall in 
 TURNING: Final = math.radians(1.0)  # least wheel angle of a turn that is used
 STRAIGHT: Final = 0.01  # rad/s: largest yaw rate of straight driving
 LEAST_SAMPLES: Final = 10  # of steady turning, 2 s
-RANK_TOLERANCE: Final = 0.02  # of the largest singular value: a direction that the outputs do not tell
-SINGULAR_FLOOR: Final = 1e-6  # of the largest singular value: least that is told apart from zero
+RANK_TOLERANCE: Final = 0.02  # of the largest singular value: a direction with less is not observed
+SINGULAR_FLOOR: Final = 1e-6  # of the largest singular value: smaller ones are raised to it
 DIVERGED: Final = 1e4  # a state, or a scaled error, of a predictor that has become unstable
 MOST_PASSES: Final = 60
 

@@ -24,39 +24,39 @@ class Learned:
 
 
 def of_steady_state(state: SteadyState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s)}
     return Learned(state.x.copy(), state.P.copy(), counts)
 
 
 def into_steady_state(state: SteadyState, learned: Learned) -> None:
-    """In the place of what this method knows."""
+    """Put what was learned into a fresh state."""
     state.x, state.P = learned.mean, learned.covariance
     state.steady_s = _counted(learned, "steady_s")
     state.sideslip_s = _counted(learned, "sideslip_s")
 
 
 def of_tracker(state: TrackerState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"window_s": float(state.window_s), "distance": float(state.distance)}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
 def into_tracker(state: TrackerState, learned: Learned) -> None:
-    """In the place of what this method knows."""
+    """Put what was learned into a fresh state."""
     state.mean, state.covariance = learned.mean, learned.covariance
     state.window_s = _counted(learned, "window_s")
     state.distance = _counted(learned, "distance")
 
 
 def of_pem(state: PemState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
 def into_pem(state: PemState, learned: Learned) -> None:
-    """In the place of what this method knows."""
+    """Put what was learned into a fresh state."""
     state.mean, state.covariance = learned.mean, learned.covariance
     state.fits = int(_counted(learned, "fits"))
     state.window_s = _counted(learned, "window_s")

@@ -65,7 +65,7 @@ class Misfit(NamedTuple):
 
 
 def initial(machine: Machine) -> TrackerState:
-    """At the machine file's values, with the prior sds of OPEN_SD."""
+    """The state before any data, at the values of the machine file, with the prior sds of OPEN_SD."""
     state = tracker.initial(machine)
     sd = state.prior_sd
     for name, ratio in OPEN_SD.items():

@@ -98,7 +98,7 @@ class PemState:
 
 
 def initial(machine: Machine) -> PemState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     return PemState(mean.copy(), np.diag(sd**2), mean, sd)
 

@@ -99,7 +99,7 @@ class SteadyState:
 
 
 def initial(machine: Machine) -> SteadyState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     chosen = [unknowns.AT[name] for name in CONSTANTS]
     pairs = [slow_pair_sd(machine, body) for body in ("tractor", "implement")]
@@ -253,7 +253,7 @@ def _measured(sample: SteadySample, input_noise: Array) -> tuple[Array, Array]:
 
 
 def _data_information(state: SteadyState) -> tuple[Array, Array]:
-    """Of the data alone on the three compliances: information matrix [3, 3] and information vector [3]."""
+    """(information matrix [3, 3], information vector [3]) of the data alone on the three compliances."""
     inverse = np.linalg.inv(state.P[:3, :3])
     information = inverse - np.eye(3) / WIDE_SD**2
     values, vectors = np.linalg.eigh((information + information.T) / 2)

@@ -29,7 +29,7 @@ N: Final = len(NAMES)
 
 
 def steady_state_json(state: SteadyState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "mean": to_json_data(state.x),
         "covariance": to_json_data(state.P),
@@ -53,7 +53,7 @@ def steady_state_json(state: SteadyState) -> Json:
 
 
 def steady_state_of(raw: Any) -> SteadyState:
-    """What `steady_state_json` gave."""
+    """The state that `steady_state_json` wrote. Raises ValueError."""
     stored, n = Stored(raw, "the state of steady_state"), len(STATES)
     state = SteadyState(
         x=stored.array("mean", n),
@@ -80,7 +80,7 @@ def steady_state_of(raw: Any) -> SteadyState:
 
 
 def tracker_json(state: TrackerState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "mean": to_json_data(state.mean),
         "covariance": to_json_data(state.covariance),
@@ -117,7 +117,7 @@ def tracker_json(state: TrackerState) -> Json:
 
 
 def tracker_of(raw: Any) -> TrackerState:
-    """What `tracker_json` gave."""
+    """The state that `tracker_json` wrote. Raises ValueError."""
     stored = Stored(raw, "the state of tracker")
     state = TrackerState(
         mean=stored.array("mean", N),
@@ -157,7 +157,7 @@ def tracker_of(raw: Any) -> TrackerState:
 
 
 def pem_json(state: PemState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "mean": to_json_data(state.mean),
         "covariance": to_json_data(state.covariance),
@@ -185,7 +185,7 @@ def pem_json(state: PemState) -> Json:
 
 
 def pem_of(raw: Any) -> PemState:
-    """What `pem_json` gave."""
+    """The state that `pem_json` wrote. Raises ValueError."""
     stored = Stored(raw, "the state of pem")
     state = PemState(
         mean=stored.array("mean", N),
@@ -216,7 +216,7 @@ def pem_of(raw: Any) -> PemState:
 
 
 def two_step_json(state: TwoStepState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "window": to_json_data(state.window),
         "closed": to_json_data(state.closed),
@@ -239,7 +239,7 @@ def two_step_json(state: TwoStepState) -> Json:
 
 
 def two_step_of(raw: Any) -> TwoStepState:
-    """What `two_step_json` gave."""
+    """The state that `two_step_json` wrote. Raises ValueError."""
     stored = Stored(raw, "the state of pem_two_step")
     state = TwoStepState(
         window=stored.value(list[Segment], "window"),
@@ -265,7 +265,7 @@ def two_step_of(raw: Any) -> TwoStepState:
 
 
 def consistency_json(state: Consistency) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "open_tracker": tracker_json(state.open),
         "wheel": to_json_data(state.wheel),
@@ -283,7 +283,7 @@ def consistency_json(state: Consistency) -> Json:
 
 
 def consistency_of(raw: Any) -> Consistency:
-    """What `consistency_json` gave."""
+    """The state that `consistency_json` wrote. Raises ValueError."""
     stored = Stored(raw, "the state of consistency")
     state = Consistency(
         open=tracker_of(stored.raw("open_tracker")),

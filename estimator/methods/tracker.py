@@ -79,15 +79,15 @@ class TrackerState:
     push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
     """Variances of the ground's pushes."""
     running: bool = False  # x is the state at the start of the next segment
-    segments_since_start: int = 0  # segments since x began anew
+    segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
     ticks_before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
     steering: float = 0.0  # recent mean square of the wheel angle, rad^2
     checkpoints: list[Checkpoint] = field(default_factory=list)
-    segments_since_checkpoint: int = 0  # segments since the last mark
-    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows: used, beyond belief, no numbers
-    distance: float = 0.0  # taught over
-    window_s: float = 0.0
+    segments_since_checkpoint: int = 0
+    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
+    distance: float = 0.0  # m, over which it has run
+    window_s: float = 0.0  # duration of what was learned from since the last change of soil
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
@@ -97,16 +97,18 @@ class TrackerState:
     refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    reason: str = ""  # why the latest segment taught nothing of the soil
+    reason: str = ""  # why soil and tyres were not learned from the latest segment
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
-    needs_steering: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
+    needs_steering: list[int] = field(
+        default_factory=lambda: list(SOIL)
+    )  # unknowns learned only with steering
 
 
 KERNELS: Final = (track_segment, innovations)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     covariance = np.diag(sd**2)
     covariance[NOISE, NOISE] = 0.0

@@ -68,7 +68,7 @@ def initial(machine: Machine) -> TwoStepState:
 
 
 def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one segment; an estimate each PUBLISH_NS. The pose serves as the time."""
+    """Take one segment. Returns an estimate each PUBLISH_NS. Of the pose only the time is used."""
     return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
 
 

@@ -220,7 +220,8 @@ def outputs_of(sys: System, states: Array, inputs: Array) -> Array:
 
 
 def eigenvalues(a: Array) -> Complex:
-    """Of a square matrix, sorted by real, then by imaginary part; integrators exactly zero. Shape (n,)."""
+    """Eigenvalues of a square matrix, (n,), sorted by real, then by imaginary part; integrators exactly
+    zero."""
     found = np.linalg.eigvals(a).astype(np.complex128)
     found[np.abs(found) < AT_ORIGIN] = 0.0
     order = sorted(found, key=lambda z: (round(z.real, 6), z.imag))

@@ -16,9 +16,7 @@ EARLIER_LASTS_NS = 1_500_000_000
 """How long all frames must have an earlier time before it is accepted: a device that sends once a second on
 the old clock would have sent by then."""
 LATER_LASTS_NS = 500_000_000  # the same for a later time: longer than the frames of one long message
-LONGEST_INTERVAL_NS = (
-    200_000_000  # between frames: a longer one counts as this, since the frame may be delayed
-)
+LONGEST_INTERVAL_NS = 200_000_000  # a longer time between frames counts as this: the frame may be delayed
 LONE_FRAME_NS = 1_000_000_000  # a larger gap between two stray frames shows that the first one was alone
 
 

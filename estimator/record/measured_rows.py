@@ -15,9 +15,7 @@ from tilth.schemas.machine import Receiver
 SLACK_NS = 2_000_000  # a new latency may move a sample this far before its segment: it does not count as late
 _POSITION, _VELOCITY, _YAW_RATE, _HEADING = range(4)  # columns of UsedSamples.newest_ns
 
-COLOURED_NOISE_FACTOR = (
-    4.0  # what is left of a roll rate lasts for many samples: it counts as one error, not as many
-)
+COLOURED_NOISE_FACTOR = 4.0  # noise of a roll rate is correlated over many samples: it counts as one error
 Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
 Line = tuple[float, float]  # value at the start and at the end of a segment
 Halves = tuple[float, float, float]  # and in its middle
@@ -103,7 +101,8 @@ def _span(roll_rate_squares: list[float], body: int, start: Knot, end: Knot, aft
 def _of_receiver(
     used: UsedSamples, aligner: Aligner, receiver: Receiver, span: _Span, only_receiver: bool
 ) -> list[Row]:
-    """Its samples of the span. alone: no other receiver tells its body's heading."""
+    """A receiver's samples of the span. only_receiver: it is the only one of its body, so its heading is
+    used."""
     track, index, body = aligner.tracks[receiver.mount.value], MOUNTS.index(receiver.mount), _body(receiver)
     newest, excess_ns = used.newest_ns[index], aligner.latency.excess_ns(index)
     start_ns, end_ns = span.start_ns + excess_ns, span.end_ns + excess_ns

@@ -43,8 +43,8 @@ class RecordState:
     psi: list[float] = field(default_factory=lambda: [0.0, 0.0])  # last headings, not wrapped
     used: UsedSamples = field(default_factory=UsedSamples)
     settled: int = 0  # segments since the last one that was refused
-    usable: bool = False  # whether the last segment may teach
-    segments: int = 0  # that may teach
+    usable: bool = False  # whether the last segment may be learned from
+    segments: int = 0  # number of these
     samples: int = 0  # rows in them
     refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
 

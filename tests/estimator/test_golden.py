@@ -1,4 +1,4 @@
-"""A change of behaviour shows as a diff of a small file, which `--refresh` writes anew."""
+"""A change of behaviour shows as a diff of a small file, which `--refresh` rewrites."""
 
 import csv
 import io

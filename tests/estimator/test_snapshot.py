@@ -128,7 +128,7 @@ REFUSED: tuple[tuple[str, Change, str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("change", "told"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
+@pytest.mark.parametrize(("change", "names"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
 def test_what_is_not_whole_is_refused_with_a_reason(change: Change, names: str) -> None:
     with pytest.raises(NotRestorable) as error:
         restore(MACHINE, spoilt(change))

@@ -47,7 +47,7 @@ each_method = pytest.mark.parametrize("method", METHODS)
 
 
 def refused(run: Run, reason: str) -> int:
-    """Poses or segments that were counted as not fit to teach, whoever counted."""
+    """Poses or segments that were refused, by any method or by the record builder."""
     counters: list[dict[str, int]] = [
         getattr(counter, "refused", {})
         for counter in (getattr(run.state, "record", None), *run.state.estimators.values())

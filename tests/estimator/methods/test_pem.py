@@ -162,7 +162,8 @@ def _driven(seed: int) -> tuple[Record, Array]:
 
 
 def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> None:
-    """Nonlinear plant, coloured RTK noise, latencies and survey errors that nobody told."""
+    """Nonlinear plant, coloured RTK noise, latencies and survey errors that the machine file does not
+    have."""
     mean, sd = unknowns.prior(machine)
     scores = []
     for seed in range(6):

@@ -1,4 +1,5 @@
-"""The steady-state estimator: against poses of the closed form it inverts, and what must not teach it."""
+"""The steady-state estimator: against poses of the closed form it inverts, and what it must not learn
+from."""
 
 import math
 from collections.abc import Iterator, Mapping

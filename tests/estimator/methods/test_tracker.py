@@ -1,4 +1,5 @@
-"""The recursive estimate of all six: its equations, its intervals, another soil, what must not teach it."""
+"""The recursive estimate of all six: its equations, its intervals, changes of soil, what it must not learn
+from."""
 
 import math
 from dataclasses import replace
@@ -210,7 +211,8 @@ def sds(estimate: Estimate) -> Array:
 
 
 def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
-    """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that nobody told."""
+    """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that the machine file
+    does not have."""
     scores = []
     for seed in range(5):
         state, _, events, truth = driven(RANDOM, seed)
@@ -281,7 +283,7 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
     assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
 
 
-# What must teach nothing
+# What nothing may be learned from
 
 
 def straight(seconds: float, seed: int) -> list[Segment]:
@@ -390,7 +392,7 @@ def test_after_a_gap_nothing_jumps() -> None:
     assert largest < 1.0
 
 
-# What is said
+# The reported estimate
 
 
 def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
@@ -403,7 +405,7 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     assert all("nothing was learned" in p.reason for p in late.parameters)
     method_state.covariance[SIX, SIX] = (0.5 * method_state.prior_sd[0]) ** 2 * np.eye(
         6
-    )  # is said as 0.58 of the prior's
+    )  # is reported as 0.58 of the prior's
     method_state.has_number[0] = True
     first = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert first.status is Status.ESTIMATED  # not yet beyond LOST

@@ -1,4 +1,4 @@
-"""What a log's time does is told by all frames that follow, not by one: steps, silences, stamps astray."""
+"""A log's time follows all later frames, not a single one: steps, silences, stray stamps."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -22,7 +22,7 @@ def times(until_s: float, each_s: float, from_s: float = 0.0) -> list[float]:
 
 
 def moves(stamps: Iterable[tuple[float, str]]) -> tuple[list[float], LogTime]:
-    """What is said, s, of frames with these stamps."""
+    """The jumps, s, that frames with these stamps cause."""
     time, jumps = LogTime(), []
     for at, bus in stamps:
         t_ns = round((START + at) * 1e9)
@@ -129,7 +129,7 @@ def test_a_silence_is_reported_once_and_a_busy_loop_is_none() -> None:
 
 
 def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
-    """Messages that nobody wants, of a clock 7.5 s behind, among those of a rig."""
+    """Messages that are not used, of a clock 7.5 s behind, among those of a rig."""
     machine = demo_machine()
     given = list(simulate(machine, 3, 9.0, Scenario(other_traffic=False)))
     late = [

@@ -74,7 +74,7 @@ def test_poses_without_noise_are_exact(circle: Circle) -> None:
 
 
 def test_antenna_and_ground_reporting_receivers_mix_on_a_slope() -> None:
-    """The packaged rig's tractor reports ground points, its implement antennas; wrongly told, it shows."""
+    """The packaged rig's tractor reports ground points, its implement antennas; a wrong setting shows."""
     circle = Circle(roll=0.087, yaw_rate=0.0, articulation=0.0, lateral_velocity=0.0)
     _, out = run(circle)
     assert errors(circle, out[-1], 0)[0] < 0.004

@@ -83,11 +83,11 @@ def drive(
     edit: Edit = as_received,
     really: Machine = MACHINE,
     stored_at: int = -1,
-    reported: Machine = MACHINE,
+    believed: Machine = MACHINE,
 ) -> tuple[ReceiverChecks, list[tuple[float, str, str]]]:
     """(state, (s since the first pose, kind, text) of events), seed 1. stored_at: pose at which
-    it is stored and taken up again. told: the machine file that it goes by."""
-    decoder, tracks, state = Decoder(reported), aligner.initial(reported), ReceiverChecks()
+    it is stored and restored. believed: the machine file that the checks use."""
+    decoder, tracks, state = Decoder(believed), aligner.initial(believed), ReceiverChecks()
     found: list[tuple[float, str, str]] = []
     first_ns = count = 0
     for frame in simulate(really, 1, seconds, scenario):
@@ -163,7 +163,7 @@ ALONE = MACHINE.model_copy(
 
 @pytest.mark.parametrize("tau", [1.0, 2.6, 10.0])
 def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float) -> None:
-    state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, reported=ALONE)
+    state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, believed=ALONE)
     ((at, kind, text),) = found
     assert (kind, who(text)) == (receiver_checks.SMOOTHED, "implement_front") and at < 35.0
     assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
@@ -174,7 +174,7 @@ def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float
 
 def test_the_heading_of_one_receiver_alone_accuses_nobody() -> None:
     for scenario in (FLAT, ROUGH):
-        state, found = drive(scenario, 40.0, really=ALONE, reported=ALONE)
+        state, found = drive(scenario, 40.0, really=ALONE, believed=ALONE)
         assert not found and not receiver_checks.flags(state) and state.lags[2].intervals > 12
 
 

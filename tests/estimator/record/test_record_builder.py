@@ -1,4 +1,5 @@
-"""Records against the truth of a driven rig: every row at its own instant, and what must not teach."""
+"""Records against the truth of a driven rig: every row at its own instant, and what must not be learned
+from."""
 
 import json
 import math
@@ -254,7 +255,7 @@ def test_learned_latencies_are_taken_out() -> None:
                 assert apart < 0.04  # 5 ms at 4.5 m/s and the cubic of the poses
 
 
-# What must not teach.
+# What must not be learned from.
 
 
 def edited(changes: Mapping[int, Change]) -> tuple[RecordState, list[Segment]]:

@@ -1,4 +1,4 @@
-"""Advice: what is said to be determined, against what was put in; predicted sds, against drives."""
+"""Advice: what it reports as determined, against the information put in; predicted sds, against drives."""
 
 import math
 import re

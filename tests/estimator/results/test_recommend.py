@@ -46,7 +46,7 @@ def estimate(
 THREE = (E, E, E, U, U, U)
 CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
     ("pem first", (estimate("steady_state", THREE), estimate("tracker"), estimate("pem")), "pem", "first of"),
-    ("nobody", (estimate("steady_state", U), estimate("pem", U)), "pem", "no method gives"),
+    ("none", (estimate("steady_state", U), estimate("pem", U)), "pem", "no method gives"),
     (
         "pem has nothing yet",
         (estimate("steady_state", THREE), estimate("pem", U)),
