@@ -10,18 +10,18 @@ from tilth.estimator.fold import (
     RECOMMENDED,
     State,
     adopt,
-    ask,
     decide,
-    go_on,
     initial,
-    keep,
     pending,
+    request_fits,
+    resume,
+    save_learned,
     step,
 )
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -154,7 +154,7 @@ class GuardedFold:
         return out
 
     def _ask(self, t_ns: int) -> None:
-        for method, job in ask(self.state, t_ns):
+        for method, job in request_fits(self.state, t_ns):
             self._fitter.ask(method, job)
         self._due_ns = self._first_due_ns()
 
@@ -171,14 +171,14 @@ class GuardedFold:
         self._due_ns = self._first_due_ns()
         return out
 
-    def keep(self, t_ns: int) -> dict[str, Kept]:
+    def keep(self, t_ns: int) -> dict[str, SavedPosterior]:
         """Method -> what it has learned, for the next run."""
-        return keep(self.state, t_ns)
+        return save_learned(self.state, t_ns)
 
-    def warm(self, learned: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
+    def warm(self, learned: Mapping[str, SavedPosterior], elapsed_s: float, t_ns: int) -> dict[str, str]:
         """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or ""."""
         try:
-            refusals = go_on(self.state, learned, elapsed_s, t_ns)
+            refusals = resume(self.state, learned, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
             return dict.fromkeys(learned, f"{type(error).__name__}: {error}")

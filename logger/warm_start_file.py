@@ -11,14 +11,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.machine import Machine
 
 FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
-Warm = Callable[[Mapping[str, Kept], float, int], dict[str, str]]  # GuardedFold.warm
+Warm = Callable[[Mapping[str, SavedPosterior], float, int], dict[str, str]]  # GuardedFold.warm
 Report = Callable[[str, str], None]  # kind and text of an event
 
 
@@ -31,7 +31,7 @@ def path_of(folder: Path, machine: Machine) -> Path:
     return folder / f"{machine.name}.warm.json"
 
 
-def text_of(machine: Machine, learned: dict[str, Kept], utc_ns: int) -> str:
+def text_of(machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int) -> str:
     """What is to be written."""
     plain = {
         "format": FORMAT,
@@ -53,7 +53,7 @@ def write(path: Path, text: str) -> None:
     new.replace(path)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], float] | None:
+def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, SavedPosterior], float] | None:
     """(method -> what was kept, s since then); None where nothing was. Raises NotUsable."""
     try:
         plain = json.loads(path.read_text())
@@ -66,7 +66,7 @@ def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], fl
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
-        learned = {method: Kept.from_json(one) for method, one in plain["methods"].items()}
+        learned = {method: SavedPosterior.from_json(one) for method, one in plain["methods"].items()}
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None

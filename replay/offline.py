@@ -185,7 +185,7 @@ class _Run:
             if self._anew:
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
-                log_time.follow(time, record)
+                log_time.take_stamp(time, record)
                 even_ns = (
                     time.silent_ns if self.fitter.holds_outcomes else 0
                 )  # a clock of tilth's is never set

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from tilth.estimator.pose.geometry import wrap
-from tilth.estimator.pose.turn_rate_lag import Lag, judge, regress, time_constant
+from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant, update_verdict
 from tilth.schemas.flow import Message, Origin
 from tilth.schemas.spread import plus_minus
 
@@ -90,6 +90,6 @@ def _face(sender: _TurnRateSender, rx_ns: int, heading: float) -> None:
     if sender.began_ns:
         lag.integral += lag.rate * min(since_ns, passed_ns) * 1e-9
         regress(lag, wrap(heading - sender.heading), passed_ns * 1e-9, HEADING_SD)
-        judge(lag)
+        update_verdict(lag)
     sender.began_ns, sender.heading = rx_ns, heading
     lag.integral, lag.first_rate = 0.0, lag.rate

@@ -273,7 +273,7 @@ def _integrate(
 
 @cache
 def _interpreted() -> Callable[..., Any]:
-    return nonlinear.integrate.plain()
+    return nonlinear.integrate.interpreted()
 
 
 def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[BodyTrack, BodyTrack]:

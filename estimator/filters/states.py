@@ -1,11 +1,11 @@
-"""Where each state of the filters stands, and what a tick is.
+"""Layout of the filters' state vectors, and the length of a tick.
 
 x, shape (15,): v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.relaxation), psi_t, psi_i (rad, not
-wrapped); how the ground pushes across the tractor and across the implement, at their CGs as gravity does
-(m/s^2), and what it adds to r_t' (rad/s^2), three first-order Gauss-Markov processes of one memory; north and
-east of the tractor's CG (m); the slow heading error of each antenna pair (rad).
-The tracker's x, shape (16,), has one more: the slow sideways error of the implement's antennas against the
-tractor's (m).
+wrapped); the ground's pushes: accelerations across the tractor and across the implement at their CGs, as of
+gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), three first-order Gauss-Markov processes
+with one time constant; north and east of the tractor's CG (m); the slow heading error of each antenna pair
+(rad). The tracker's x, shape (16,), has one more: the slow lateral error of the implement's antennas relative
+to the tractor's (m).
 """
 
 import math
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 X_V: Final = 0
-X_R: Final = 1  # of the tractor; each body's states stand side by side
+X_R: Final = 1  # of the tractor; the implement's is the next one, here and below
 X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_PSI: Final = 6
 X_PUSH: Final = 8  # on the tractor, on the implement, about the tractor's vertical axis
@@ -31,14 +31,14 @@ N_TRACKER: Final = 16
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
 PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
-ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
-ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
-START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05)  # sds of the states before X_PUSH, at first
-START_PLACE: Final = 1.0  # m
+ALONG: Final = 0.01  # m per sqrt(s), process noise along the heading, from the error of the speed
+ACROSS: Final = 0.003  # m per sqrt(s), across it, from slow errors that all receivers share
+START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05)  # initial sds of the states before X_PUSH
+START_PLACE: Final = 1.0  # m, initial sd of the position
 
 
 class Point(NamedTuple):
-    """One point of the unknowns, with what follows from it."""
+    """One point of the unknowns, with the parameters and the geometry that follow from it."""
 
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     theta: Array  # (6,), N/rad and m

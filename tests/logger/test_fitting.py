@@ -17,7 +17,7 @@ from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.logger.fitting import LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -82,7 +82,7 @@ class Pocket:
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
-        known = (method, json.dumps(to_plain(job)))
+        known = (method, json.dumps(to_json_data(job)))
         if known not in MADE:  # most runs here are of the same drive
             MADE[known] = self._worker.made(method, job)
         return MADE[known]
@@ -122,7 +122,7 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     # Not to the bit: here linear algebra has as many threads as there are cores.
     assert np.allclose(found.mean, here.mean, atol=1e-6)
     assert (found.iterations, found.rows, found.advice) == (here.iterations, here.rows, here.advice)
-    assert to_plain(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_plain(found)
+    assert to_json_data(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_json_data(found)
     assert worker.seconds is not None and worker.seconds > 0.0
 
 
@@ -321,14 +321,14 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     job = ours.job
     assert ours.decided == AWAITED and job is fitter.jobs[pem.METHOD]
     ours.closed = job.record  # the next window
-    assert pem.wanted(ours, job.asked_ns + 40 * SECOND) is None and ours.closed is not None
+    assert pem.request_fit(ours, job.asked_ns + 40 * SECOND) is None and ours.closed is not None
     later = job.asked_ns + pem.LATENCY_NS + GIVE_UP_NS
     assert fold.decided(later) == []
     (decided_fit,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
     assert (decided_fit.adopted, decided_fit.awaited, decided_fit.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
     told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
     assert any("not ready 300 s after it was due and is given up" in getattr(v, "text", "") for v in told_of)
-    requested = pem.wanted(ours, later + 2)
+    requested = pem.request_fit(ours, later + 2)
     assert requested is not None and ours.closed is None
 
 

@@ -14,7 +14,7 @@ from loopback import rig
 
 from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
-from tilth.estimator.fold import go_on, keep
+from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.snapshot import restore, snapshot
@@ -72,14 +72,14 @@ def sds(state: fold.State) -> np.ndarray[Any, np.dtype[np.float64]]:
 @pytest.mark.parametrize("row", [row for row in ESTIMATORS if row.memory], ids=lambda row: row.method)
 def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
     before, after = taught(), fold.initial(MACHINE)
-    assert go_on(after, keep(before, NOW), 0.0, NOW)[row.method] == ""
+    assert resume(after, save_learned(before, NOW), 0.0, NOW)[row.method] == ""
     memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
     assert new.informed_ns == old.informed_ns
-    stays = [k for k, name in enumerate(memory.names) if name not in memory.passing]
+    stays = [k for k, name in enumerate(memory.names) if name not in memory.per_run]
     learned, fresh = memory.learned(new), memory.learned(row.initial(MACHINE))
     assert learned.mean[stays] == pytest.approx(memory.learned(old).mean[stays], abs=1e-9)
     assert learned.counts == memory.learned(old).counts
-    for name in memory.passing:
+    for name in memory.per_run:
         k = memory.names.index(name)
         assert learned.covariance[k, k] == pytest.approx(fresh.covariance[k, k])
     assert from_json(after) == after.estimators.keys()
@@ -92,24 +92,24 @@ def from_json(state: fold.State) -> Any:
 def test_what_was_learned_while_the_machine_file_is_in_doubt_is_not_kept() -> None:
     state = taught()
     state.consistency.confirmed = False
-    assert keep(state, NOW) == {}
+    assert save_learned(state, NOW) == {}
 
 
 def test_what_was_kept_was_confirmed() -> None:
     state = fold.initial(MACHINE)
-    go_on(state, {}, 0.0, NOW)
+    resume(state, {}, 0.0, NOW)
     assert not state.consistency.confirmed
-    go_on(state, keep(taught(), NOW), 0.0, NOW)
+    resume(state, save_learned(taught(), NOW), 0.0, NOW)
     assert state.consistency.confirmed
 
 
 def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
-    retained = keep(taught(), NOW)
+    retained = save_learned(taught(), NOW)
     six = sds(taught())[unknowns.SIX]
     aged = []
     for seconds in (0.0, DOUBLES_S, 2.0 * DOUBLES_S, 100.0 * DOUBLES_S):
         state = fold.initial(MACHINE)
-        go_on(state, retained, seconds, NOW)
+        resume(state, retained, seconds, NOW)
         aged.append(sds(state)[unknowns.SIX])
     assert aged[0] == pytest.approx(six, rel=1e-6)
     assert np.all(aged[1] < 2.0 * six) and np.all(aged[1] > 1.3 * six)
@@ -123,15 +123,15 @@ def test_a_scalar_fades_by_the_formula() -> None:
     state = taught()
     ours = state.estimators[pem.METHOD]
     ours.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
-    retained, after = keep(state, NOW), fold.initial(MACHINE)
-    go_on(after, retained, DOUBLES_S, NOW)
+    retained, after = save_learned(state, NOW), fold.initial(MACHINE)
+    resume(after, retained, DOUBLES_S, NOW)
     prior = ours.prior_sd[0]
     assert sds(after)[0] == pytest.approx(prior / np.sqrt(0.25 * 100.0 + 0.75))
 
 
 def test_a_number_of_yesterday_is_stale_and_as_old_as_it_is() -> None:
     state = fold.initial(MACHINE)
-    go_on(state, keep(taught(), NOW), 36_000.0, NOW)
+    resume(state, save_learned(taught(), NOW), 36_000.0, NOW)
     given = pem.estimate(state.estimators[pem.METHOD], MACHINE, NOW).parameters[0]
     assert given.status is Status.STALE
     assert given.value is not None
@@ -139,7 +139,7 @@ def test_a_number_of_yesterday_is_stale_and_as_old_as_it_is() -> None:
 
 
 def test_nothing_learned_is_nothing_kept() -> None:
-    assert keep(fold.initial(MACHINE), NOW) == {}
+    assert save_learned(fold.initial(MACHINE), NOW) == {}
 
 
 SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
@@ -154,9 +154,9 @@ SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
 
 @pytest.mark.parametrize(("change", "expected"), SPOILT)
 def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: str) -> None:
-    retained = keep(taught(), NOW)
+    retained = save_learned(taught(), NOW)
     state = fold.initial(MACHINE)
-    why_not = go_on(state, {**retained, "pem": replace(retained["pem"], **change)}, 0.0, NOW)
+    why_not = resume(state, {**retained, "pem": replace(retained["pem"], **change)}, 0.0, NOW)
     assert expected in why_not["pem"]
     assert why_not["steady_state"] == ""
     assert np.array_equal(state.estimators["pem"].mean, fold.initial(MACHINE).estimators["pem"].mean)
@@ -167,7 +167,7 @@ def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: str) -> No
 
 def stored(tmp_path: Path) -> Path:
     path = warm_start_file.path_of(tmp_path, MACHINE)
-    warm_start_file.write(path, warm_start_file.text_of(MACHINE, keep(taught(), NOW), NOW))
+    warm_start_file.write(path, warm_start_file.text_of(MACHINE, save_learned(taught(), NOW), NOW))
     return path
 
 
@@ -178,7 +178,7 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert found is not None
     retained, elapsed_s = found
     assert elapsed_s == 7.0
-    for method, wanted in keep(taught(), NOW).items():
+    for method, wanted in save_learned(taught(), NOW).items():
         assert retained[method].mean.tobytes() == wanted.mean.tobytes()
         assert retained[method].covariance.tobytes() == wanted.covariance.tobytes()
 

@@ -8,7 +8,7 @@ import pytest
 from tilth.simulator.scenario import Bump, Ground
 from tilth.simulator.spatial import height_field as hf
 
-height = hf.height.plain()
+height = hf.height.interpreted()
 
 
 def made(ground: Ground, rms: float = 0.0, seed: int = 1) -> hf.HeightField:

@@ -8,9 +8,9 @@ import pytest
 from tilth.simulator.spatial import tyre
 
 C, LIMIT = 100e3, 20e3
-force = tyre.side_force.plain()
-lagged = tyre.lagged.plain()
-lag_length = tyre.lag_length.plain()
+force = tyre.side_force.interpreted()
+lagged = tyre.lagged.interpreted()
+lag_length = tyre.lag_length.interpreted()
 ALL = range(len(tyre.CURVES))
 
 
@@ -47,14 +47,14 @@ def test_exponential_brush_and_tanh_are_their_published_forms() -> None:
 
 
 def test_stiffness_grows_with_load() -> None:
-    at = tyre.stiffness_at.plain()
+    at = tyre.stiffness_at.interpreted()
     assert at(C, 20e3, 20e3, 0.8) == C
     assert at(C, 40e3, 20e3, 0.8) == pytest.approx(C * 2**0.8)
     assert at(C, 0.0, 20e3, 0.8) == 0.0
 
 
 def test_drive_takes_side_force_by_an_ellipse() -> None:
-    left = tyre.left_for_side.plain()
+    left = tyre.left_for_side.interpreted()
     assert [left(f, LIMIT) for f in (0.0, 0.6 * LIMIT, -0.6 * LIMIT, 2 * LIMIT)] == pytest.approx(
         [1, 0.8, 0.8, 0]
     )
