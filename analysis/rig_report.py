@@ -138,9 +138,9 @@ def steady_turn(model: Model, rig: Rig, speed: float) -> dict[str, Any] | None:
     """
     sys = system(model, rig, speed, outputs=("v", "r_t", "articulation"))
     names = list(sys.states)
-    kept = [i for i, name in enumerate(names) if name not in ("y_t", "psi_t", "psi_i")]
-    spread = np.zeros((len(names), len(kept) + 1))  # states from those kept and the articulation
-    spread[kept, range(len(kept))] = 1.0
+    retained = [i for i, name in enumerate(names) if name not in ("y_t", "psi_t", "psi_i")]
+    spread = np.zeros((len(names), len(retained) + 1))  # states from those kept and the articulation
+    spread[retained, range(len(retained))] = 1.0
     spread[names.index("psi_t"), -1] = 1.0
     gather = spread.T.copy()
     gather[-1, names.index("psi_i")] = -1.0

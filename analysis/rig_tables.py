@@ -11,7 +11,7 @@ from rich.table import Table
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import WITHIN, half_width
 
-SHOWN_OMEGA = (0.2, 1.0, 2.0, 5.0, 10.0)  # rad/s, of those in the report
+TABLE_OMEGA = (0.2, 1.0, 2.0, 5.0, 10.0)  # rad/s, of those in the report
 Report = dict[str, Any]
 Row = tuple[str, ...]
 
@@ -128,7 +128,7 @@ def _least_damped(at: Report) -> Row:
 
 def _frequency(at: Report) -> Row:
     response = at["frequency_response"]
-    columns = [response["omega_rad_per_s"].index(omega) for omega in SHOWN_OMEGA]
+    columns = [response["omega_rad_per_s"].index(omega) for omega in TABLE_OMEGA]
     yaw = response["r_t"]
     return tuple(f"{yaw['gain_dB'][k]:.1f} {round(yaw['phase_deg'][k]):4d}°" for k in columns)
 
@@ -163,7 +163,7 @@ _TABLES: tuple[tuple[str, Row, Callable[[Report], Row | None]], ...] = (
     ),
     (
         "Tractor's yaw rate over wheel angle, dB and phase, at so many rad/s",
-        tuple(f"{omega:g}" for omega in SHOWN_OMEGA),
+        tuple(f"{omega:g}" for omega in TABLE_OMEGA),
         _frequency,
     ),
     (

@@ -28,7 +28,7 @@ from typing import Any
 import estimation_runs as runs
 import estimation_study
 import numpy as np
-from estimation_runs import Linear, Plain
+from estimation_runs import Linear, PeerResult
 from estimation_study import CHANGE_S, COVERAGE, DROP, HIDDEN, Case, Followed
 from numpy.typing import NDArray
 from rich.console import Console
@@ -127,7 +127,7 @@ def coverage(z: Array, least: float, most: float = 1.0, name: str = "coverage") 
     shares = hits / np.maximum(given, 1)
     each = "  ".join(f"{h}/{n}" for h, n in zip(hits, given, strict=True))
     intervals = [wilson(int(h), int(n)) for h, n in zip(hits, given, strict=True)]
-    spread = "  ".join(f"{100 * a:.0f}–{100 * b:.0f}" for a, b in intervals)
+    intervals_text = "  ".join(f"{100 * a:.0f}–{100 * b:.0f}" for a, b in intervals)
     return [
         Line(
             f"{name}, pooled", f"{100 * pooled / all_:.1f} % of {all_} ({100 * low:.1f} to {100 * high:.1f})",
@@ -137,7 +137,7 @@ def coverage(z: Array, least: float, most: float = 1.0, name: str = "coverage") 
             f"{name}, each", percents(shares), reach,
             bool(np.all((shares >= least) & (shares <= most) | (given == 0))), shares.tolist(),
         ),
-        Line("  of runs; 95 % interval of that share", f"{each}; {spread} %"),
+        Line("  of runs; 95 % interval of that share", f"{each}; {intervals_text} %"),
         Line("  mean, and root mean square, error over sd",
              f"{figures(np.nanmean(z, axis=0))}; {figures(np.sqrt(np.nanmean(z**2, axis=0)))}"),
     ]  # fmt: skip
@@ -235,18 +235,18 @@ def hidden(case: Case, bench: Bench) -> list[Line]:
 
 def soil_change(bench: Bench) -> list[Line]:
     made: list[Followed] = bench.each(partial(runs.follow, bench.case(estimation_study.SOIL_CHANGE)), 100)
-    told = np.array([estimation_study.first_informed(run.wheel, CHANGE_S) for run in made])
-    seen = np.array([_first_event(run, CHANGE_S) for run in made]) - told
+    informative = np.array([estimation_study.first_informed(run.wheel, CHANGE_S) for run in made])
+    delays = np.array([_first_event(run, CHANGE_S) for run in made]) - informative
     early = sum(kind == "soil_change" and at < CHANGE_S for run in made for at, kind, _ in run.events)
-    found = float(np.median(seen)) if np.all(np.isfinite(told)) else math.inf
+    found = float(np.median(delays)) if np.all(np.isfinite(informative)) else math.inf
     lines = [
         Line("detected after the first informative manoeuvre, median", f"{found:.1f} s", "≤ 2 s",
              found <= 2.0, (found,)),
         Line("  of nine in ten; never; before it happened",
-             f"{np.quantile(seen, 0.9):.1f} s; {int(np.sum(~np.isfinite(seen)))}; {early}"),
+             f"{np.quantile(delays, 0.9):.1f} s; {int(np.sum(~np.isfinite(delays)))}; {early}"),
     ]  # fmt: skip
     for method in sorted({m for run in made for m in run.series} - {"recommended"}):
-        settled = np.array([_settled(run, method) for run in made]) - told
+        settled = np.array([_settled(run, method) for run in made]) - informative
         jitter = np.nanmedian([_jitter(run, method) for run in made], axis=0) if made else np.zeros(2)
         middle = float(np.median(settled))
         lines += [
@@ -341,16 +341,16 @@ def speed(bench: Bench) -> list[Line]:
     return [Line(*row) for row in runs.speeds(bench.scale)]
 
 
-def plain(bench: Bench) -> list[Line]:
+def other_programs(bench: Bench) -> list[Line]:
     """The same linear data, random steering, in one run; times as ratios to the fit of this package."""
-    made: list[dict[str, Plain]] = bench.each(partial(runs.plain, 30.0 * bench.scale), 40)
-    own = np.array([run["tilth"].error for run in made])
+    made: list[dict[str, PeerResult]] = bench.each(partial(runs.other_programs, 30.0 * bench.scale), 40)
+    tilth_error = np.array([run["tilth"].error for run in made])
     lines = []
     for name in made[0]:
         error, sd = np.array([r[name].error for r in made]), np.array([r[name].sd for r in made])
         took = np.median([r[name].seconds for r in made])
         ratio = np.median([r[name].seconds / r["tilth"].seconds for r in made])
-        rms = np.sqrt(np.mean(error**2, axis=0) / np.mean(own**2, axis=0))
+        rms = np.sqrt(np.mean(error**2, axis=0) / np.mean(tilth_error**2, axis=0))
         lines += [
             Line(
                 f"{name}: time of 30 s, and over tilth's", f"{took:.3f} s; {ratio:.1f}", values=(took, ratio)
@@ -378,20 +378,20 @@ ROWS: tuple[Row, ...] = (
     Row("straight_hour", "means move ≤ 1 sd; < 1 false alarm in 10 h", straight_hour),
     Row("merging", "≥ 93 % covered", merging),
     Row("speed", "≤ 15 µs; ≤ 150 ms; ≤ 2 s", speed),
-    Row("plain", "", plain),
+    Row("plain", "", other_programs),
 )
 
 
 # The table.
 
 
-def shown(row: Row, lines: list[Line], note: str) -> Table:
+def table_of(row: Row, lines: list[Line], note: str) -> Table:
     table = Table(title=f"{row.name}  ({note})", title_justify="left")
     for heading in ("figure", "reached", "to reach", ""):
         table.add_column(heading)
-    words = {True: "[green]held[/]", False: "[red]missed[/]", None: ""}
+    verdicts = {True: "[green]held[/]", False: "[red]missed[/]", None: ""}
     for line in lines:
-        table.add_row(line.figure, line.reached, line.reach, words[line.held])
+        table.add_row(line.figure, line.reached, line.reach, verdicts[line.held])
     return table
 
 
@@ -408,7 +408,7 @@ def main() -> None:
     os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
     console = Console(width=None if Console().is_terminal else 150)
     console.print(f"{os.cpu_count()} cores, {args.processes} processes, Python {platform.python_version()}")
-    told = []
+    reports = []
     for row in (row for row in ROWS if not args.row or row.name in args.row):
         with ExitStack() as stack:
             pool = stack.enter_context(ProcessPoolExecutor(args.processes, get_context("spawn")))
@@ -422,12 +422,12 @@ def main() -> None:
             lines = row.make(bench)
             seconds = time.perf_counter() - began
         n = bench.made[0] if bench.made else 1
-        console.print(shown(row, lines, f"N {n}, seeds 0 to {n - 1}, {seconds:.0f} s; {row.reach}"))
-        told.append(
+        console.print(table_of(row, lines, f"N {n}, seeds 0 to {n - 1}, {seconds:.0f} s; {row.reach}"))
+        reports.append(
             {"row": row.name, "runs": n, "seconds": seconds, "lines": [asdict(line) for line in lines]}
         )
         if args.json:
-            args.json.write_text(json.dumps(told, indent=1, ensure_ascii=False), encoding="utf-8")
+            args.json.write_text(json.dumps(reports, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
 if __name__ == "__main__":

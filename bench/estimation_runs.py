@@ -26,7 +26,7 @@ from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Pose
@@ -62,7 +62,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True)
-class Plain:
+class PeerResult:
     """What one way of estimating gave of one record."""
 
     error: Array
@@ -92,16 +92,17 @@ def linear(kind: str, seconds: float, seed: int) -> Linear:
 
 
 def merged_rows(seconds: float, seed: int) -> Linear:
-    """Windows of row following on one rig, the posterior of each the prior of the next, noise levels anew."""
+    """Windows of row following on one rig, the posterior of each is the prior of the next; noise levels start
+    again."""
     first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
-    told, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
+    setup, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
     noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
     for k in range(ROW_WINDOWS):
         again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
-        found = likelihood.maximise_posterior(linear_plant.record_of(run), told, mean, covariance)
+        found = likelihood.maximise_posterior(linear_plant.record_of(run), setup, mean, covariance)
         mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
@@ -131,23 +132,23 @@ def follow(case: Case, seed: int) -> Followed:
     return estimation_study.followed(estimation_study.driven(machine(), case, seed))
 
 
-# Plain alternatives, on the same record.
+# Other programs on the same record.
 
 
-def plain(seconds: float, seed: int) -> dict[str, Plain]:
+def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
     """Each way on one record of the linear plant, random steering."""
     run = linear_plant.plant(rig_of(machine()), seed, "random", seconds)
     record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(machine())
-    told, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
+    setup, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
     y, wheel = record.rows[:, 4].reshape(-1, 4), record.ticks[:, 0]
     sds = np.repeat(linear_plant.SDS, 2)
     white = linear_plant.white(rig_of(machine()))
     noise_mean = [*np.log(white), *np.log(linear_plant.SDS)]
     noise_sd = [*sd[NOISE][:3], sd[AT["s_yaw_rate"]], sd[AT["s_position"]]]
-    data = (y, wheel, told.geometry, linear_plant.SPEED)
+    data = (y, wheel, setup.geometry, linear_plant.SPEED)
 
     def own() -> tuple[Array, Array]:
-        found = likelihood.maximise_posterior(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, setup, mean, covariance)
         return found.mean[SIX], np.sqrt(np.diag(found.covariance)[SIX])
 
     ways: dict[str, Callable[[], tuple[Array, Array]]] = {
@@ -165,7 +166,7 @@ def plain(seconds: float, seed: int) -> dict[str, Plain]:
     for name, way in ways.items():
         began = time.perf_counter()
         logs, sd_logs = way()
-        made[name] = Plain(logs - truth, sd_logs, time.perf_counter() - began)
+        made[name] = PeerResult(logs - truth, sd_logs, time.perf_counter() - began)
     return made
 
 
@@ -176,8 +177,8 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
     case, length = estimation_study.HELD_OUT, round(WINDOW * scale)
     run = estimation_study.driven(machine(), case, 1, max(40.0 * scale, 12.0))
-    given = estimation_study.poses_and_stretches(run)
-    record = estimation_study.windows([stretch for _, stretch in given if stretch is not None], length)[0]
+    given = estimation_study.poses_and_segments(run)
+    record = estimation_study.windows([segment for _, segment in given if segment is not None], length)[0]
     mean, sd = unknowns.prior(machine())
     job = pem.Job(0, 0, record, mean, np.diag(sd**2))
     pem.fit(machine(), job)
@@ -199,11 +200,11 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     return rows
 
 
-def _track(given: list[tuple[Pose, Stretch | None]]) -> None:
+def _track(given: list[tuple[Pose, Segment | None]]) -> None:
     row = ROW["tracker"]
     state = row.initial(machine())
-    for pose, stretch in given:
-        row.take(state, machine(), pose, stretch)
+    for pose, segment in given:
+        row.take(state, machine(), pose, segment)
 
 
 def best(way: Callable[[], object]) -> float:

@@ -22,7 +22,7 @@ from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import GEOMETRY, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.record.record import TICK_NS, Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
@@ -59,10 +59,10 @@ NMEA_2000: Final = 0xC07891000B002720
 HIDDEN_M: Final = 0.03  # m, of a lever arm or a CG
 DROP: Final = 0.7  # of all stiffnesses
 CHANGE_S: Final = 62.0  # into the run, on a straight stretch
-INFORMED: Final = math.radians(2.0)  # of the wheels: from here on a manoeuvre tells something
+INFORMED: Final = math.radians(2.0)  # wheel angle from which on a manoeuvre is informative
 
 
-def as_told(machine: Machine) -> Machine:
+def as_in_file(machine: Machine) -> Machine:
     return machine
 
 
@@ -72,8 +72,8 @@ class Case:
 
     name: str
     scenario: Scenario
-    believed: Changed = as_told  # of the packaged machine: what the estimators are told
-    driven: Changed = as_told  # what is driven, of what the estimators are told
+    believed: Changed = as_in_file  # change of the packaged machine in the file of the estimators
+    driven: Changed = as_in_file  # further change, in the rig that is driven
     nuisances: Mapping[str, float] = field(default_factory=dict)  # of Truth, instead of what is drawn
 
 
@@ -83,14 +83,14 @@ def all_receivers(first_name: int, machine: Machine) -> Machine:
     return machine.model_copy(update={"receiver": receivers})
 
 
-def centres_moved(machine: Machine) -> Machine:
+def shifted_cgs(machine: Machine) -> Machine:
     """Both CGs HIDDEN_M further forward than the file says, with everything that is measured from them."""
     tractor, implement = machine.tractor, machine.implement
 
     def by(quantity: Quantity, change: float) -> Quantity:
         return quantity.model_copy(update={"value": quantity.value + change})
 
-    moved = {
+    shifted = {
         "tractor": tractor.model_copy(
             update={
                 "a": by(tractor.a, -HIDDEN_M), "b": by(tractor.b, HIDDEN_M), "c": by(tractor.c, HIDDEN_M),
@@ -104,10 +104,10 @@ def centres_moved(machine: Machine) -> Machine:
             for r in machine.receiver
         ],
     }  # fmt: skip
-    return machine.model_copy(update=moved)
+    return machine.model_copy(update=shifted)
 
 
-def on_left_kingpin(machine: Machine) -> Machine:
+def left_kingpin_sensor(machine: Machine) -> Machine:
     """The wheel-angle sensor on the left kingpin, as the file says."""
     return machine.model_copy(
         update={
@@ -122,7 +122,7 @@ def _late(seconds: float) -> dict[str, float]:
     return {f"latency_{mount}": seconds for mount in mounts}
 
 
-_TURNED: Final = {"pair_tractor": math.radians(0.2), "pair_implement": math.radians(-0.2)}
+_PAIR_YAW: Final = {"pair_tractor": math.radians(0.2), "pair_implement": math.radians(-0.2)}
 _LEVERS: Final = {
     f"forward_{mount}": sign * HIDDEN_M
     for mount, sign in (
@@ -142,16 +142,16 @@ HIDDEN: Final = (
     Case("wheel_gain_up", _SURVEYED, nuisances=_KNOWN | {"wheel_gain": 1.02}),
     Case("wheel_gain_down", _SURVEYED, nuisances=_KNOWN | {"wheel_gain": 0.98}),
     Case("slope", replace(_SURVEYED, ground=_SLOPE), nuisances=_KNOWN),
-    Case("pair_yaw", _SURVEYED, nuisances=_KNOWN | _TURNED),
+    Case("pair_yaw", _SURVEYED, nuisances=_KNOWN | _PAIR_YAW),
     Case("levers", _SURVEYED, nuisances=_KNOWN | _LEVERS),
-    Case("centres", _SURVEYED, driven=centres_moved, nuisances=_KNOWN),
-    Case("kingpin", _SURVEYED, believed=on_left_kingpin, nuisances=_KNOWN),
+    Case("centres", _SURVEYED, driven=shifted_cgs, nuisances=_KNOWN),
+    Case("kingpin", _SURVEYED, believed=left_kingpin_sensor, nuisances=_KNOWN),
     Case(
         "all_errors",
         _ALL,
-        believed=on_left_kingpin,
-        driven=centres_moved,
-        nuisances=_late(0.15) | _TURNED | _LEVERS | {"wheel_gain": 1.02, "wheel_zero": math.radians(0.5)},
+        believed=left_kingpin_sensor,
+        driven=shifted_cgs,
+        nuisances=_late(0.15) | _PAIR_YAW | _LEVERS | {"wheel_gain": 1.02, "wheel_zero": math.radians(0.5)},
     ),
 )
 """Errors that the machine file does not tell, one at a time and together; the others are nothing."""
@@ -203,7 +203,7 @@ CASES: Final = {c.name: c for c in (*HIDDEN, *COVERAGE, SOIL_CHANGE, STEPS, HELD
 class Driven:
     """A run of a case."""
 
-    machine: Machine  # as the estimators are told
+    machine: Machine  # the file of the estimators
     truth: Truth
     truth_machine: Machine
 
@@ -227,7 +227,7 @@ def driven(packaged: Machine, case: Case, seed: int, seconds: float | None = Non
     return Driven(machine, replace(truth, nuisances=truth.nuisances | dict(case.nuisances)), real)
 
 
-def poses_and_stretches(run: Driven) -> list[tuple[Pose, Stretch | None]]:
+def poses_and_segments(run: Driven) -> list[tuple[Pose, Segment | None]]:
     """What an estimator is given in a run."""
     state, recording = fold.initial(run.machine), record_builder.initial(run.machine)
     return [
@@ -238,20 +238,20 @@ def poses_and_stretches(run: Driven) -> list[tuple[Pose, Stretch | None]]:
     ]
 
 
-def stretches(run: Driven) -> list[Stretch]:
-    """The record of a run, stretch by stretch."""
-    return [stretch for _, stretch in poses_and_stretches(run) if stretch is not None]
+def segments(run: Driven) -> list[Segment]:
+    """The record of a run, segment by segment."""
+    return [segment for _, segment in poses_and_segments(run) if segment is not None]
 
 
-def windows(some: list[Stretch], length: int = WINDOW) -> list[Record]:
-    """The stretches that may teach, in windows of so many that follow one another."""
-    made: list[list[Stretch]] = []
-    for stretch in some:
-        if stretch.reason:
+def windows(some: list[Segment], length: int = WINDOW) -> list[Record]:
+    """Windows of `length` consecutive segments that may be learned from."""
+    made: list[list[Segment]] = []
+    for segment in some:
+        if segment.reason:
             continue
-        if not stretch.follows or not made or len(made[-1]) == length:
+        if not segment.follows or not made or len(made[-1]) == length:
             made.append([])
-        made[-1].append(stretch)
+        made[-1].append(segment)
     return [concatenate(window) for window in made if len(window) == length]
 
 
@@ -268,13 +268,13 @@ class Fitted:
 
 
 def fitted(run: Driven, records: list[Record]) -> Fitted:
-    """The posterior of the first record is the prior of the next; noise levels begin anew with each."""
-    told = rig_setup(run.machine)
+    """The posterior of the first record is the prior of the next; noise levels start again with each."""
+    setup = rig_setup(run.machine)
     prior_mean, prior_sd = unknowns.prior(run.machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
-        found = likelihood.maximise_posterior(record, told, mean, covariance)
+        found = likelihood.maximise_posterior(record, setup, mean, covariance)
         information += found.information
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))
@@ -295,7 +295,7 @@ def window_of(
 ) -> Fitted | None:
     """The first windows of a run, fitted; None where the run has fewer."""
     run = driven(packaged, case, seed)
-    records = windows(stretches(run), length)[:count]
+    records = windows(segments(run), length)[:count]
     return fitted(run, records) if len(records) == count else None
 
 
@@ -309,16 +309,16 @@ def trajectory_error(
     implement) by what was fitted, then both by what is true. The start is the true one; the wheel angle,
     speed and roll are measured, their zero and gain as fitted. None where the run has no two windows."""
     run = driven(packaged, case, seed)
-    records = windows(stretches(run), length)
+    records = windows(segments(run), length)
     if len(records) < 2:
         return None
     found = fitted(run, records[:1])
     rig = fitted_rig(run.machine, found.mean)
     zero, gain = found.mean[AT["wheel_zero"]], math.exp(found.mean[AT["wheel_gain"]])
-    own = _distances(run, records[1], rig, zero, gain)
+    fitted_errors = _distances(run, records[1], rig, zero, gain)
     nuisances = run.truth.nuisances
     best = _distances(run, records[1], run.truth.rig, nuisances["wheel_zero"], nuisances["wheel_gain"])
-    return (*own, *best)
+    return (*fitted_errors, *best)
 
 
 def fitted_rig(machine: Machine, mean: Array) -> Rig:
@@ -373,9 +373,9 @@ def followed(run: Driven) -> Followed:
     series: dict[str, list[list[float]]] = {}
     events = []
     for frame in traffic(run.truth_machine, run.truth):
-        said = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
-        for publication in said:
+        publications = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
+        fold.request_fits(state, frame.t_ns)
+        for publication in publications:
             value = publication.value
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *_numbers(value)])
@@ -407,5 +407,5 @@ def _numbers(estimate: Estimate) -> list[float]:
 def first_informed(wheel: Array, after_s: float) -> float:
     """When the wheels first turn beyond INFORMED after a time, s; infinite if never."""
     from_ = round(after_s / STEP_S)
-    turned = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
-    return (from_ + int(turned[0])) * STEP_S if len(turned) else math.inf
+    beyond_limit = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
+    return (from_ + int(beyond_limit[0])) * STEP_S if len(beyond_limit) else math.inf

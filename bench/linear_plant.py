@@ -32,12 +32,12 @@ MEMORY_S: Final = 0.1
 SDS: Final = (math.radians(0.2), math.radians(0.3))  # of a yaw rate, rad/s, and of a heading, rad
 ZERO_SD: Final = math.radians(0.3)  # of the wheel angle's zero, drawn
 HALF: Final = 0.5  # truths lie within this share of the prior's median
-KEPT: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: all but the lateral position
+LATERAL_STATES: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: all but the lateral position
 STATES: Final = 11  # these and three pushes
-SEEN: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
+OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
 UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n != "s_velocity")
 NUDGE: Final = 1e-4  # of the central differences
-NO_SPREAD: Final = 1e-10  # variance of the first state
+NO_SCATTER: Final = 1e-10  # variance of the first state
 SETTLED: Final = 400  # ticks after which the filter's gain stands
 REPEATS: Final = 4  # records over which the information is averaged
 
@@ -106,11 +106,13 @@ def information(run: Plant, repeats: int = REPEATS) -> Array:
     nudges = np.vstack([np.eye(len(UNKNOWN)), -np.eye(len(UNKNOWN))]) * NUDGE
     _, y = _driven(run.rig, run.wheel, repeats, generator(run.seed, 3))
     points = truth + np.vstack([np.zeros(len(UNKNOWN)), nudges])
-    e, spreads = _innovations(run, points, y)
+    e, innovation_covariances = _innovations(run, points, y)
     q = len(UNKNOWN)
     de = (e[:, 1 : q + 1] - e[:, q + 1 :]) / (2 * NUDGE)  # (n, q, repeats, 4)
-    ds = (spreads[:, 1 : q + 1] - spreads[:, q + 1 :]) / (2 * NUDGE)  # (settled, q, 4, 4)
-    inverse = np.linalg.inv(spreads[:, 0])
+    ds = (innovation_covariances[:, 1 : q + 1] - innovation_covariances[:, q + 1 :]) / (
+        2 * NUDGE
+    )  # (settled, q, 4, 4)
+    inverse = np.linalg.inv(innovation_covariances[:, 0])
     weight = np.concatenate([inverse, np.tile(inverse[-1:], (len(e) - len(inverse), 1, 1))])
     found = np.einsum("kimo,kop,kjmp->ij", de, weight, de, optimize=True) / repeats
     wide = np.einsum("kop,kipr->kior", inverse, ds)
@@ -136,11 +138,11 @@ def _matrices(rig: Rig, memory_s: float) -> tuple[Array, Array]:
     turning = np.zeros((len(whole.a), 1))
     turning[1] = 1.0
     f, before, after = discretise(whole.a, np.hstack([whole.b, turning]), DT)
-    held, kept = before + after, list(KEPT)
+    held, states = before + after, list(LATERAL_STATES)
     made = np.zeros((STATES, STATES))
-    made[:8, :8], made[:8, 8:] = f[np.ix_(kept, kept)], held[kept, 1:]
+    made[:8, :8], made[:8, 8:] = f[np.ix_(states, states)], held[states, 1:]
     made[8:, 8:] = math.exp(-DT / memory_s) * np.eye(3)
-    return made, np.append(held[kept, 0], np.zeros(3))
+    return made, np.append(held[states, 0], np.zeros(3))
 
 
 def _driven(rig: Rig, wheel: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -154,7 +156,7 @@ def _driven(rig: Rig, wheel: Array, count: int, rng: np.random.Generator) -> tup
         states[k + 1] = states[k] @ f.T + g * (wheel[k] + wheel[k + 1]) / 2
         states[k + 1, :, 8:] += fresh * shocks[k + 1]
     noise = rng.standard_normal((n, count, 4)) * (SDS[0], SDS[0], SDS[1], SDS[1])
-    return states, states[:, :, list(SEEN)] + noise
+    return states, states[:, :, list(OUTPUT_STATES)] + noise
 
 
 def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
@@ -174,24 +176,24 @@ def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
     r[:, :2], r[:, 2:] = (np.exp(2 * points[:, 11:13]) * np.square(SDS)).T[:, :, None]
     reading = run.wheel + run.zero
     delta = ((reading[:-1] + reading[1:]) / 2)[:, None] - points[:, 6]
-    seen = list(SEEN)
-    # Runs begin straight. Were the first state to have a spread, its absence would pass for information.
-    first = np.hstack([np.full((p, STATES - 3), NO_SPREAD), pushes])
-    spread = first[:, :, None] * np.eye(STATES)
-    x, e, spreads, gain = (
+    outputs = list(OUTPUT_STATES)
+    # Runs begin straight. If the first state had a variance, its absence would count as information.
+    first = np.hstack([np.full((p, STATES - 3), NO_SCATTER), pushes])
+    P = first[:, :, None] * np.eye(STATES)
+    x, e, innovation_covariances, gain = (
         np.zeros((p, y.shape[1], STATES)), np.zeros((n, p, y.shape[1], 4)), [], np.zeros(0),
     )  # fmt: skip
     for k in range(n):
         if k < SETTLED:
-            cross = spread[:, :, seen]
-            shown = cross[:, seen] + r[:, :, None] * np.eye(4)
-            gain = cross @ np.linalg.inv(shown)
-            spread = spread - gain @ cross.transpose(0, 2, 1)
-            spread = f @ spread @ f.transpose(0, 2, 1) + q[:, :, None] * np.eye(STATES)
-            spread = (spread + spread.transpose(0, 2, 1)) / 2  # or it drifts away from symmetry
-            spreads.append(shown)
-        e[k] = y[k] - x[:, :, seen]
+            cross = P[:, :, outputs]
+            S = cross[:, outputs] + r[:, :, None] * np.eye(4)
+            gain = cross @ np.linalg.inv(S)
+            P = P - gain @ cross.transpose(0, 2, 1)
+            P = f @ P @ f.transpose(0, 2, 1) + q[:, :, None] * np.eye(STATES)
+            P = (P + P.transpose(0, 2, 1)) / 2  # keeps it symmetric
+            innovation_covariances.append(S)
+        e[k] = y[k] - x[:, :, outputs]
         x = x + e[k] @ gain.transpose(0, 2, 1)
         if k < n - 1:
             x = x @ f.transpose(0, 2, 1) + (g * delta[k][:, None])[:, None]
-    return e, np.array(spreads)
+    return e, np.array(innovation_covariances)

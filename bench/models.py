@@ -113,7 +113,7 @@ def nonlinear_ways() -> dict[str, Callable[[], object]]:
     def interpreted() -> None:
         states = np.zeros((N + 1, len(x0)))
         states[0] = x0
-        nonlinear.integrate.plain()(states, inputs, RIG.theta[None], RIG, (0.0, 0.0), DT / 2, 2, False)
+        nonlinear.integrate.interpreted()(states, inputs, RIG.theta[None], RIG, (0.0, 0.0), DT / 2, 2, False)
 
     def solver() -> object:
         def rate(t: float, x: Array) -> Array:

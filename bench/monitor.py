@@ -34,7 +34,7 @@ from stage import Monitor, Stage, drive, estimate, pose, status
 
 from tilth.monitor.json_safe import plain
 from tilth.monitor.server import FILES, listening_socket
-from tilth.monitor.view import View, own_version
+from tilth.monitor.view import View, installed_version
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -111,7 +111,7 @@ class Rehearsed:
         told = {"pose": CHANNEL["/pose"].encode(pose(t_ns, next(self._points), ""))}
         if self._turn % POSES_PER_S == 0:
             told["soil_tire"] = CHANNEL["/soil_tire"].encode(estimate(t_ns, t_s, 1.0, t_s))
-            orders = {"version": own_version(), "recording": True, "lost": "", "problem": ""}
+            orders = {"version": installed_version(), "recording": True, "lost": "", "problem": ""}
             told["status"] = status(t_ns, t_s, orders).SerializeToString()
         if self._turn == 0:
             told["rig"] = self._rig

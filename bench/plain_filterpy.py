@@ -3,12 +3,12 @@
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
-from plain_least_squares import DT, SEEN, discrete, middles
+from plain_least_squares import DT, OUTPUT_STATES, discrete, middles
 
 Array = NDArray[np.float64]
 
 STEP = 1e-4
-AGAIN = 25  # samples after which the slopes over the parameters are made anew
+AGAIN = 25  # samples after which the Jacobian over the parameters is renewed
 
 
 class Tracking(ExtendedKalmanFilter):  # type: ignore[misc]
@@ -53,10 +53,10 @@ def track(
     filter_.Q = np.diag([*np.square(noise[0] * DT), *[0.0] * 12])
     filter_.R = np.diag(np.square(noise[1]))
     slope = np.zeros((4, 15))
-    slope[range(4), SEEN] = 1.0
+    slope[range(4), OUTPUT_STATES] = 1.0
     held = middles(wheel)
     for k, row in enumerate(y):
-        filter_.update(row, lambda x: slope, lambda x: x[SEEN])
+        filter_.update(row, lambda x: slope, lambda x: x[OUTPUT_STATES])
         filter_.predict(held[k])
         if k % AGAIN == 0:
             filter_.matrices()

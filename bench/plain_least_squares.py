@@ -14,15 +14,15 @@ from tilth.estimator.models.relaxation import input_matrix, system_matrix
 Array = NDArray[np.float64]
 
 DT = 0.02
-KEPT = [0, 1, 2, 3, 4, 5, 7, 8]
-SEEN = [1, 2, 6, 7]
+LATERAL_STATES = [0, 1, 2, 3, 4, 5, 7, 8]
+OUTPUT_STATES = [1, 2, 6, 7]
 
 
 def discrete(theta: Array, geometry: Array, speed: float) -> tuple[Array, Array]:
     """(F (8, 8), G (8,)) of one step with the wheel angle held."""
     whole = np.zeros((9, 9))
-    whole[:8, :8] = system_matrix(speed, geometry, theta)[np.ix_(KEPT, KEPT)]
-    whole[:8, 8] = input_matrix(speed, geometry, theta)[KEPT, 0]
+    whole[:8, :8] = system_matrix(speed, geometry, theta)[np.ix_(LATERAL_STATES, LATERAL_STATES)]
+    whole[:8, 8] = input_matrix(speed, geometry, theta)[LATERAL_STATES, 0]
     exact: Array = np.asarray(expm(whole * DT), np.float64)
     return exact[:8, :8], exact[:8, 8]
 
@@ -41,11 +41,11 @@ def fit(
     def residuals(at: Array) -> Array:
         f, g = discrete(np.exp(at[:6]), geometry, speed)
         driven = np.outer(middles(wheel - at[6]), g)
-        x, shown = np.zeros(8), np.empty((len(y), 4))
+        x, prediction = np.zeros(8), np.empty((len(y), 4))
         for k in range(len(y)):
-            shown[k] = x[SEEN]
+            prediction[k] = x[OUTPUT_STATES]
             x = f @ x + driven[k]
-        return np.concatenate([((y - shown) / sds).ravel(), (at - mean) / sd])
+        return np.concatenate([((y - prediction) / sds).ravel(), (at - mean) / sd])
 
     found = least_squares(residuals, mean, method="trf")
     scale = 2 * found.cost / (y.size - len(mean))  # the noise that the residuals show

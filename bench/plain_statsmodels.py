@@ -7,7 +7,7 @@
 import numpy as np
 import statsmodels.api as sm
 from numpy.typing import NDArray
-from plain_least_squares import DT, SEEN, discrete, middles
+from plain_least_squares import DT, OUTPUT_STATES, discrete, middles
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ class Rig(sm.tsa.statespace.MLEModel):  # type: ignore[misc]
         self._wheel, self._geometry, self._speed = wheel, geometry, speed
         self._mean, self._sd = mean, sd
         design = np.zeros((4, 8))
-        design[range(4), SEEN] = 1.0
+        design[range(4), OUTPUT_STATES] = 1.0
         selection = np.zeros((8, 3))
         selection[:3] = np.eye(3)
         self["design"], self["selection"] = design, selection

@@ -88,8 +88,8 @@ def ways(
         return sum(len(decoder.measurements(frame)) for frame in some)
 
     return {
-        "plain: iter_messages": lambda: sum(1 for _ in plain_frames(path)),
-        "plain: iter_messages, struct per PGN": lambda: plain_decode(path),
+        "plain: iter_messages": lambda: sum(1 for _ in bare_frames(path)),
+        "plain: iter_messages, struct per PGN": lambda: bare_decode(path),
         "readers.frames": lambda: sum(1 for _ in frames(path)),
         "Decoder.measurements alone": lambda: decode(rows),
         "readers.frames, Decoder.measurements": lambda: decode(frames(path)),
@@ -101,7 +101,7 @@ def ways(
     }
 
 
-def plain_frames(path: Path) -> Iterable[Frame]:
+def bare_frames(path: Path) -> Iterable[Frame]:
     """Every frame, as the documentation of mcap shows it; file order, which is its quicker one."""
     with path.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
@@ -111,10 +111,10 @@ def plain_frames(path: Path) -> Iterable[Frame]:
                 yield Frame(message.log_time, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data)
 
 
-def plain_decode(path: Path) -> int:
+def bare_decode(path: Path) -> int:
     """Numbers of single frames only: no fast packets, no identity, no not-available rules, no units."""
     values = 0
-    for frame in plain_frames(path):
+    for frame in bare_frames(path):
         pgn = frame.can_id >> 8 & 0x3FFFF
         if frame.can_id == WHEEL_ID:
             values += len(struct.unpack_from(">h", frame.data))

@@ -28,8 +28,8 @@ from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import traffic
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "examples" / "scenarios"
-SHOWN = ("demo", "row_autosteer", "side_slope", "soil_change", "field_day")
-PLAIN_S = 10.0  # of the run that solve_ivp gets
+OUTPUTS = ("demo", "row_autosteer", "side_slope", "soil_change", "field_day")
+REFERENCE_S = 10.0  # of the run that solve_ivp gets
 ROUNDS = 3
 
 
@@ -43,7 +43,7 @@ def best(way: Callable[[], object]) -> float:
     return min(times)
 
 
-def plain(truth: Truth, until_s: float) -> NDArray[np.float64]:
+def reference(truth: Truth, until_s: float) -> NDArray[np.float64]:
     """The last state by solve_ivp with the same inputs, no step longer than the kernel's."""
 
     def slope(t: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,18 +62,18 @@ def plant(machine: Machine, seconds: float) -> None:
     even = Scenario(speed_sd=0.0)
     drive(machine, 1, seconds, even)  # compiled from here on
     truth = drive(machine, 1, seconds, even)
-    own = seconds / best(lambda: drive(machine, 1, seconds, even))
+    ours = seconds / best(lambda: drive(machine, 1, seconds, even))
     start = time.perf_counter()
-    last = plain(truth, PLAIN_S)
-    other = PLAIN_S / (time.perf_counter() - start)
-    off = np.abs(last - truth.states[round(PLAIN_S / 0.01)])[:2].max()
-    print(f"plant: {own:.0f} times real time, solve_ivp {other:.1f}; ratio {own / other:.0f}")
-    print(f"       ({off * 1e3:.2f} mm apart after {PLAIN_S:.0f} s)")
+    last = reference(truth, REFERENCE_S)
+    other = REFERENCE_S / (time.perf_counter() - start)
+    off = np.abs(last - truth.states[round(REFERENCE_S / 0.01)])[:2].max()
+    print(f"plant: {ours:.0f} times real time, solve_ivp {other:.1f}; ratio {ours / other:.0f}")
+    print(f"       ({off * 1e3:.2f} mm apart after {REFERENCE_S:.0f} s)")
 
 
 def scenarios(machine: Machine, text: str, seconds: float) -> None:
     print(f"\n{'times real time':16} {'driving':>9} {'frames':>9} {'both':>9} {'to disk':>9}")
-    for name in SHOWN:
+    for name in OUTPUTS:
         scenario_text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
         scenario = parse_scenario(scenario_text)
         truth = drive(machine, 1, seconds, scenario)

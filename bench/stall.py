@@ -50,14 +50,14 @@ def paced(seconds: float, take: Callable[[Frame], None], tick: Callable[[int], N
 def recorder(folder: Path, seconds: float) -> tuple[float, float]:
     text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.034")
-    recording = Recording(folder, parse_machine(text), text, Clock(), lambda *said: None, lambda: "{}")
+    recording = Recording(folder, parse_machine(text), text, Clock(), lambda *message: None, lambda: "{}")
     found = paced(seconds, recording.frame, recording.tick)
     recording.close()
     assert recording.missed == 0
     return found
 
 
-def plain(folder: Path, seconds: float) -> tuple[float, float]:
+def baseline(folder: Path, seconds: float) -> tuple[float, float]:
     due_ns = 0
     with (folder / "plain.mcap").open("wb") as stream:
         writer = Writer(stream, chunk_size=65536, compression=CompressionType.ZSTD)
@@ -88,9 +88,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     seconds = parser.parse_args().seconds
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:  # a real disk: /tmp may be memory
-        for name, way in (("plain writer", plain), ("recorder", recorder)):
-            by_clock, own = way(Path(folder), seconds)
-            print(f"{name:13} longest turn {by_clock * 1e3:6.1f} ms by the clock, {own * 1e3:.1f} ms its own")
+        for name, way in (("plain writer", baseline), ("recorder", recorder)):
+            by_clock, ours = way(Path(folder), seconds)
+            print(
+                f"{name:13} longest turn {by_clock * 1e3:6.1f} ms by the clock, {ours * 1e3:.1f} ms its own"
+            )
 
 
 if __name__ == "__main__":

@@ -288,25 +288,30 @@ def _all_masses(raw: Raw, factor: float) -> None:
 
 
 class ReplayedDecoder(Decoder):
-    """What a decoder made of a drive, told again: for changes that decoding does not depend on."""
+    """Returns the stored measurements of a drive again, for changes of the file that do not affect
+    decoding."""
 
-    def __init__(self, machine: Machine, told: list[list[Measurement]]) -> None:
+    def __init__(self, machine: Machine, reported: list[list[Measurement]]) -> None:
         super().__init__(machine)
-        self._heard = iter(told)
+        self._measurements = iter(reported)
 
     def measurements(self, frame: Frame) -> list[Measurement]:
-        return next(self._heard)
+        return next(self._measurements)
 
 
 @cache
 def driven(name: str) -> tuple[list[Frame], list[list[Measurement]], dict[str, float]]:
-    """(frames that a right file makes something of, what, true parameters)."""
+    """(frames that give measurements with the right file, these measurements, true parameters)."""
     machine, scenario = parse_machine(text_of(packaged())), DRIVES[name]
     decoder = Decoder(machine)
     all_frames = list(simulate(machine, scenario.seed, SECONDS, scenario))
-    told = [list(decoder.measurements(frame)) for frame in all_frames]
-    heard = [k for k, some in enumerate(told) if some]
-    return [all_frames[k] for k in heard], [told[k] for k in heard], draw(machine, scenario.seed, scenario)
+    reported = [list(decoder.measurements(frame)) for frame in all_frames]
+    used = [k for k, some in enumerate(reported) if some]
+    return (
+        [all_frames[k] for k in used],
+        [reported[k] for k in used],
+        draw(machine, scenario.seed, scenario),
+    )
 
 
 @dataclass
@@ -323,26 +328,26 @@ class SeenFlags:
 def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> SeenFlags:
     """Raises MachineError."""
     machine = parse_machine(text_of(raw))
-    frames, told, truth = driven(name)
+    frames, reported, truth = driven(name)
     state = fold.initial(machine)
     if raw["wheel_angle"] == packaged()["wheel_angle"] and not _decoded_otherwise(raw):
-        state.decoder = ReplayedDecoder(machine, told)
+        state.decoder = ReplayedDecoder(machine, reported)
     out: list[Publication] = []
     for frame in frames:
         out += fitted_at_once(state, frame.t_ns)
         out += fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    seen = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.counts], {})
+    result = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.active], {})
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
-        if isinstance(value, Event) and value.kind == CONTRADICTION and not seen.first:
-            seen.first, seen.first_s = value.text, at_s
+        if isinstance(value, Event) and value.kind == CONTRADICTION and not result.first:
+            result.first, result.first_s = value.text, at_s
         if isinstance(value, Estimate) and value.method != "pem_two_step":
-            seen.given.setdefault(value.method, []).append((at_s, _errors(value, logs)))
-            seen.off[value.method] = _off(value, logs)
-    return seen
+            result.given.setdefault(value.method, []).append((at_s, _errors(value, logs)))
+            result.off[value.method] = _off(value, logs)
+    return result
 
 
 def _decoded_otherwise(raw: Raw) -> bool:
@@ -381,35 +386,35 @@ def outcome(name: str, change: FileChange) -> dict[str, Any]:
     change.apply(raw)
     line: dict[str, Any] = {"drive": name, "change": change.name, "group": change.group}
     try:
-        seen = drive(name, raw, change.scaled)
+        result = drive(name, raw, change.scaled)
     except MachineError as error:
         return line | {"outcome": "refused", "reason": str(error)}
     except Exception as error:  # a fault is an outcome too, and the rest must go on
         return line | {"outcome": "fault", "reason": f"{type(error).__name__}: {error}"}
-    worst, further, early_s = _worst(seen, right(name))
+    worst, further, early_s = _worst(result, right(name))
     line |= {
         "worst": worst,
         "further": further,
         "early_s": early_s,
-        "first_s": seen.first_s,
-        "first": seen.first,
-        "off": seen.off,
+        "first_s": result.first_s,
+        "first": result.first,
+        "off": result.off,
     }
-    if seen.reasons:
-        named = any(word in reason for reason in seen.reasons for word in GROUPS[change.group])
-        return line | {"outcome": "withdrawn" if named else "elsewhere", "reason": "; ".join(seen.reasons)}
-    if not any(math.isfinite(z) for rows in seen.given.values() for _, zs in rows for z in zs):
+    if result.reasons:
+        named = any(part in reason for reason in result.reasons for part in GROUPS[change.group])
+        return line | {"outcome": "withdrawn" if named else "elsewhere", "reason": "; ".join(result.reasons)}
+    if not any(math.isfinite(z) for rows in result.given.values() for _, zs in rows for z in zs):
         return line | {"outcome": "no number"}
     if worst > 3.0 and further > 0.0:
         return line | {"outcome": "wrong"}
     return line | {"outcome": "right" if further <= 1.0 else "beyond 1 sd"}
 
 
-def _worst(seen: SeenFlags, base: SeenFlags) -> tuple[float, float, float]:
+def _worst(result: SeenFlags, base: SeenFlags) -> tuple[float, float, float]:
     """(largest error at the end, how much further off than with the right file, s with a wrong one out)."""
     worst = further = 0.0
     wrong: set[int] = set()
-    for method, rows in seen.given.items():
+    for method, rows in result.given.items():
         for at_s, zs in rows:
             others = _nearest(base.given.get(method, []), at_s)
             for z, other in zip(zs, others, strict=True):
@@ -468,7 +473,7 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
     for frame in simulate(machine, scenario.seed, seconds, scenario):
         began = began or frame.t_ns
         out = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
         if state.consistency.confirmed and math.isnan(confirmed_s):
             confirmed_s = (frame.t_ns - began) * 1e-9
         if not state.consistency.confirmed and math.isfinite(confirmed_s):
@@ -508,8 +513,8 @@ def _all(jobs: list[Any], work: Callable[[Any], dict[str, Any]], path: Path, pro
     with path.open("a", encoding="utf-8") as out, ProcessPoolExecutor(processes) as pool:
         for k, line in enumerate(pool.map(work, jobs, chunksize=4), 1):
             print(json.dumps(line), file=out, flush=True)
-            left_s = (time.monotonic() - began) / k * (len(jobs) - k)
-            print(f"\r{k} of {len(jobs)}, {left_s / 60:.0f} min left ", end="", file=sys.stderr)
+            remaining_s = (time.monotonic() - began) / k * (len(jobs) - k)
+            print(f"\r{k} of {len(jobs)}, {remaining_s / 60:.0f} min left ", end="", file=sys.stderr)
 
 
 def summary(path: Path) -> None:
@@ -523,8 +528,8 @@ def summary(path: Path) -> None:
     for line in lines:
         if line["outcome"] in ("wrong", "elsewhere", "beyond 1 sd", "fault") or line.get("early_s"):
             far = f"worst {line.get('worst', math.nan):.1f}, further {line.get('further', math.nan):.1f}"
-            said = line.get("reason", line.get("first", ""))[:90]
-            print(f"{line['outcome']:12} {line['id']}: {far}, early {line.get('early_s', 0):.0f} s; {said}")
+            line = line.get("reason", line.get("first", ""))[:90]
+            print(f"{line['outcome']:12} {line['id']}: {far}, early {line.get('early_s', 0):.0f} s; {line}")
 
 
 def summary_right(path: Path) -> None:
@@ -572,11 +577,11 @@ def main() -> None:
             _all(jobs, _one, path, args.processes)
         summary(path)
         return
-    done, rows, left = _known(path, "run"), [], args.hours * 3600.0
+    done, rows, remaining = _known(path, "run"), [], args.hours * 3600.0
     for name, scenario, load in right_scenarios():
-        if left <= 0.0:
+        if remaining <= 0.0:
             break
-        left -= args.seconds
+        remaining -= args.seconds
         if name not in done:
             rows.append((name, scenario, load, args.seconds))
     if not args.summary:

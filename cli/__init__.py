@@ -128,8 +128,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
         return 2
     except PermissionError as error:
-        told = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
-        print(f"tilth {args.command}: {told}", file=sys.stderr)
+        refusal = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
+        print(f"tilth {args.command}: {refusal}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"tilth {args.command}: stopped", file=sys.stderr)

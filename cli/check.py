@@ -7,10 +7,8 @@ from pathlib import Path
 
 from tilth.cli import duration
 from tilth.logger.checks.check import check
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING
+from tilth.logger.checks.finding import Level
 from tilth.logger.machine_file import read_machine
-
-_WORD = {OK: "OK", NOTE: "NOTE", WARNING: "WARNING", PROBLEM: "PROBLEM"}
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -33,10 +31,10 @@ def run(args: argparse.Namespace) -> int:
     """1 where there is a problem."""
     machine, _ = read_machine(args.machine)
     findings = check(machine, args.log or Path(machine.log.folder), args.seconds)
-    fine = all(finding.state != PROBLEM for finding in findings)
+    fine = all(finding.state is not Level.PROBLEM for finding in findings)
     if args.json:
         print(json.dumps({"ok": fine, "checks": [asdict(finding) for finding in findings]}))
     else:
         for finding in findings:
-            print(f"{_WORD[finding.state]:8} {finding.what}: {finding.text}")
+            print(f"{finding.state.upper():8} {finding.what}: {finding.text}")
     return 0 if fine else 1

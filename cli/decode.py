@@ -42,6 +42,7 @@ class _Decoding:
     decoder: Decoder
     turn_rates: TurnRates = field(default_factory=TurnRates)
     count: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)  # reason -> count, of the readers and decoders
     before: Counter[str] = field(default_factory=Counter)  # of decoder.rejected, when the decoder was taken
     unread: Counter[Unread] = field(default_factory=Counter)  # frames that were not decoded
 
@@ -63,7 +64,7 @@ class _Decoding:
         self.unread.update(self.decoder.unread)
         rejected = Counter(self.decoder.rejected)
         for reason, number in (rejected - self.before).items():
-            self.count[f"rejected {reason}"] += number
+            self.rejected[reason] += number
         self.before = rejected
 
 
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             log = open_log(path)
             with closing(log.file):
                 _decode(log, _records(log, machine, buses), decoding, write_line)
-                _tell_end(log, decoding.count)
+                _tell_end(log, decoding.rejected)
         except LogError as error:
             _say(str(error))
             status = max(status, error.status)
@@ -123,8 +124,8 @@ def run(args: argparse.Namespace) -> int:
             _say(f"{path}: {(error.strerror or str(error)).lower()}")
             status = max(status, 1)
     decoding.close_counts()
-    _tell_counts(decoding.count)
-    for text in decoding.turn_rates.told():
+    _tell_counts(decoding.count, decoding.rejected)
+    for text in decoding.turn_rates.sentences():
         _say(text)
     tell_unread(decoding.unread, decoding.decoder, _say)
     return status
@@ -222,19 +223,19 @@ def _time(t_ns: int) -> str:
     return f"{date:%Y-%m-%d %H:%M:%S}.{fraction // 1000:06d}"
 
 
-def _tell_end(log: OpenLog, count: Counter[str]) -> None:
+def _tell_end(log: OpenLog, rejected: Counter[str]) -> None:
     for reason, number in log.skipped.items():
-        count[f"rejected {reason}"] += number
+        rejected[reason] += number
     if log.truncated:
         _say(f"{log.path}: cut off; decoded as far as it is whole")
     if log.note:
         _say(f"{log.path}: {log.note}")
 
 
-def _tell_counts(count: Counter[str]) -> None:
+def _tell_counts(count: Counter[str], rejected: Counter[str]) -> None:
     _say(f"{count['frames']} frames, {count['messages']} messages")
-    for key in sorted(key for key in count if key.startswith("rejected ")):
-        _say(f"{key}: {count[key]}")
+    for reason, number in sorted(rejected.items()):
+        _say(f"rejected {reason}: {number}")
 
 
 def _say(text: str) -> None:

@@ -16,7 +16,8 @@ from tilth.cli import WrongUse, duration
 from tilth.logger.display import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.schemas.invocation import command
-from tilth.simulator.demo import Demo, DemoError, comparison_table, reasons, result, run_demo
+from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
+from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -35,6 +36,12 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="instead: a controller keeps the implement on its line by the live estimates, over soil that "
         "gets softer half-way; fixed gains beside it (3 minutes)",
     )
+    parser.add_argument(
+        "--spatial",
+        action="store_true",
+        help="the tractor in space: it rolls on its tyres over uneven ground, by physics that the estimators "
+        "do not share (needs the extra of that name)",
+    )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="another rig and another drive (1)")
     parser.add_argument(
         "--log", type=Path, default=Path("logs"), metavar="DIR", help="folder of the log (logs)"
@@ -49,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--seed {args.seed}: give a whole number from 0 up")
     if args.guidance and (args.seconds is not None or args.json):
         raise WrongUse("--guidance drives a whole field: leave out --seconds and --json")
+    if args.spatial:
+        _check_spatial(args.guidance)
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:
@@ -59,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
         signal.signal(signum, stop)
     plain = args.json or not sys.stdout.isatty()
     display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
-    with contextlib.ExitStack() as beside:
-        watch = None if args.no_page else lambda endpoint: beside.callback(_page(endpoint))
+    with contextlib.ExitStack() as page_stack:
+        watch = None if args.no_page else lambda endpoint: page_stack.callback(_page(endpoint))
         drive = _guidance if args.guidance else _demo
         try:
             tell = drive(args, display, lambda: stopping, watch)
@@ -72,6 +81,16 @@ def run(args: argparse.Namespace) -> int:
     return tell()
 
 
+def _check_spatial(guidance: bool) -> None:
+    """Raises WrongUse."""
+    if guidance:
+        raise WrongUse("--guidance drives the planar tractor: leave out --spatial")
+    try:
+        check_installed()
+    except NotInstalled as error:
+        raise WrongUse(f"--spatial: {error}") from None
+
+
 Stop = Callable[[], bool]
 Watch = Callable[[str], object] | None
 Tell = Callable[[], int]
@@ -79,7 +98,8 @@ Tell = Callable[[], int]
 
 
 def _demo(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
-    demo = run_demo(args.seconds or 90.0, args.seed, args.log, display, stop, _say, watch)
+    scenario = SPATIAL if args.spatial else None
+    demo = run_demo(args.seconds or 90.0, args.seed, args.log, display, stop, _say, watch, scenario)
 
     def tell() -> int:
         if args.json:

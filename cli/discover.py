@@ -22,8 +22,8 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 
-MESSAGES_SHOWN = 8
-CANDIDATES_SHOWN = 5
+MOST_MESSAGES = 8
+MOST_CANDIDATES = 5
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     survey = BusSurvey()
     status = 0
     try:
-        for frame in _logged(args.logs) if args.logs else _heard(buses, args.seconds):
+        for frame in _logged(args.logs) if args.logs else _live_frames(buses, args.seconds):
             survey.take(frame)
     except LogError as error:
         _say(str(error))
@@ -79,7 +79,7 @@ def _logged(logs: Sequence[Path]) -> Iterator[Frame]:
         yield from frames(path)
 
 
-def _heard(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:
+def _live_frames(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:
@@ -198,7 +198,7 @@ def _show(findings: Findings) -> None:
         if source.turn_rate_lag is not None:
             print(f"    {in_words(source.turn_rate_lag)}")
     print("\nMay be the wheel angle:" if findings.wheel_angles else "\nNothing moves as a wheel angle does.")
-    for candidate in findings.wheel_angles[:CANDIDATES_SHOWN]:
+    for candidate in findings.wheel_angles[:MOST_CANDIDATES]:
         print(f"    {described(candidate)}")
     print()
 
@@ -217,10 +217,10 @@ def _device(source: BusDevice) -> str:
 def _messages(source: BusDevice) -> str:
     often = sorted(source.messages, key=lambda message: message.per_s, reverse=True)
     words = []
-    for m in often[:MESSAGES_SHOWN]:
+    for m in often[:MOST_MESSAGES]:
         selector = "" if m.selector is None else f"/0x{m.selector:02X}"
         words.append(f"{m.pgn}{selector} " + (f"at {m.per_s:.3g}/s" if m.per_s else f"({m.count})"))
-    return ", ".join(words) + (f", {len(often) - MESSAGES_SHOWN} more" if len(often) > MESSAGES_SHOWN else "")
+    return ", ".join(words) + (f", {len(often) - MOST_MESSAGES} more" if len(often) > MOST_MESSAGES else "")
 
 
 def _say(text: str) -> None:

@@ -43,15 +43,15 @@ class _Refusals:
     """Said once each: a page that is refused tries again and again."""
 
     def __init__(self) -> None:
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
 
     def __call__(self, refusal: Refusal, origin: str) -> None:
         who = f"a viewer at {origin[:80]}" if origin and origin.isprintable() else "a viewer"
         line = f"{who} is refused: {refusal.why}"
         if refusal.status == HTTPStatus.FORBIDDEN and who != "a viewer":
             line += f"; to let it in: --allow-origin {origin[:80]}"
-        if line not in self._said and len(self._said) < MOST_REFUSALS:
-            self._said.add(line)
+        if line not in self._printed and len(self._printed) < MOST_REFUSALS:
+            self._printed.add(line)
             print(line, flush=True)
 
 

@@ -14,13 +14,18 @@ from rich.table import Table
 from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
-from tilth.logger.log.runs import Beside, StoredRun
-from tilth.replay.glance import BEING_WRITTEN, NO_LOG, UNFINISHED, Glance, glance
+from tilth.logger.log.runs import Sidecar, StoredRun
+from tilth.replay.glance import FileState, Glance, glance
 from tilth.schemas.invocation import command
+from tilth.schemas.states import DeviceState
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
 
-NOT_ALIVE = (("lost", "lost"), ("no_data", "without data"), ("waiting", "never heard"))
+NOT_ALIVE = (
+    (DeviceState.LOST, "lost"),
+    (DeviceState.NO_DATA, "without data"),
+    (DeviceState.WAITING, "never heard"),
+)
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -46,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
         if name is None:
             continue
         (one,) = chosen(args.folder, [name])
-        beside = _beside(one)
-        beside.keep = beside.keep if keep is None else keep
-        beside.notes += [text] if text else []
-        one.note(beside)
+        sidecar = _sidecar(one)
+        sidecar.keep = sidecar.keep if keep is None else keep
+        sidecar.notes += [text] if text else []
+        one.write_sidecar(sidecar)
     rows = [row for one in chosen(args.folder, names or None) if (row := _row(one)) is not None]
     if args.json:
         print(json.dumps(rows, indent=1, ensure_ascii=False))
@@ -61,30 +66,30 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _beside(one: StoredRun) -> Beside:
+def _sidecar(one: StoredRun) -> Sidecar:
     try:
-        return one.beside()
+        return one.sidecar()
     except ValueError as error:
         raise WrongUse(str(error)) from None
 
 
 def _row(one: StoredRun) -> dict[str, Any] | None:
     """What is told of a run, by all its files; None where they have gone since they were listed."""
-    beside = _beside(one)
-    told: dict[str, Glance] = {}
+    sidecar = _sidecar(one)
+    glances: dict[str, Glance] = {}
     size = 0
     for path in one.files:
         with suppress(FileNotFoundError):  # the recorder renames a run, or makes room, at any time
             size += path.stat().st_size
-            told[path.name] = glance(path)
-    if not told:
+            glances[path.name] = glance(path)
+    if not glances:
         return None
-    seen = [found for found in told.values() if found.last_ns]
-    states = Counter(found.state for found in told.values())
-    events: Counter[str] = sum((found.events for found in told.values()), Counter())
-    sensors = next((found.sensors for found in reversed(seen) if found.frames and found.sensors), {})
-    first_ns = seen[0].first_ns + seen[-1].utc_minus_ns if seen else one.started_ns
-    duration_s = (seen[-1].last_ns - seen[0].first_ns) * 1e-9 if seen else 0.0
+    dated = [found for found in glances.values() if found.last_ns]
+    states = Counter(found.state for found in glances.values())
+    events: Counter[str] = sum((found.events for found in glances.values()), Counter())
+    sensors = next((found.sensors for found in reversed(dated) if found.frames and found.sensors), {})
+    first_ns = dated[0].first_ns + dated[-1].utc_minus_ns if dated else one.started_ns
+    duration_s = (dated[-1].last_ns - dated[0].first_ns) * 1e-9 if dated else 0.0
     return {
         "run": one.name,
         "began": utc_text(first_ns) if first_ns else "",
@@ -92,20 +97,20 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         "seconds": duration_s,  # the same, by its older name
         "duration_s": duration_s,
         "bytes": size,
-        "files": len(told),
+        "files": len(glances),
         "missing_parts": one.missing_parts,
-        "frames": sum(found.frames for found in told.values()),
-        "alive": sum(state == "alive" for state in sensors.values()),
+        "frames": sum(found.frames for found in glances.values()),
+        "alive": sum(state == DeviceState.ALIVE for state in sensors.values()),
         "sensors": len(sensors),
         "sensor_states": sensors,
-        "lost": [name for name, state in sensors.items() if state != "alive"],
+        "lost": [name for name, state in sensors.items() if state != DeviceState.ALIVE],
         "events": dict(events),
-        "unfinished": states[UNFINISHED],
-        "recording": states[BEING_WRITTEN] > 0,
-        "no_log": [name for name, found in told.items() if found.state == NO_LOG],
-        "copied": sum(name in beside.copied for name in told),
-        "keep": beside.keep,
-        "notes": [*dict.fromkeys(found.note for found in seen if found.note), *beside.notes],
+        "unfinished": states[FileState.UNFINISHED],
+        "recording": states[FileState.BEING_WRITTEN] > 0,
+        "no_log": [name for name, found in glances.items() if found.state == FileState.NO_LOG],
+        "copied": sum(name in sidecar.copied for name in glances),
+        "keep": sidecar.keep,
+        "notes": [*dict.fromkeys(found.note for found in dated if found.note), *sidecar.notes],
     }
 
 
@@ -129,6 +134,6 @@ def _state(row: dict[str, Any]) -> list[str]:
     missing = ", ".join(map(str, row["missing_parts"]))
     state = ["recording"] * row["recording"] + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
     state += [f"part {missing} missing"] if missing else []
-    state += [f"{name} is {NO_LOG}" for name in row["no_log"]]
+    state += [f"{name} is no log of tilth" for name in row["no_log"]]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
     return state + [copied] * bool(row["copied"]) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]

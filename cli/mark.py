@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             f"An endpoint looks like {ENDPOINT}"
         ) from None
     with session:
-        key = _heard(session, prefix, name, args.config).base(prefix) + "/mark"
+        key = _daemon(session, prefix, name, args.config).base(prefix) + "/mark"
         replies = list(session.get(key, payload=args.text, encoding="text/plain", timeout=WAIT_S))
     for reply in replies:
         if reply.ok:
@@ -77,15 +77,15 @@ def _when(event: pb.Event) -> str:
     return utc_text(event.t_ns) if event.t_ns >= EARLIEST_NS else "at a time that is not known yet,"
 
 
-def _heard(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
+def _daemon(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
     """The one daemon that is meant: on a tractor, or else in a simulation. Raises WrongUse."""
     found = living(session, prefix, name)
     meant = [one for one in found if one.replay == found[0].replay]
     if len(meant) == 1:
         return meant[0]
     if meant:
-        heard = ", ".join(one.machine for one in meant)
-        raise WrongUse(f"several daemons are heard: {heard}; say with --machine which of them")
+        names = ", ".join(one.machine for one in meant)
+        raise WrongUse(f"several daemons are heard: {names}; say with --machine which of them")
     if key is not None:
         raise WrongUse(try_key(key).text)
     raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `{command('run')}` running?")

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
     client = Client(session, base, "", RULE) if base else None
-    began_s, told = time.monotonic(), ""
+    began_s, reported = time.monotonic(), ""
     try:
         while True:
             if client is None and (found := living(session, args.prefix)):
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             unsent = sender.unsent
             latest = client.latest() if client else judge(None, math.inf, RULE)
             sender.send(latest, int((time.monotonic() - began_s) * 1e3))
-            told = _say(args.to, sender.reason if sender.unsent > unsent else "", latest.reason, told)
+            reported = _say(args.to, sender.reason if sender.unsent > unsent else "", latest.reason, reported)
             if stop.wait(EVERY_S):
                 return 0
     finally:

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         where = f"cannot serve at {args.host} port {args.port}: {error.strerror or error}"
         raise WrongUse(f"{where}; give another --port or --host") from None
     try:
-        heard = DaemonData(args.connect, args.config, args.prefix, args.machine, args.replay)
+        daemon_data = DaemonData(args.connect, args.config, args.prefix, args.machine, args.replay)
     except ValueError as error:
         listener.close()
         raise WrongUse(str(error)) from None
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{url}/", flush=True)
     say_who_reaches(host, "may see the page and mark: notes in the log of the run")
     try:
-        serve(heard, str(args.config or args.connect), listener)
+        serve(daemon_data, str(args.config or args.connect), listener)
     finally:
-        heard.close()
+        daemon_data.close()
     return 0

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         except (CannotCopy, ValueError) as error:
             print(f"tilth offload: {error}", file=sys.stderr)
             return 1
-        for why in done.left:
+        for why in done.not_copied:
             print(f"tilth offload: left: {why}", file=sys.stderr)
             status = 1
         files = "file" if done.copied == 1 else "files"

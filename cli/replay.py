@@ -236,8 +236,8 @@ def _table(title: str, estimate: Estimate) -> Table:
         table.add_column(heading, overflow="fold")
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
         unit = "N/rad" if name.startswith("C_") else "m"
-        shown = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
-        table.add_row(name, shown, p.status.name.lower(), p.reason)
+        value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
+        table.add_row(name, value_text, p.status.name.lower(), p.reason)
     for name, (value, sd) in estimate.nuisances.items():
         table.add_row(name, plus_minus(value, sd), "nuisance", "")
     return table

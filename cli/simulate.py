@@ -22,6 +22,7 @@ from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
+from tilth.simulator.spatial.engine import NotInstalled, check_installed
 from tilth.simulator.tractor import drive
 
 
@@ -29,7 +30,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "simulate",
         help="drive a scenario: write its log and the truth beside it, or put it on a bus",
-        description="Drive a scenario file (examples/scenarios/ has some) on the nonlinear model and write "
+        description="Drive a scenario file (examples/scenarios/ has some) on the plant that it names, write "
         "the frames that a recorder would have taken; LOG.truth.json and LOG.truth.csv say what was true. Or "
         "send them in real time on a bus on which no receiver is heard; docs/buses.md says which.",
     )
@@ -104,8 +105,8 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
         _say(str(error))
         return 1
     if args.json:
-        told = {"seed": source.seed, "seconds": source.seconds, "frames": sent.frames, "late": sent.late}
-        print(json.dumps({**told, "stopped": sent.stopped, "parameters": truth.parameters}))
+        counts = {"seed": source.seed, "seconds": source.seconds, "frames": sent.frames, "late": sent.late}
+        print(json.dumps({**counts, "stopped": sent.stopped, "parameters": truth.parameters}))
     _say(f"{sent.frames} frames sent" + (f", {sent.late} of them late" if sent.late else ""))
     if sent.stopped:
         _say(f"stopped: {sent.stopped}")
@@ -130,6 +131,11 @@ def _source(args: argparse.Namespace) -> SimulationInput:
         raise WrongUse(
             f"{args.scenario}: cannot be read ({reason}); give a scenario file, as in examples/scenarios"
         ) from None
+    if scenario.plant == "spatial":
+        try:
+            check_installed()
+        except NotInstalled as error:
+            raise WrongUse(f"{args.scenario}: {error}") from None
     seed = scenario.seed if args.seed is None else args.seed
     seconds = scenario.seconds if args.seconds is None else args.seconds
     if seed < 0:
@@ -167,9 +173,9 @@ def _progress(stack: ExitStack, seconds: float) -> Callable[[str, float], None]:
 def _tell(source: SimulationInput, simulated: Simulated, as_json: bool) -> None:
     log, described, table = simulated.files
     if as_json:
-        told = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
+        counts = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
         files = {"log": str(log), "truth": str(described), "table": str(table)}
-        print(json.dumps({**told, **files, "parameters": simulated.truth.parameters}))
+        print(json.dumps({**counts, **files, "parameters": simulated.truth.parameters}))
         return
     console = Console()
     if source.scenario.purpose:

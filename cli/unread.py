@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Origin
-from tilth.schemas.pgn_titles import is_own, title_of
+from tilth.schemas.pgn_titles import is_proprietary, title_of
 
 NO_SOURCE = -1  # of frames of 11 bits
 
@@ -38,7 +38,7 @@ def _title(short: bool, pgn: int, senders: Mapping[tuple[str, int], None], decod
     if short:
         return f"identifier 0x{pgn:03X} of 11 bits"
     title = title_of(pgn) or "name not known here"
-    if is_own(pgn):
+    if is_proprietary(pgn):
         names = (decoder.origin(bus, source).name for bus, source in senders)
         makers = (name_words(name).get("manufacturer_name") for name in names if name is not None)
         whose = ", ".join(sorted({maker for maker in makers if maker}))
@@ -50,5 +50,5 @@ def who(origin: Origin) -> str:
     """A sender for people, such as "can0 address 28, A00017000421E240 (John Deere, navigation)"."""
     if origin.source == NO_SOURCE:
         return f"{origin.bus} by identifiers of 11 bits"
-    told = f"{origin.bus} address {origin.source}"
-    return told if origin.name is None else f"{told}, {origin.name:016X} ({device(origin.name)})"
+    place = f"{origin.bus} address {origin.source}"
+    return place if origin.name is None else f"{place}, {origin.name:016X} ({device(origin.name)})"

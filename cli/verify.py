@@ -10,7 +10,7 @@ from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Coverage, RunSurvey, survey
 
-GAPS_SHOWN = 3
+MOST_GAPS = 3
 STEPPED = "clock_stepped"  # a fault that the steps themselves tell
 
 
@@ -49,13 +49,13 @@ def _lines(one: RunSurvey) -> list[str]:
     lines = [f"{name}: {files}, {size:.1f} MB, {one.duration_s:.1f} s from {_utc(one, one.first_ns)}"]
     if one.note:
         lines.append(f"  note: {one.note}")
-    lines += [f"  {_name(topic):<18} {_words(one, heard)}" for topic, heard in one.heard.items()]
-    lines += [f"  {reason}: {count}" for reason, count in one.faults.items() if reason != STEPPED]
+    lines += [f"  {_name(topic):<18} {_words(one, coverage)}" for topic, coverage in one.coverage.items()]
+    lines += [f"  {fault}: {count}" for fault, count in one.faults.items() if fault.reason != STEPPED]
     if one.backwards:
         lines.append(f"  the log's time runs back {one.backwards} times")
     for step_s in one.steps_s:
         lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
-    lines.append(f"  UTC {_told(one)}")
+    lines.append(f"  UTC {_utc_source(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
     lines += [f"  WRONG: {what}" for what in one.wrong]
     if one.goes_on_in:
@@ -66,24 +66,28 @@ def _lines(one: RunSurvey) -> list[str]:
     return lines
 
 
-def _told(one: RunSurvey) -> str:
-    told = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
+def _utc_source(one: RunSurvey) -> str:
+    confirmed = "confirmed by GNSS" if one.by_gnss else "not confirmed by any receiver"
     if one.first_ns < DATED_NS:
         known = one.first_ns + one.utc_minus_ns >= DATED_NS
-        return f"{told}; the computer began with a wrong clock" if known else "not known: the clock is wrong"
+        return (
+            f"{confirmed}; the computer began with a wrong clock"
+            if known
+            else "not known: the clock is wrong"
+        )
     moved = f", {one.utc_minus_ns * 1e-9:+.0f} s from what the computer believed" if one.utc_minus_ns else ""
-    return told + moved
+    return confirmed + moved
 
 
-def _words(one: RunSurvey, heard: Coverage) -> str:
-    if not heard.count:
+def _words(one: RunSurvey, coverage: Coverage) -> str:
+    if not coverage.count:
         return "never heard"
-    text = f"{heard.count:>9} at {heard.per_s:.1f}/s, "
-    if not heard.gaps:
+    text = f"{coverage.count:>9} at {coverage.per_s:.1f}/s, "
+    if not coverage.gaps:
         return text + "no gap"
-    shown = ", ".join(f"{length:.1f} s at {_utc(one, t_ns)}" for t_ns, length in heard.gaps[:GAPS_SHOWN])
-    more = f" and {len(heard.gaps) - GAPS_SHOWN} more" if len(heard.gaps) > GAPS_SHOWN else ""
-    return f"{text}{_many(len(heard.gaps), 'gap')}: {shown}{more}"
+    gaps = ", ".join(f"{length:.1f} s at {_utc(one, t_ns)}" for t_ns, length in coverage.gaps[:MOST_GAPS])
+    more = f" and {len(coverage.gaps) - MOST_GAPS} more" if len(coverage.gaps) > MOST_GAPS else ""
+    return f"{text}{_many(len(coverage.gaps), 'gap')}: {gaps}{more}"
 
 
 def _many(count: int, thing: str) -> str:
@@ -99,9 +103,14 @@ def _utc(one: RunSurvey, t_ns: int) -> str:
 
 
 def _plain(one: RunSurvey) -> dict[str, Any]:
-    plain: dict[str, Any] = {each.name: getattr(one, each.name) for each in fields(one)}
+    """Keys are those of docs/logs.md: the coverage of each topic stands under `heard`."""
+    published = {"coverage": "heard"}
+    plain: dict[str, Any] = {
+        published.get(each.name, each.name): getattr(one, each.name) for each in fields(one)
+    }
     plain["files"] = [str(path) for path in one.files]
-    plain["heard"] = {topic: _plain_heard(heard) for topic, heard in one.heard.items()}
+    plain["heard"] = {topic: _coverage_json(coverage) for topic, coverage in one.coverage.items()}
+    plain["faults"] = {str(fault): count for fault, count in one.faults.items()}
     plain["events"] = [
         {"t_ns": e.t_ns, "utc": _utc(one, e.t_ns), "kind": e.kind, "text": e.text} for e in one.events
     ]
@@ -109,6 +118,6 @@ def _plain(one: RunSurvey) -> dict[str, Any]:
     return plain | {"began": began, "duration_s": one.duration_s, "good": one.good}
 
 
-def _plain_heard(heard: Coverage) -> dict[str, Any]:
+def _coverage_json(coverage: Coverage) -> dict[str, Any]:
     """`gaps`: [t_ns, s] of each."""
-    return asdict(heard) | {"longest_gap_s": max((length for _, length in heard.gaps), default=0.0)}
+    return asdict(coverage) | {"longest_gap_s": max((length for _, length in coverage.gaps), default=0.0)}

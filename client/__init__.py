@@ -1,4 +1,4 @@
-"""For controllers: what the daemon publishes, heard over Zenoh, with a rule for what is too old to use.
+"""For controllers: receives what the daemon publishes over Zenoh, with a rule for what is too old to use.
 
 See docs/client.md. `Client.connect` is the way in.
 """

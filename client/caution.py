@@ -79,19 +79,21 @@ class Cautious:
         moves = np.clip(wanted - self._log, -most, most)
         self._log = self._log + moves
         late = np.abs(wanted - self._log) > 1e-9
-        told = tuple(
+        all_notes = tuple(
             "; ".join(filter(None, (note, "moving at the rate limit" if slow else "")))
             for note, slow in zip(notes, late, strict=True)
         )
         if self.limits.shadow:
-            told = tuple("; ".join(filter(None, ("shadow: nominal is in force", note))) for note in told)
-        return InForce(self._in_force(), np.exp(wanted), told)
+            all_notes = tuple(
+                "; ".join(filter(None, ("shadow: nominal is in force", note))) for note in all_notes
+            )
+        return InForce(self._in_force(), np.exp(wanted), all_notes)
 
     def _in_force(self) -> Array:
         return np.asarray(np.exp(self._nominal if self.limits.shadow else self._log))
 
     def _wanted(self, latest: Latest) -> tuple[Array, list[str]]:
-        """Natural logarithms to go to, and what keeps each from the estimate."""
+        """Natural logarithms to move to, and for each what keeps it from the estimate."""
         off, notes = np.zeros(len(PARAMETERS)), list(latest.refusals)
         if latest.estimate is None:
             return self._nominal.copy(), notes
@@ -104,14 +106,14 @@ class Cautious:
                 notes[i] = f"too uncertain: {sd:.0%} where {self.limits.log_sd:.0%} is allowed"
                 continue
             off[i] = math.log(value) - self._nominal[i]
-        share, told = self._undoubted(off, covariance)
+        share, doubt_note = self._undoubted(off, covariance)
         span = math.log(self.limits.ratio)
         for i in np.flatnonzero(off).tolist():
-            asked = share * off[i]
-            off[i] = min(max(asked, -span), span)
-            notes[i] = told
-            if off[i] != asked:
-                value, held = np.exp(self._nominal[i] + np.array([asked, off[i]])).tolist()
+            move = share * off[i]
+            off[i] = min(max(move, -span), span)
+            notes[i] = doubt_note
+            if off[i] != move:
+                value, held = np.exp(self._nominal[i] + np.array([move, off[i]])).tolist()
                 notes[i] = f"held at {held:.4g}: {value:.4g} is beyond the bounds of nominal"
         return self._nominal + off, notes
 

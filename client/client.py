@@ -1,4 +1,4 @@
-"""`Client`: hears one daemon and answers, at any moment and from any thread, what may be used now."""
+"""`Client`: receives from one daemon; tells at any moment, to any thread, which parameters may be used."""
 
 import logging
 import math
@@ -23,12 +23,12 @@ SOIL_CHANGE: Final = "soil_change"  # kind of the event
 WAITING: Final = 256  # calls that may wait for a slow callback; further ones are dropped and counted
 _DRIFT: Final = 1e-4  # of two computers' clocks against each other, at most
 _ANOTHER_CLOCK_S: Final = 60.0  # no connection holds a message back so long and lives
-_SAID: Final = logging.getLogger(__name__)
+_LOGGER: Final = logging.getLogger(__name__)
 
 
 class _Held(NamedTuple):
     estimate: Estimate
-    heard_s: float  # time.monotonic
+    received_s: float  # time.monotonic
     behind_s: float  # how old it was then, as far as can be known
 
 
@@ -91,7 +91,7 @@ class Client:
             held, rule = self._held, self.stale
         if held is None:
             return judge(None, math.inf, rule)
-        return judge(held.estimate, time.monotonic() - held.heard_s + held.behind_s, rule)
+        return judge(held.estimate, time.monotonic() - held.received_s + held.behind_s, rule)
 
     @property
     def alive(self) -> bool:
@@ -167,20 +167,20 @@ class Client:
         with self._refusing():
             self._take(_bytes_of(sample, self._key), str(sample.encoding), None)
 
-    def _take_reply(self, asked_s: float, reply: zenoh.Reply) -> None:
+    def _take_reply(self, requested_s: float, reply: zenoh.Reply) -> None:
         if reply.ok is None:  # the daemon says that it has none that is fresh
             return
         with self._refusing():
-            answered = (answered_age(reply.ok.attachment), time.monotonic() - asked_s)
+            answered = (answered_age(reply.ok.attachment), time.monotonic() - requested_s)
             self._take(_bytes_of(reply.ok, self._key), str(reply.ok.encoding), answered)
 
     def _take(self, data: bytes, encoding: str, answered: tuple[float, float] | None) -> None:
-        """answered: age by the daemon's own word and how long that word took; None of what is published."""
+        """answered: (age reported by the daemon, time that the answer took), s; None for a publication."""
         estimate = estimate_of(data, encoding)
         now_s = time.monotonic()
         with self._lock:
             held = self._held
-            fresh = held is not None and now_s - held.heard_s + held.behind_s <= self.stale.silence_s
+            fresh = held is not None and now_s - held.received_s + held.behind_s <= self.stale.silence_s
             if held is not None and estimate.t_ns <= held.estimate.t_ns:
                 if answered is not None:
                     return  # what has been heard already
@@ -236,14 +236,14 @@ class Client:
             if not self._alive or self._closed:
                 return
             self._nearest_s = None
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         try:
             rigs = self._link.session.get(f"{self._base}/rig", timeout=5.0)
             estimates = self._link.session.get(self._key, timeout=5.0)
         except zenoh.ZError:
             return  # closed meanwhile
         self._link.hear(rigs, self._take_rig)
-        self._link.hear(estimates, partial(self._take_reply, asked_s))
+        self._link.hear(estimates, partial(self._take_reply, requested_s))
 
     def _refusing(self) -> "_Refusing":
         return _Refusing(self._lock, self._refused)
@@ -262,7 +262,7 @@ class Client:
             try:
                 call()
             except Exception:  # the controller's own code: its fault must not end what it is told
-                _SAID.exception("a callback failed")
+                _LOGGER.exception("a callback failed")
                 with self._lock:
                     self._refused["a callback failed"] += 1
 

@@ -107,8 +107,8 @@ def judge(estimate: Estimate | None, age_s: float, rule: Staleness) -> Latest:
     if estimate is None:
         return Latest(None, math.inf, ("nothing has been heard yet",) * _N)
     if age_s > rule.silence_s:
-        told = "how old it is cannot be known" if math.isinf(age_s) else f"no estimate for {age_s:.1f} s"
-        return Latest(estimate, age_s, (f"{told}: the daemon, its buses or the network have stopped",) * _N)
+        cause = "how old it is cannot be known" if math.isinf(age_s) else f"no estimate for {age_s:.1f} s"
+        return Latest(estimate, age_s, (f"{cause}: the daemon, its buses or the network have stopped",) * _N)
     return Latest(estimate, age_s, tuple(_refusal(estimate, i, age_s, rule) for i in range(_N)))
 
 

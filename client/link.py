@@ -19,7 +19,7 @@ _ENDPOINT: Final = re.compile(r"[a-z-]+/.")
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0}
 ENDING_S: Final = 1.0  # longest wait for a thread that was told to end
-_SAID: Final = logging.getLogger(__name__)
+_LOGGER: Final = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -99,7 +99,7 @@ def _take_each(come: Iterable[T], take: Callable[[T], None]) -> None:
         try:
             take(one)
         except Exception:  # whatever a stranger sent: what comes next must be heard
-            _SAID.exception("what came over Zenoh could not be taken")
+            _LOGGER.exception("what came over Zenoh could not be taken")
 
 
 class Alive(NamedTuple):
@@ -109,6 +109,7 @@ class Alive(NamedTuple):
     machine: str
 
     def base(self, prefix: str) -> str:
+        """Key prefix of everything that this daemon publishes."""
         return base_key(self.machine, prefix, self.replay)
 
 

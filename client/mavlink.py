@@ -34,9 +34,9 @@ def _rows(latest: Latest) -> list[tuple[float, float, float, float]]:
     rows = []
     for one, refusal in zip(latest.estimate.parameters, latest.refusals, strict=True):
         status = Status.STALE if refusal and one.status is Status.ESTIMATED else one.status
-        shown = status is Status.ESTIMATED
-        value = one.value if shown and one.value is not None else math.nan
-        sd = one.sd if shown and one.sd is not None else math.nan
+        is_estimated = status is Status.ESTIMATED
+        value = one.value if is_estimated and one.value is not None else math.nan
+        sd = one.sd if is_estimated and one.sd is not None else math.nan
         rows.append((value, sd, float(status), math.nan if one.age_s is None else one.age_s + latest.age_s))
     return rows
 

@@ -102,23 +102,23 @@ def _parameter(row: pb.Parameter, i: int, covariance: Sequence[float], wrong: st
     if int(row.status) not in set(map(int, Status)):
         return ParameterEstimate(None, None, Status.INVALID, f"status {row.status} is not known here")
     status = Status(row.status)
-    told = text(row.reason)
+    reason = text(row.reason)
     if status is Status.ESTIMATED:
         low, high = _RANGE[row.name]
         if value is None or not low <= value <= high:  # not a number is in no range
-            told = f"its value is {value}; a rig has {low:g} to {high:g}"
+            reason = f"its value is {value}; a rig has {low:g} to {high:g}"
         elif sd is None or not (math.isfinite(sd) and sd > 0):
-            told = f"its standard deviation is {sd}"
+            reason = f"its standard deviation is {sd}"
         elif wrong:
-            told = wrong
+            reason = wrong
         elif covariance[i * _N + i] <= 0:
-            told = "it has no variance"
+            reason = "it has no variance"
         elif age_s is not None and not age_s >= 0:
-            told = f"its age is {age_s}"
+            reason = f"its age is {age_s}"
         else:
-            return ParameterEstimate(value, sd, status, told, age_s)
-        return ParameterEstimate(None, None, Status.INVALID, told)
-    return ParameterEstimate(value, sd, status, told or "no reason is given", age_s)
+            return ParameterEstimate(value, sd, status, reason, age_s)
+        return ParameterEstimate(None, None, Status.INVALID, reason)
+    return ParameterEstimate(value, sd, status, reason or "no reason is given", age_s)
 
 
 def _wrong_covariance(covariance: Sequence[float]) -> str:
@@ -162,9 +162,9 @@ def rig_of_message(data: bytes, encoding: str) -> HeardRig:
         raise Refused(f"a rig that cannot be: {error}") from None
 
 
-def text(told: str) -> str:
-    """A text of somebody else, short and in one line."""
-    return "".join(sign if sign.isprintable() else " " for sign in told[:LONGEST])
+def text(raw: str) -> str:
+    """A text from the network, shortened and in one line."""
+    return "".join(sign if sign.isprintable() else " " for sign in raw[:LONGEST])
 
 
 def answered_age(attachment: zenoh.ZBytes | None) -> float:

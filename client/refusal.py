@@ -18,7 +18,7 @@ from tilth.client.link import open_session
 from tilth.schemas.invocation import command
 
 WAIT_S: Final = 2.0
-_TOLD_S: Final = 0.7  # a refusal comes after the handshake, and at once
+_ALERT_S: Final = 0.7  # a refusal comes after the handshake, and at once
 _ALERTS: Final = (
     ("CERTIFICATE_REQUIRED", "it wants a certificate and this file has none; ask for a key of your own"),
     ("CERTIFICATE_EXPIRED", "this key has expired; ask for it to be renewed ({renew})"),
@@ -48,8 +48,8 @@ class Holder:
 
 def holder_of(path: Path) -> Holder:
     """Raises ValueError where it is no key file."""
-    told = _content(path)["metadata"]["tilth"]
-    return Holder(told["name"], told["role"], told["prefix"], told["machine"])
+    metadata = _content(path)["metadata"]["tilth"]
+    return Holder(metadata["name"], metadata["role"], metadata["prefix"], metadata["machine"])
 
 
 def try_key(path: Path) -> Verdict:
@@ -68,13 +68,13 @@ def try_key(path: Path) -> Verdict:
 def _content(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        told, tls = content["metadata"]["tilth"], content["transport"]["link"]["tls"]
+        metadata, tls = content["metadata"]["tilth"], content["transport"]["link"]["tls"]
         complete = {
             "name",
             "prefix",
             "machine",
             "role",
-        } <= told.keys() and "root_ca_certificate_base64" in tls
+        } <= metadata.keys() and "root_ca_certificate_base64" in tls
         if complete and content["connect"]["endpoints"]:
             return content
     except OSError as error:
@@ -97,7 +97,7 @@ def _handshake(endpoint: str, tls: dict[str, str]) -> str:
             socket.create_connection((host, int(port)), WAIT_S) as plain,
             context.wrap_socket(plain, server_hostname=host) as secured,
         ):
-            secured.settimeout(_TOLD_S)
+            secured.settimeout(_ALERT_S)
             with contextlib.suppress(TimeoutError):  # nothing to say: it waits for Zenoh's first word
                 secured.recv(1)
     except ssl.SSLCertVerificationError as error:

@@ -34,8 +34,8 @@ def main(words: list[str]) -> int:
     try:
         print(bring_up(interface, bitrate))
     except (OSError, subprocess.CalledProcessError) as error:
-        said = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else str(error)
-        print(f"{interface}: {said}", file=sys.stderr)
+        reason = error.stderr.strip() if isinstance(error, subprocess.CalledProcessError) else str(error)
+        print(f"{interface}: {reason}", file=sys.stderr)
         return 1
     return 0
 
@@ -57,9 +57,9 @@ def bring_up(interface: str, bitrate: int) -> str:
 
     Raises CalledProcessError, OSError.
     """
-    told = json.loads(_ip("-details", "-json", "link", "show", "dev", interface))[0]
-    up = "UP" in told.get("flags", [])
-    info = told.get("linkinfo", {})
+    link = json.loads(_ip("-details", "-json", "link", "show", "dev", interface))[0]
+    up = "UP" in link.get("flags", [])
+    info = link.get("linkinfo", {})
     if info.get("info_kind") != "can":  # vcan, vxcan: no bit rate
         if not up:
             _ip("link", "set", interface, "up")

@@ -22,8 +22,8 @@ def main() -> None:
     subprocess.run([sys.executable, *command, str(proto / "tilth.proto")], check=True)
     schema = json.dumps(Machine.model_json_schema(), indent=2) + "\n"
     (SCHEMAS / "machine.schema.json").write_text(schema)
-    said = subprocess.run([*EXPORT.split(), "--directory", str(ROOT)], capture_output=True, check=True)
-    (ROOT / "deploy" / "constraints.txt").write_bytes(said.stdout)
+    exported = subprocess.run([*EXPORT.split(), "--directory", str(ROOT)], capture_output=True, check=True)
+    (ROOT / "deploy" / "constraints.txt").write_bytes(exported.stdout)
 
 
 if __name__ == "__main__":

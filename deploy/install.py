@@ -35,7 +35,7 @@ COMMAND = "usr/local/bin/tilth"
 KEYS = "daemon.json"
 KERNELS = "var/cache/tilth"  # what numba has compiled; NUMBA_CACHE_DIR and CacheDirectory of the unit
 MACHINE = "etc/tilth/machine.toml"
-KEPT = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
+NOT_REMOVED = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
 
 
 class Failed(Exception):
@@ -64,10 +64,10 @@ class Box:
 
     def point(self, link: str, release: Path) -> None:
         """At once: a power cut leaves the old or the new."""
-        beside = self.at(f"opt/tilth/.{link}")
-        beside.unlink(missing_ok=True)
-        beside.symlink_to(Path("releases") / release.name)
-        beside.replace(self.at(f"opt/tilth/{link}"))
+        new_link = self.at(f"opt/tilth/.{link}")
+        new_link.unlink(missing_ok=True)
+        new_link.symlink_to(Path("releases") / release.name)
+        new_link.replace(self.at(f"opt/tilth/{link}"))
 
     def run(self, *words: str, fail: bool = True) -> bool:
         """Something that only a real computer has."""
@@ -80,6 +80,7 @@ class Box:
 
 
 def install(box: Box, args: argparse.Namespace) -> None:
+    """Install a release from a wheel and start the service. Raises Failed."""
     machine = box.at(MACHINE)
     if not machine.exists() and args.machine is None:
         raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
@@ -107,6 +108,7 @@ def _put_machine(source: Path, target: Path) -> None:
 
 
 def upgrade(box: Box, args: argparse.Namespace) -> None:
+    """Install the next release; the one before stays for a rollback. Raises Failed."""
     if box.release("current") is None:
         raise Failed("nothing is installed yet; say install, with --machine")
     args.machine = args.keys = None
@@ -114,6 +116,7 @@ def upgrade(box: Box, args: argparse.Namespace) -> None:
 
 
 def rollback(box: Box, args: argparse.Namespace) -> None:
+    """Make the previous release the current one. Raises Failed."""
     previous = box.release("previous")
     if previous is None:
         raise Failed("there is no earlier release to go back to")
@@ -122,6 +125,7 @@ def rollback(box: Box, args: argparse.Namespace) -> None:
 
 
 def uninstall(box: Box, args: argparse.Namespace) -> None:
+    """Remove all but configuration and logs."""
     box.run("systemctl", "disable", "--now", SERVICE, fail=False)
     for _, place in PLACES:
         box.at(place).unlink(missing_ok=True)
@@ -131,7 +135,7 @@ def uninstall(box: Box, args: argparse.Namespace) -> None:
         shutil.rmtree(box.at(place), ignore_errors=True)
     box.run("systemctl", "daemon-reload", fail=False)
     box.run("udevadm", "control", "--reload", fail=False)
-    print(f"removed; kept: {', '.join(str(box.at(place)) for place in KEPT)}")
+    print(f"removed; kept: {', '.join(str(box.at(place)) for place in NOT_REMOVED)}")
 
 
 def status(box: Box, args: argparse.Namespace) -> None:
@@ -150,13 +154,13 @@ def adapter(box: Box, args: argparse.Namespace) -> None:
     device = Path("/sys/class/net") / args.interface
     if not device.exists():
         raise Failed(f"{args.interface}: no such interface; plug it in and see `ip link`")
-    told = subprocess.run(
+    properties_text = subprocess.run(
         ["udevadm", "info", "--query=property", f"--path={device}"],
         capture_output=True,
         text=True,
         check=False,
     ).stdout
-    properties = dict(line.split("=", 1) for line in told.splitlines() if "=" in line)
+    properties = dict(line.split("=", 1) for line in properties_text.splitlines() if "=" in line)
     port = (device / "dev_port").read_text().strip()
     path = box.at(f"etc/udev/rules.d/76-tilth-{args.name}.rules")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -326,13 +330,13 @@ def _compile(box: Box) -> None:
 def _put(source: Path, target: Path, mode: int = 0o644) -> None:
     """Whole or not at all, and on the disk."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    beside = target.with_name(f".{target.name}.new")
-    beside.unlink(missing_ok=True)
-    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
+    new_file = target.with_name(f".{target.name}.new")
+    new_file.unlink(missing_ok=True)
+    with os.fdopen(os.open(new_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
         stream.write(source.read_bytes())
         os.fsync(stream.fileno())
-    beside.chmod(mode)
-    beside.replace(target)
+    new_file.chmod(mode)
+    new_file.replace(target)
 
 
 def _do(words: Sequence[str], remedy: str) -> None:

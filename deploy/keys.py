@@ -66,6 +66,7 @@ class Register:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of all parties."""
         return tuple(party.name for party in self.parties)
 
 
@@ -130,10 +131,10 @@ def read_register(folder: Path) -> Register:
     """Raises KeysError where there is none."""
     path = folder / "daemon.json"
     try:
-        told = _plain(path)["metadata"]["tilth"]
-        parties = tuple(Party(**row) for row in told["parties"])
-        hosts, revoked = tuple(told["hosts"]), tuple(told["revoked"])
-        return Register(told["machine"], told["prefix"], hosts, told["port"], parties, revoked)
+        register = _plain(path)["metadata"]["tilth"]
+        parties = tuple(Party(**row) for row in register["parties"])
+        hosts, revoked = tuple(register["hosts"]), tuple(register["revoked"])
+        return Register(register["machine"], register["prefix"], hosts, register["port"], parties, revoked)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise KeysError(f"{path}: {reason}; make keys first, with --machine and --host") from None
@@ -265,7 +266,7 @@ def _write_new(path: Path, data: bytes) -> None:
 
 def _replace(path: Path, content: Mapping[str, Any]) -> Path:
     """Whole or not at all."""
-    beside = path.with_suffix(".new")
-    beside.unlink(missing_ok=True)
-    _write_new(beside, (json.dumps(content, indent=2) + "\n").encode())
-    return beside.replace(path)
+    new_file = path.with_suffix(".new")
+    new_file.unlink(missing_ok=True)
+    _write_new(new_file, (json.dumps(content, indent=2) + "\n").encode())
+    return new_file.replace(path)

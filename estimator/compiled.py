@@ -1,10 +1,10 @@
-"""Numeric kernels: compiled by numba at their first call, plain Python where numba is absent or cannot.
+"""Numeric kernels: compiled by numba at their first call, interpreted where numba is absent or fails.
 
-A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of this layer and
-of schemas by their bare names, which are compiled with it, so that an equation is written once for both
-worlds. numba is imported at the first call of a kernel and not before: who needs none does not pay for it.
-Compiled code is kept on disk under a name that holds a digest of all that is compiled into it
-(kernel_digest.py); a kernel that reads what cannot be part of the digest is refused at its first call.
+A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of estimator and
+schemas by their bare names; they are compiled with it. So an equation is written once, for compiled and for
+interpreted code. numba is imported at the first call of a kernel: a program that calls none does not wait for
+the import. Compiled code is stored on disk. Its name holds a digest of all that is compiled into it
+(kernel_digest.py). A kernel that reads a value which cannot be digested is refused at its first call.
 """
 
 import importlib.util
@@ -18,18 +18,20 @@ from tilth.estimator.kernel_digest import KernelFunction, called
 P = ParamSpec("P")
 R = TypeVar("R")
 
-Finish = Callable[[FunctionType, FunctionType], Any]  # (linked function, function as written)
+Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
 
 
 class Kernel(KernelFunction, Generic[P, R]):
-    """A function that compiles itself when it is first called. `how` says what became of it."""
+    """A function that compiles itself at its first call. `how` says whether it was compiled."""
 
     __slots__ = ("_run", "how")
 
     def __init__(self, function: Callable[P, R]) -> None:
         assert isinstance(function, FunctionType)
         super().__init__(function)
-        self.how = "not called yet"  # then "compiled and kept", "compiled" or "interpreted: <reason>"
+        self.how = (
+            "not called yet"  # later "compiled and kept" (on disk), "compiled", "interpreted: <reason>"
+        )
         self._run: Callable[P, R] | None = None
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -38,21 +40,27 @@ class Kernel(KernelFunction, Generic[P, R]):
             self._run = self._compile(args)
         return self._run(*args, **kwargs)
 
-    def functions(self) -> list[FunctionType]:
-        """All that is compiled with it, itself included."""
-        made: dict[FunctionType, Any] = {}
-        _linked(self.function, made, lambda linked, written: linked)
-        return list(made)
+    @property
+    def called(self) -> bool:
+        """Whether it is compiled, or interpreted for want of a compiler, in this process already."""
+        return self._run is not None
 
-    def plain(self) -> Callable[P, R]:
+    def functions(self) -> list[FunctionType]:
+        """All functions that are compiled together, this one included."""
+        linked: dict[FunctionType, Any] = {}
+        _linked(self.function, linked, lambda copy, written: copy)
+        return list(linked)
+
+    def interpreted(self) -> Callable[P, R]:
         """The same equations, interpreted."""
-        run: Callable[P, R] = _linked(self.function, {}, lambda linked, written: linked)
-        return run
+        linked: Callable[P, R] = _linked(self.function, {}, lambda copy, written: copy)
+        return linked
 
     def _compile(self, args: tuple[Any, ...]) -> Callable[P, R]:
-        """Compiled for arguments of these types, kept on disk if there is a place; else interpreted.
+        """The function compiled for arguments of these types, else interpreted.
 
-        Raises NotDigestible, also where numba is absent: a mistake in a kernel shows on every computer.
+        The code is stored on disk if a folder for it can be written. Raises NotDigestible, also where numba
+        is absent, so that a mistake in a kernel shows on every computer.
         """
         kernel_digest.check_arguments(self.function, args)
         known = kernel_digest.readings(self.function)
@@ -61,42 +69,45 @@ class Kernel(KernelFunction, Generic[P, R]):
             import numpy
         except (ImportError, OSError) as error:
             self.how = f"interpreted: {error}"
-            return self.plain()
+            return self.interpreted()
         versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER))
         for how, keep in (("compiled and kept", True), ("compiled", False)):
             compiler = numba.njit(cache=keep)
 
-            def finish(linked: FunctionType, written: FunctionType, compiler: Any = compiler) -> Any:
+            def finish(copy: FunctionType, written: FunctionType, compiler: Any = compiler) -> Any:
                 digest = kernel_digest.digest(written, known, versions)
-                linked.__qualname__ = f"{written.__qualname__}-{digest}"
-                return compiler(linked)
+                copy.__qualname__ = f"{written.__qualname__}-{digest}"
+                return compiler(copy)
 
             try:
-                run = _linked(self.function, {}, finish)
-                run.compile(tuple(map(numba.typeof, args)))
-            except Exception as error:  # whatever a compiler may say: the equations can still be interpreted
+                linked = _linked(self.function, {}, finish)
+                linked.compile(tuple(map(numba.typeof, args)))
+            except Exception as error:  # any failure of the compiler: the equations can still be interpreted
                 self.how = f"interpreted: {type(error).__name__} {str(error)[:200]}"
                 continue
             self.how = how
-            made: Callable[P, R] = run
-            return made
-        return self.plain()
+            compiled: Callable[P, R] = linked
+            return compiled
+        return self.interpreted()
 
 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:
-    """Decorator: see the head of this file."""
+    """Decorator that makes a function a kernel; see the head of this file."""
     return Kernel(function)
 
 
-def _linked(function: FunctionType, made: dict[FunctionType, Any], finish: Finish) -> Any:
-    """`finish` of the function, after each function that it calls was replaced by the same."""
-    if function not in made:
+def _linked(function: FunctionType, linked: dict[FunctionType, Any], finish: Finish) -> Any:
+    """`finish` of a copy of the function, which calls the linked copies of the functions that it called.
+
+    linked: function as written -> its linked copy, of those made so far; added to.
+    """
+    if function not in linked:
         scope = dict(function.__globals__)
         for name, inner in called(function).items():
-            scope[name] = _linked(inner, made, finish)
-        linked = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
-        linked.__kwdefaults__ = function.__kwdefaults__
-        linked.__module__ = function.__module__
-        linked.__qualname__ = function.__qualname__
-        made[function] = finish(linked, function)
-    return made[function]
+            scope[name] = _linked(inner, linked, finish)
+        copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
+        copy.__kwdefaults__ = function.__kwdefaults__
+        copy.__module__ = function.__module__
+        copy.__qualname__ = function.__qualname__
+        linked[function] = finish(copy, function)
+    return linked[function]

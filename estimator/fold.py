@@ -1,7 +1,7 @@
-"""The one fold: a frame in, publications out. Live and replay are two short loops round `step`.
+"""The fold: one frame in, publications out. Live operation and replay are two short loops around `step`.
 
-Nothing here may ask whether it runs live: the result is a function of the machine file and the frames in
-their order.
+Nothing here may depend on whether it runs live: the result is a function of the machine file and of the
+frames in their order.
 """
 
 from collections.abc import Mapping
@@ -20,13 +20,13 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -43,7 +43,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine
 
-DRAWN_EACH = 20  # poses, 4 s: whoever opens a log in the middle, or listens late, sees the bodies soon
+POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
 
 _FLAG_TEXT = {
     FlagKind.LOST: "gives no usable position",
@@ -63,28 +63,30 @@ _FLAG_TEXT = {
 
 @dataclass(slots=True)
 class State:
-    """All that the fold remembers. `step` changes it in place; nobody else does."""
+    """The whole state of the fold. `step` changes it in place; nothing else does."""
 
     machine: Machine
     decoder: Decoder
     aligner: Aligner
     record: RecordState
     consistency: Consistency  # of the data with the machine file
-    estimators: dict[str, Any]  # method -> the state of that row of ESTIMATORS
+    estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
     checks: ReceiverChecks = field(default_factory=ReceiverChecks)
-    kept: dict[str, Kept] = field(default_factory=dict)  # what the run before had learned, by method
-    kept_ns: int = 0  # when that was
+    previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
+    """Method -> what the run before had learned, from which this run has started."""
+    previous_run_ns: int = 0  # when that run had saved them
     frames: int = 0
     measurements: int = 0
     poses: int = 0
-    ready: bool = True  # whether the estimators take part; poses need nothing that takes long to make
+    ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
     clock_steps: int = 0
-    not_numbers: int = 0  # measurements that were refused for it
+    not_numbers: int = 0  # measurements refused because a value is not finite
     time: LogTime = field(default_factory=LogTime)  # of the log
     flags: tuple[Flag, ...] = ()  # of the last pose
-    place: tuple[float, float, float, float] | None = None  # origin deg, tractor's x and y at the last pose
-    disagree: bool = False  # whether the methods do
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> the latest, as it was published
+    place: tuple[float, float, float, float] | None = None
+    """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
+    disagree: bool = False  # whether the methods disagree
+    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> latest estimate, as published
 
     @property
     def latest_ns(self) -> int:
@@ -93,12 +95,12 @@ class State:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Reason -> count, of what was not used."""
+        """Reason -> count, of frames and measurements that were not used."""
         counts = dict(self.decoder.rejected)
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
-        if self.time.astray:
-            counts["other_time"] = self.time.astray
+        if self.time.stray:
+            counts["other_time"] = self.time.stray
         if self.not_numbers:
             counts["not_a_number"] = self.not_numbers
         return counts
@@ -115,33 +117,41 @@ def initial(machine: Machine) -> State:
     return state
 
 
-def keep(state: State, t_ns: int) -> dict[str, Kept]:
-    """Method -> what it has learned by t_ns, for the next run; nothing where the machine file is in doubt."""
+def save_learned(state: State, t_ns: int) -> dict[str, SavedPosterior]:
+    """Method -> what it has learned by t_ns, for the next run; empty while the machine file is not
+    confirmed."""
     if not state.consistency.confirmed:
         return {}
-    return warm_start.keep(state.machine, state.estimators, t_ns)
+    return warm_start.save_learned(state.machine, state.estimators, t_ns)
 
 
-def go_on(state: State, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
-    """Before the first frame, at t_ns: from what was kept elapsed_s ago. Method -> why not, or ""."""
-    refusals = warm_start.resume(state.machine, state.estimators, kept, elapsed_s, t_ns)
+def resume(
+    state: State, previous_run: Mapping[str, SavedPosterior], elapsed_s: float, t_ns: int
+) -> dict[str, str]:
+    """Start from what was saved elapsed_s before t_ns; call it before the first frame.
+
+    Returns method -> why its saved posterior is not used, "" where it is used.
+    """
+    refusals = warm_start.resume(state.machine, state.estimators, previous_run, elapsed_s, t_ns)
     state.time.latest_ns = t_ns
-    state.kept = {method: before for method, before in kept.items() if refusals.get(method) == ""}
-    state.consistency.confirmed = bool(state.kept)  # only then something had been kept
-    state.kept_ns = t_ns - round(elapsed_s * 1e9)
+    state.previous_run = {
+        method: before for method, before in previous_run.items() if refusals.get(method) == ""
+    }
+    state.consistency.confirmed = bool(state.previous_run)  # it was saved only because the file was confirmed
+    state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
 
 
-def _learn_anew(state: State, t_ns: int) -> None:
-    """As at the beginning of the run, since it was learned from what is no measurement."""
+def _reset_estimators(state: State, t_ns: int) -> None:
+    """Put the methods back to the beginning of the run: they have learned from wrong measurements."""
     state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
-    elapsed_s = max(0, t_ns - state.kept_ns) * 1e-9
-    warm_start.resume(state.machine, state.estimators, state.kept, elapsed_s, t_ns)
+    elapsed_s = max(0, t_ns - state.previous_run_ns) * 1e-9
+    warm_start.resume(state.machine, state.estimators, state.previous_run, elapsed_s, t_ns)
     state.estimates = estimates_now(state)
 
 
 def estimates_now(state: State) -> dict[str, Estimate]:
-    """Method -> what can be said at this moment; "recommended" beside them."""
+    """Method -> its estimate at this moment, and the recommended one under "recommended"."""
     now = {
         row.method: consistency.withheld(
             state.consistency, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
@@ -152,31 +162,34 @@ def estimates_now(state: State) -> dict[str, Estimate]:
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
-    """Take one frame: change the state in place, return what is to be published, in order."""
+    """Take one frame: change the state in place and return the publications, in order."""
     out: list[Publication] = []
     state.frames += 1
-    moved_ns = log_time.follow(state.time, frame)
-    if moved_ns is None:  # who has which address is learned from it all the same, but not where anything is
+    jump_ns = log_time.take_stamp(state.time, frame)
+    if jump_ns is None:  # a stray frame: only address claims are taken from it, no measurement
         state.decoder.measurements(frame)
         return out
-    if moved_ns < 0:
-        _clock_stepped(state, frame.t_ns, moved_ns, out)
-    elif moved_ns > 0:
-        text = f"no frame for {moved_ns * 1e-9:.1f} s"
+    if jump_ns < 0:
+        _clock_stepped(state, frame.t_ns, jump_ns, out)
+    elif jump_ns > 0:
+        text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
-    now_ns = min(frame.rx_ns, frame.t_ns)  # nothing is received later than it is taken
-    placed = False
+    now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
+    position_taken = False
     for measurement in state.decoder.measurements(frame):
-        placed |= _take(state, frame.t_ns, measurement, out)
+        position_taken |= _take_measurement(state, frame.t_ns, measurement, out)
     due_ns = state.aligner.due_ns
-    if due_ns and (placed or now_ns >= due_ns + aligner.DEADLINE_NS):
+    if due_ns and (position_taken or now_ns >= due_ns + aligner.DEADLINE_NS):
         for pose in poses(state.aligner, now_ns):
-            _pose(state, frame.t_ns, pose, out)
+            _publish_pose(state, frame.t_ns, pose, out)
     return out
 
 
-def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
-    """Publish and keep one measurement. Whether it was a position, which may make a pose due."""
+def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
+    """Publish one measurement and give it to the aligner.
+
+    Returns whether it was a position of a mounted receiver, which may make a pose due.
+    """
     if not aligner.is_number(measurement):
         state.not_numbers += 1
         return False
@@ -189,13 +202,13 @@ def _take(state: State, t_ns: int, measurement: Measurement, out: list[Publicati
     return True
 
 
-def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
+def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
     receiver_checks.observe(state.checks, state.aligner, pose)
     if found := [*receiver_checks.flags(state.checks), *consistency.flags(state.consistency)]:
         pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
-    _draw(state, t_ns, pose, out)
+    _publish_drawing(state, t_ns, pose, out)
     for flag in pose.flags:
         if flag not in state.flags and flag.kind in _FLAG_TEXT:
             text = "is silent" if flag.of == "wheel_angle" else _FLAG_TEXT[flag.kind]
@@ -208,62 +221,65 @@ def _pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
-    stretch = record_builder.observe(state.record, state.aligner, pose)
+    segment = record_builder.observe(state.record, state.aligner, pose)
     if not state.ready:
         return
-    doubtful = _compare(state, t_ns, pose, stretch, out)
-    if doubtful and stretch is not None:
-        stretch = replace(stretch, follows=False, reason=consistency.REFUSED)
-    given = []
+    doubtful = _check_consistency(state, t_ns, pose, segment, out)
+    if doubtful and segment is not None:
+        segment = replace(segment, follows=False, reason=consistency.REFUSED)
+    estimates = []
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
-        estimate = row.take(method_state, state.machine, pose, stretch)
+        estimate = row.take(method_state, state.machine, pose, segment)
         if estimate is not None:
-            given.append(estimate)
-        _events_of(state, t_ns, row, out)
-    if given:
-        _estimates(state, t_ns, given, out)
+            estimates.append(estimate)
+        _publish_events(state, t_ns, row, out)
+    if estimates:
+        _publish_estimates(state, t_ns, estimates, out)
 
 
-def _compare(state: State, t_ns: int, pose: Pose, stretch: Stretch | None, out: list[Publication]) -> bool:
-    """Hold the data against the machine file; whether they contradict it."""
-    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, stretch)
+def _check_consistency(
+    state: State, t_ns: int, pose: Pose, segment: Segment | None, out: list[Publication]
+) -> bool:
+    """Check the data against the machine file. Returns whether they contradict it, so that nothing is
+    learned."""
+    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, segment)
     for kind, text in events:
-        _event(state, t_ns, kind, text, out)
-    if state.consistency.forgets:
-        state.consistency.forgets = False
-        _learn_anew(state, t_ns)
+        _publish_event(state, t_ns, kind, text, out)
+    if state.consistency.must_forget:
+        state.consistency.must_forget = False
+        _reset_estimators(state, t_ns)
     return consistency.stops_learning(state.consistency)
 
 
-def _draw(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
-    """For viewers: both bodies at this pose, and now and then what they look like."""
+def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
+    """For viewers: the frames of both bodies at this pose and, at each POSES_PER_DRAWING-th, their shapes."""
     frames = body_frames(state.machine, pose)
     if frames is not None:
         out.append(Publication(t_ns, "/drawing/frames", frames))
-    if state.poses % DRAWN_EACH == 1:
+    if state.poses % POSES_PER_DRAWING == 1:
         out.append(Publication(t_ns, "/drawing/bodies", drawing(state.machine, t_ns)))
 
 
 def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
-    """Say what was found wrong with receivers; leave out turn rates that are smoothed."""
+    """Report the faults found in receivers; exclude smoothed turn rates, and what was learned with them."""
     events = receiver_checks.events(state.checks)
     for kind, text in events:
-        _event(state, t_ns, kind, text, out)
-    _use_turn_rates(state)
+        _publish_event(state, t_ns, kind, text, out)
+    _exclude_smoothed_turn_rates(state)
     if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
-        consistency.learn_anew(state.consistency, state.machine)
-        _learn_anew(state, t_ns)
+        consistency.discard_findings(state.consistency, state.machine)
+        _reset_estimators(state, t_ns)
 
 
-def _use_turn_rates(state: State) -> None:
+def _exclude_smoothed_turn_rates(state: State) -> None:
     usable = receiver_checks.usable_yaw_rates(state.checks)
     for mount, track in state.aligner.tracks.items():
         track.smoothed = mount not in usable
 
 
-def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]) -> None:
-    """What an estimator noticed, with the place where the tractor was."""
+def _publish_event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]) -> None:
+    """Publish an event of a check or a method, with the position of the tractor."""
     event = Event(t_ns, kind, text)
     if state.place is not None:
         latitude, longitude = to_degrees(state.place[:2], *state.place[2:])
@@ -272,44 +288,45 @@ def _event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]
     out.append(Publication(t_ns, "/event", event))
 
 
-def _events_of(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
-    """What a method noticed."""
+def _publish_events(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
+    """Publish the events of a method since the last call."""
     for kind, text in take_events(state.estimators[row.method]):
-        if state.consistency.confirmed or kind != "soil_change":  # else it is the file, and not the soil
-            _event(state, t_ns, kind, text, out)
+        if state.consistency.confirmed or kind != "soil_change":  # before that, the file may be the cause
+            _publish_event(state, t_ns, kind, text, out)
             if kind == "soil_change":
                 consistency.soil_changed(state.consistency, state.machine)
 
 
-def _estimates(state: State, t_ns: int, given: list[Estimate], out: list[Publication]) -> None:
-    """Publish what the methods give at an instant, and once for all of them which is recommended."""
-    for estimate in given:
+def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: list[Publication]) -> None:
+    """Publish the estimates that are due at an instant, and then, once, the recommended one."""
+    for estimate in estimates:
         consistency.check_estimate(state.consistency, state.machine, estimate)
         estimate = consistency.withheld(state.consistency, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    if not any(estimate.method in PREFERRED for estimate in given):
-        return  # of what is there to compare with, nothing follows
+    if not any(estimate.method in PREFERRED for estimate in estimates):
+        return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
-        _event(state, t_ns, "disagreement", found, out)
+        _publish_event(state, t_ns, "disagreement", found, out)
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))
 
 
-def ask(state: State, t_ns: int) -> list[tuple[str, Any]]:
-    """(method, job) of the fits asked for after the frame of t_ns; `ROW[method].fitting` makes them."""
+def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
+    """(method, job) of the fits that are requested after the frame of t_ns; `ROW[method].fitting` makes
+    them."""
     jobs = []
     for row in rows_for(state.machine):
-        job = row.fitting.wanted(state.estimators[row.method], t_ns) if row.fitting else None
+        job = row.fitting.request_fit(state.estimators[row.method], t_ns) if row.fitting else None
         if job is not None:
             jobs.append((row.method, job))
     return jobs
 
 
 def pending(state: State) -> list[tuple[str, Any, int]]:
-    """(method, job, t_ns from which it is to be decided) of the fits that were asked for."""
+    """(method, job, t_ns at which its result is due) of the fits that were requested and not adopted yet."""
     return [
         (row.method, job, job.asked_ns + row.fitting.latency_ns)
         for row in rows_for(state.machine)
@@ -318,34 +335,36 @@ def pending(state: State) -> list[tuple[str, Any, int]]:
 
 
 def decide(state: State, outcome: FitOutcome) -> None:
-    """Keep what becomes of the pending fit of a method, for whoever takes the state up before it is used."""
+    """Store the outcome of a method's pending fit, for a program that restores the state before the fit is
+    used."""
     method_state = state.estimators[outcome.method]
     method_state.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
     method_state.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
-    """Take the result of the pending fit of a method; None: there is none."""
+    """Take the result of a method's pending fit; made: None if there is no result."""
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
-    given = row.fitting.adopt(method_state, state.machine, made, t_ns)
-    _events_of(state, t_ns, row, out)
-    _estimates(state, t_ns, [given], out)
+    estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
+    _publish_events(state, t_ns, row, out)
+    _publish_estimates(state, t_ns, [estimate], out)
     return out
 
 
 def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
-    """Time ran back: what was kept belongs to another time. What was learned of the soil stays."""
+    """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
+    stays."""
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
-    _use_turn_rates(state)
+    _exclude_smoothed_turn_rates(state)
     receiver_checks.clock_stepped(state.checks)
     record_builder.clock_stepped(state.record)
     consistency.clock_stepped(state.consistency)
     state.place = None
-    state.kept_ns += by_ns
+    state.previous_run_ns += by_ns
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], by_ns)
     text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"

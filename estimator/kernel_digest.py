@@ -1,9 +1,10 @@
-"""What a kernel reads, as text, and a digest of it: part of the name under which its code is kept on disk.
+"""All that a kernel reads, as text, and a digest of it. The digest is part of the name of the stored code.
 
-numba compiles the values of globals into the code. When it looks for kept code, it only asks whether the file
-that holds the function has changed. So all that a kernel reads must be part of the name: constants, also of
-other modules, members of enums, fields of NamedTuples, arrays, the functions that it calls, and what they
-read. What cannot be put into words here is refused, since the kept code would go stale unseen.
+numba compiles the values of globals into the code. When it looks for stored code, it only checks whether the
+file that holds the function has changed. So all that a kernel reads must be part of the name: constants, also
+those of other modules, members of enums, fields of NamedTuples, arrays, the functions that it calls, and what
+they read. A value that cannot be written as text here is refused: the stored code would go stale without
+notice.
 """
 
 import builtins
@@ -17,28 +18,30 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-LAYERS: Final = ("tilth.schemas.", "tilth.estimator.")  # whose functions are compiled with a kernel
-KNOWN: Final = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "typing"})
-"""Packages whose functions and types are told by their names: their versions are part of the digest."""
-PLAIN: Final = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)
-CAN_BE: Final = (
+LAYERS: Final = ("tilth.schemas.", "tilth.estimator.", "tilth.simulator.spatial.")
+"""Whose functions are compiled with a kernel."""
+KNOWN_PACKAGES: Final = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "typing"})
+"""Packages whose functions and types are digested by name only: their versions are part of the digest."""
+LITERALS: Final = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)
+READABLE: Final = (
     "numbers, strings, tuples, enums, arrays, NamedTuples, and functions of tilth.schemas and tilth.estimator"
 )
 
 
 class NotDigestible(TypeError):
-    """A kernel reads what cannot be part of its digest; a sentence that says what."""
+    """A kernel reads a value that cannot be part of its digest. The message names it."""
 
 
 class Reading(NamedTuple):
-    """Of one function."""
+    """What one function does and reads."""
 
-    text: str  # what it does and all that it reads, but for what it calls
-    calls: tuple[FunctionType, ...]
+    text: str  # its code and all that it reads, without the functions that it calls
+    calls: tuple[FunctionType, ...]  # those functions
 
 
 class KernelFunction:
-    """What holds the function of a kernel. In this file, so that reading needs no compiler."""
+    """Base class of a kernel: it holds the function. It is in this file, so that a digest needs no
+    compiler."""
 
     __slots__ = ("function",)
 
@@ -56,43 +59,46 @@ def called(function: FunctionType) -> dict[str, FunctionType]:
     """The functions of LAYERS that a function calls by their bare names."""
     found = {}
     for path in _paths(function.__code__):
-        inner = _own_function(function.__globals__.get(path[0]))
+        inner = _project_function(function.__globals__.get(path[0]))
         if inner is not None:
             found[path[0]] = inner
     return found
 
 
 def readings(function: FunctionType) -> dict[FunctionType, Reading]:
-    """All that is compiled with a function, itself included, and what each of them does and reads.
+    """The functions that are compiled together with this one, itself included, and what each does and reads.
 
     Raises NotDigestible.
     """
     found: dict[FunctionType, Reading] = {}
-    waiting = [function]
-    while waiting:
-        one = waiting.pop()
-        if one not in found:
-            found[one] = Reading(_function_text(one), tuple(called(one).values()))
-            waiting += found[one].calls
+    queue = [function]
+    while queue:
+        item = queue.pop()
+        if item not in found:
+            found[item] = Reading(_function_text(item), tuple(called(item).values()))
+            queue += found[item].calls
     return found
 
 
 def digest(function: FunctionType, known: Mapping[FunctionType, Reading], versions: str = "") -> str:
-    """Of one function and all that it calls. known: of at least these; versions: of what compiles it."""
+    """Digest of one function and of all that it calls, 16 hexadecimal digits.
+
+    known: readings of at least these functions. versions: of the packages that compile it.
+    """
     found = {function: known[function].text}
-    waiting = [function]
-    while waiting:
-        for inner in known[waiting.pop()].calls:
+    queue = [function]
+    while queue:
+        for inner in known[queue.pop()].calls:
             if inner not in found:
                 found[inner] = known[inner].text
-                waiting.append(inner)
-    own = found.pop(function)
-    text = repr((versions, own, sorted(found.values())))
+                queue.append(inner)
+    function_text = found.pop(function)
+    text = repr((versions, function_text, sorted(found.values())))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def check_arguments(function: FunctionType, args: tuple[Any, ...]) -> None:
-    """Each type of NamedTuple among the arguments stands in the annotations: only so its fields are read.
+    """Check that the annotations name each NamedTuple type among the arguments: else its fields are not read.
 
     Raises NotDigestible.
     """
@@ -105,14 +111,14 @@ def check_arguments(function: FunctionType, args: tuple[Any, ...]) -> None:
         )
 
 
-def _own_function(value: Any) -> FunctionType | None:
+def _project_function(value: Any) -> FunctionType | None:
     inner = value.function if isinstance(value, KernelFunction) else value
-    own = isinstance(inner, FunctionType) and f"{inner.__module__}.".startswith(LAYERS)
-    return inner if own else None
+    is_ours = isinstance(inner, FunctionType) and f"{inner.__module__}.".startswith(LAYERS)
+    return inner if is_ours else None
 
 
 def _paths(code: CodeType) -> Iterator[tuple[str, ...]]:
-    """The globals that code names, each with the attributes that it takes of it: ("np", "linalg", "inv")."""
+    """The globals that the code reads, each with its chain of attributes: ("np", "linalg", "inv")."""
     path: tuple[str, ...] = ()
     for step in dis.get_instructions(code):
         if step.opname == "LOAD_GLOBAL":
@@ -131,7 +137,7 @@ def _paths(code: CodeType) -> Iterator[tuple[str, ...]]:
 
 def _function_text(function: FunctionType) -> str:
     if function.__closure__:
-        KernelFunction(function)  # says what is wrong with it
+        KernelFunction(function)  # raises, with the reason
     read = {path: _value_text(function, path) for path in _paths(function.__code__)}
     defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
     return repr(
@@ -147,10 +153,10 @@ def _function_text(function: FunctionType) -> str:
 
 
 def _code_text(function: FunctionType, code: CodeType) -> str:
-    """What code does, without where it stands: a comment moves no kernel."""
+    """The code without line numbers: a new comment changes no digest."""
     constants = [
-        _code_text(function, one) if isinstance(one, CodeType) else _text(function, "a constant", one)
-        for one in code.co_consts
+        _code_text(function, item) if isinstance(item, CodeType) else _text(function, "a constant", item)
+        for item in code.co_consts
     ]
     names = (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars)
     counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
@@ -158,7 +164,7 @@ def _code_text(function: FunctionType, code: CodeType) -> str:
 
 
 def _value_text(function: FunctionType, path: tuple[str, ...]) -> str:
-    """What stands at a path, as far as modules lead; what follows is a part of the value."""
+    """The value at the end of the modules on a path, as text; attributes after it are part of that value."""
     name, *rest = path
     if name in function.__globals__:
         value = function.__globals__[name]
@@ -166,23 +172,26 @@ def _value_text(function: FunctionType, path: tuple[str, ...]) -> str:
         return f"builtin {name}"
     else:
         raise _refusal(function, name, "which is not there")
-    shown = name
+    full_name = name
     while isinstance(value, ModuleType):
         if not rest:
-            raise _refusal(function, shown, "a module, without naming at once what of it")
+            raise _refusal(function, full_name, "a module, without naming at once what of it")
         attribute = rest.pop(0)
-        module, shown = value, f"{shown}.{attribute}"
+        module, full_name = value, f"{full_name}.{attribute}"
         if not hasattr(module, attribute):
-            raise _refusal(function, shown, "which is not there")
+            raise _refusal(function, full_name, "which is not there")
         value = getattr(module, attribute)
-        if _own_function(value) is not None:
-            raise _refusal(function, shown, "which must be imported by its bare name to be compiled with it")
-    return _text(function, shown, value)
+        if _project_function(value) is not None:
+            raise _refusal(
+                function, full_name, "which must be imported by its bare name to be compiled with it"
+            )
+    return _text(function, full_name, value)
 
 
 def _text(function: FunctionType, name: str, value: Any) -> str:
-    """A value in words; equal texts compile to equal code. name: for who reads the refusal."""
-    if type(value) in PLAIN:
+    """A value as text; equal texts compile to equal code. name: of the value, for the message of a
+    refusal."""
+    if type(value) in LITERALS:
         return f"{type(value).__name__} {value!r}"
     if isinstance(value, type):
         return _type_text(function, name, value)
@@ -193,26 +202,26 @@ def _text(function: FunctionType, name: str, value: Any) -> str:
     if isinstance(value, np.dtype) and not value.hasobject:
         return f"dtype {value.descr}"
     if isinstance(value, (tuple, frozenset)):
-        inner = [_text(function, name, one) for one in value]
+        inner = [_text(function, name, item) for item in value]
         kind = _type_text(function, name, type(value))
         return f"{kind} {sorted(inner) if isinstance(value, frozenset) else inner}"
-    own = _own_function(value)
-    if own is not None:  # its own text stands beside
-        return f"function {own.__module__}.{own.__qualname__}"
+    inner_function = _project_function(value)
+    if inner_function is not None:  # its code is digested too, under its own reading
+        return f"function {inner_function.__module__}.{inner_function.__qualname__}"
     if callable(value) and _is_known(type(value)) and _is_known(value):
         return f"function {getattr(value, '__module__', '')}.{value.__name__}"
     raise _refusal(function, name, f"which is {type(value).__name__}")
 
 
 def _type_text(function: FunctionType, name: str, kind: type) -> str:
-    """A type by its name, and what a kernel can read of it: members of an enum, fields of a named tuple."""
+    """A type by name, with all that a kernel can read of it: members of an enum, fields of a NamedTuple."""
     known = f"type {kind.__module__}.{kind.__qualname__}"
     if issubclass(kind, Enum):
-        members = {key: _text(function, name, one.value) for key, one in kind.__members__.items()}
+        members = {key: _text(function, name, item.value) for key, item in kind.__members__.items()}
         return f"{known} {members}"
     if _is_named_tuple(kind):
         fields: Any = kind
-        defaults = {key: _text(function, name, one) for key, one in fields._field_defaults.items()}
+        defaults = {key: _text(function, name, item) for key, item in fields._field_defaults.items()}
         return f"{known} {fields._fields} {defaults}"
     if _is_known(kind) or issubclass(kind, Exception):
         return known
@@ -220,7 +229,7 @@ def _type_text(function: FunctionType, name: str, kind: type) -> str:
 
 
 def _is_known(value: Any) -> bool:
-    return str(getattr(value, "__module__", None) or "builtins").partition(".")[0] in KNOWN
+    return str(getattr(value, "__module__", None) or "builtins").partition(".")[0] in KNOWN_PACKAGES
 
 
 def _is_named_tuple(kind: Any) -> bool:
@@ -228,15 +237,15 @@ def _is_named_tuple(kind: Any) -> bool:
 
 
 def _annotated(function: FunctionType) -> list[type]:
-    """The types of NamedTuple in the annotations of a function, with those of their fields."""
+    """The NamedTuple types in the annotations of a function, with those of their fields."""
     found: list[type] = []
-    waiting: list[Any] = list(_hints(function, function))
-    while waiting:
-        kind = waiting.pop(0)
-        waiting += typing.get_args(kind)
+    queue: list[Any] = list(_hints(function, function))
+    while queue:
+        kind = queue.pop(0)
+        queue += typing.get_args(kind)
         if _is_named_tuple(kind) and kind not in found:
             found.append(kind)
-            waiting += _hints(function, kind)
+            queue += _hints(function, kind)
     return found
 
 
@@ -248,15 +257,15 @@ def _hints(function: FunctionType, of: Any) -> list[Any]:
 
 
 def _types_of(value: Any) -> set[type]:
-    """The types of NamedTuple in a value."""
+    """The NamedTuple types in a value."""
     if not isinstance(value, tuple):
         return set()
-    inner = {kind for one in value for kind in _types_of(one)}
+    inner = {kind for item in value for kind in _types_of(item)}
     return inner | {type(value)} if _is_named_tuple(type(value)) else inner
 
 
 def _refusal(function: FunctionType, name: str, what: str) -> NotDigestible:
     return NotDigestible(
         f"the kernel {function.__qualname__} of {function.__module__} reads {name}, {what}: code that was "
-        f"compiled for one value of it would be used for another; kernels may read {CAN_BE}"
+        f"compiled for one value of it would be used for another; kernels may read {READABLE}"
     )

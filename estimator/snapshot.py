@@ -1,7 +1,7 @@
-"""The state of the fold as JSON text and back. A log begins with it, so that one file of a run replays alone.
+"""The state of the fold as JSON text and back. Each log file begins with it, so that the file replays alone.
 
-A text of another version, of other receivers or with a damaged part is refused with a reason. Whoever reads
-logs goes on without it. The machine file itself is not in it: the log says of which one its states are.
+A text of another version, of other receivers or with a damaged part is refused with a reason; readers of logs
+then continue without it. The machine file is not part of the text: the log holds it separately.
 """
 
 import json
@@ -14,50 +14,50 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.state_json import Stored, to_plain
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.state_json import Stored, to_json_data
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Flag
 from tilth.schemas.machine import Machine
 
 VERSION: Final = 3
-"""Of the text. It goes up by one with every change of what stands in it or of what that means."""
+"""Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 
 class NotRestorable(ValueError):
-    """A stored state that cannot be taken up; a part of a sentence that says why."""
+    """A stored state that cannot be restored. The message is part of a sentence that says why."""
 
 
 def snapshot(state: State) -> str:
-    """The state as JSON text: `restore(machine, snapshot(s))` goes on exactly as `s` would."""
+    """The state as JSON text: `restore(machine, snapshot(s))` continues exactly as `s` would."""
     rows = rows_for(state.machine)
-    plain = {
+    raw = {
         "version": VERSION,
         "decoder": state.decoder.dump(),
-        "aligner": to_plain(state.aligner, skip=frozenset({"machine"})),
-        "record": to_plain(state.record),
+        "aligner": to_json_data(state.aligner, skip=frozenset({"machine"})),
+        "record": to_json_data(state.record),
         "consistency": consistency_json(state.consistency),
         "estimators": {row.method: row.to_json(state.estimators[row.method]) for row in rows},
-        "checks": to_plain(state.checks),
-        "kept": {method: kept.to_json() for method, kept in state.kept.items()},
-        "kept_ns": state.kept_ns,
+        "checks": to_json_data(state.checks),
+        "previous_run": {method: saved.to_json() for method, saved in state.previous_run.items()},
+        "previous_run_ns": state.previous_run_ns,
         "frames": state.frames,
         "measurements": state.measurements,
         "poses": state.poses,
         "ready": state.ready,
         "clock_steps": state.clock_steps,
         "not_numbers": state.not_numbers,
-        "time": to_plain(state.time),
-        "flags": to_plain(state.flags),
-        "place": to_plain(state.place),
-        "disagree": to_plain(state.disagree),
+        "time": to_json_data(state.time),
+        "flags": to_json_data(state.flags),
+        "place": to_json_data(state.place),
+        "disagree": to_json_data(state.disagree),
     }
-    return json.dumps(plain, separators=(",", ":"))
+    return json.dumps(raw, separators=(",", ":"))
 
 
 def restore(machine: Machine, text: str) -> State:
     """The state that `snapshot` wrote. Raises NotRestorable."""
-    stored = _opened(text)
+    stored = _parse_current(text)
     try:
         state = _state_of(machine, stored)
         if set(state.aligner.tracks) != {receiver.mount.value for receiver in machine.receiver}:
@@ -71,40 +71,40 @@ def restore(machine: Machine, text: str) -> State:
 
 
 def restore_decoder(machine: Machine | None, text: str) -> Decoder:
-    """Only what decoding needs: who has which address. Raises NotRestorable.
+    """Only the decoder's part: which device has which address. Raises NotRestorable.
 
-    Also of another version, as long as this part has stayed what it is. Receivers say who they are only when
-    they start: without it nothing would be known of the later files of a run.
+    It is also read from a text of another version, if this part has not changed. Receivers claim their
+    address only when they start: without this part the senders in the later files of a run would be unknown.
     """
-    plain = _table(text)
+    raw = _parse(text)
     try:
-        return _decoder_of(machine, plain["decoder"])
+        return _decoder_of(machine, raw["decoder"])
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise NotRestorable(_other_version(plain) or f"it is damaged: {error}") from None
+        raise NotRestorable(_other_version(raw) or f"it is damaged: {error}") from None
 
 
-def _opened(text: str) -> Stored:
-    """The parts of a text of this version."""
-    plain = _table(text)
-    if other := _other_version(plain):
+def _parse_current(text: str) -> Stored:
+    """The parts of a text of the current version."""
+    raw = _parse(text)
+    if other := _other_version(raw):
         raise NotRestorable(other)
-    del plain["version"]
-    return Stored(plain, "the stored state")
+    del raw["version"]
+    return Stored(raw, "the stored state")
 
 
-def _table(text: str) -> dict[str, Any]:
+def _parse(text: str) -> dict[str, Any]:
     try:
-        plain = json.loads(text)
+        raw = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise NotRestorable(f"it is damaged: {error}") from None
-    if not isinstance(plain, dict):
+    if not isinstance(raw, dict):
         raise NotRestorable("it is damaged: it is not a table of names and values")
-    return plain
+    return raw
 
 
-def _other_version(plain: dict[str, Any]) -> str:
-    """That it is of another version, or ""."""
-    version = plain.get("version", "1 or none")
+def _other_version(raw: dict[str, Any]) -> str:
+    """A message if the text is of another version, else ""."""
+    version = raw.get("version", "1 or none")
     if version == VERSION:
         return ""
     return f"it is of another version: {version!s:.20}, where this program knows {VERSION}"
@@ -113,14 +113,17 @@ def _other_version(plain: dict[str, Any]) -> str:
 def _state_of(machine: Machine, stored: Stored) -> State:
     state = State(
         machine=machine,
-        decoder=_decoder_of(machine, stored.plain("decoder")),
+        decoder=_decoder_of(machine, stored.raw("decoder")),
         aligner=stored.value(Aligner, "aligner", {"machine": machine}),
         record=stored.value(RecordState, "record"),
-        consistency=consistency_of(stored.plain("consistency")),
-        estimators=_estimators_of(machine, stored.plain("estimators")),
+        consistency=consistency_of(stored.raw("consistency")),
+        estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
-        kept={method: Kept.from_json(one) for method, one in stored.plain("kept").items()},
-        kept_ns=stored.value(int, "kept_ns"),
+        previous_run={
+            method: SavedPosterior.from_json(stored_posterior)
+            for method, stored_posterior in stored.raw("previous_run").items()
+        },
+        previous_run_ns=stored.value(int, "previous_run_ns"),
         frames=stored.value(int, "frames"),
         measurements=stored.value(int, "measurements"),
         poses=stored.value(int, "poses"),
@@ -129,24 +132,24 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         not_numbers=stored.value(int, "not_numbers"),
         time=stored.value(LogTime, "time"),
         flags=tuple(stored.value(list[Flag], "flags")),
-        place=stored.maybe(tuple[float, float, float, float], "place"),
+        place=stored.optional(tuple[float, float, float, float], "place"),
         disagree=stored.value(bool, "disagree"),
     )
     stored.end()
     return state
 
 
-def _estimators_of(machine: Machine, plain: Any) -> dict[str, Any]:
-    """Method -> its state; one that was not asked for when the state was stored is at its beginning."""
-    if not isinstance(plain, dict):
+def _estimators_of(machine: Machine, raw: Any) -> dict[str, Any]:
+    """Method -> its state; a method that was not enabled when the state was stored starts new."""
+    if not isinstance(raw, dict):
         raise ValueError("estimators is not a table of names and values")
     return {
-        row.method: row.from_json(plain[row.method]) if row.method in plain else row.initial(machine)
+        row.method: row.from_json(raw[row.method]) if row.method in raw else row.initial(machine)
         for row in rows_for(machine)
     }
 
 
-def _decoder_of(machine: Machine | None, plain: Any) -> Decoder:
+def _decoder_of(machine: Machine | None, raw: Any) -> Decoder:
     decoder = Decoder(machine)
-    decoder.load(plain)
+    decoder.load(raw)
     return decoder

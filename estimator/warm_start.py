@@ -1,8 +1,8 @@
-"""What methods have learned, kept from one run to the next: mean and covariance, older by the time between.
+"""Warm start: each method's posterior (mean and covariance) is saved and serves as the next run's prior.
 
-Information fades towards the machine file's prior: with w the share that is left, the new information matrix
-is (1 − w) times the prior's and w times what was kept, and the information vector alike. That is positive
-definite since both are, and goes from the one to the other.
+It fades towards the machine file's prior over the time between the runs. With w the share that remains, the
+new information matrix is w times the saved one plus (1 − w) times the prior's; the information vector is
+mixed in the same way. The result is positive definite because both matrices are.
 """
 
 from collections.abc import Mapping
@@ -14,39 +14,39 @@ from numpy.typing import NDArray
 
 from tilth.estimator.methods.estimators import Memory, rows_for
 from tilth.estimator.methods.learned import Learned
-from tilth.estimator.state_json import Stored, to_plain
+from tilth.estimator.state_json import Stored, to_json_data
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-DOUBLES_S: Final = 86_400.0  # in which time the sd of what is well known doubles
+DOUBLES_S: Final = 86_400.0  # time in which the sd of a well-known number doubles
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """What one method has learned. Plain data."""
+class SavedPosterior:
+    """What one method had learned when a run ended."""
 
-    names: tuple[str, ...]  # of what the vector holds
+    names: tuple[str, ...]  # [n], of the entries of the mean
     mean: Array  # [n]
     covariance: Array  # [n, n]
-    age_s: float  # since data last informed it, when it was kept
-    counts: dict[str, float]
+    age_s: float  # time from the last data that it learned from to the moment of saving
+    counts: dict[str, float]  # counters that continue, by name
 
     def to_json(self) -> dict[str, Any]:
         """For the file between two runs."""
         return {
             "names": list(self.names),
-            "mean": to_plain(self.mean),
-            "covariance": to_plain(self.covariance),
+            "mean": to_json_data(self.mean),
+            "covariance": to_json_data(self.covariance),
             "age_s": self.age_s,
             "counts": self.counts,
         }
 
     @classmethod
-    def from_json(cls, plain: Any) -> "Kept":
-        """What `to_json` gave. Raises ValueError."""
-        stored = Stored(plain, "what was stored")
-        kept = cls(
+    def from_json(cls, raw: Any) -> "SavedPosterior":
+        """The record that `to_json` wrote. Raises ValueError."""
+        stored = Stored(raw, "what was stored")
+        saved = cls(
             tuple(stored.value(list[str], "names")),
             stored.array("mean", -1),
             stored.array("covariance", -1, -1),
@@ -54,78 +54,88 @@ class Kept:
             stored.value(dict[str, float], "counts"),
         )
         stored.end()
-        return kept
+        return saved
 
 
-def keep(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, Kept]:
+def save_learned(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, SavedPosterior]:
     """Method -> what it has learned by t_ns; only methods that have learned something.
 
-    estimators: method -> its state, of a machine's rows.
+    estimators: method -> its state.
     """
-    kept = {}
+    saved = {}
     for row in rows_for(machine):
         memory, method_state = row.memory, estimators[row.method]
         if memory is None or not method_state.informed_ns:
             continue
         learned = memory.learned(method_state)
         age_s = max(t_ns - method_state.informed_ns, 0) * 1e-9
-        kept[row.method] = Kept(memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts))
-    return kept
+        saved[row.method] = SavedPosterior(
+            memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts)
+        )
+    return saved
 
 
 def resume(
-    machine: Machine, estimators: Mapping[str, Any], kept: Mapping[str, Kept], elapsed_s: float, t_ns: int
+    machine: Machine,
+    estimators: Mapping[str, Any],
+    saved: Mapping[str, SavedPosterior],
+    elapsed_s: float,
+    t_ns: int,
 ) -> dict[str, str]:
-    """Let fresh methods go on from what was kept elapsed_s before t_ns.
+    """Start fresh method states from what was saved elapsed_s before t_ns.
 
-    Method -> why it could not be used, "" where it is.
+    Returns method -> why its saved posterior is not used, "" where it is used.
     """
     refusals = {}
     for row in rows_for(machine):
-        before = kept.get(row.method)
+        before = saved.get(row.method)
         if row.memory is None or before is None:
             continue
         method_state = estimators[row.method]
         fresh = row.memory.learned(method_state)
-        refusals[row.method] = _why_not(row.memory, fresh, before)
+        refusals[row.method] = _refusal(row.memory, fresh, before)
         if not refusals[row.method]:
             row.memory.resume(method_state, _faded(row.memory, fresh, before, elapsed_s))
             method_state.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
     return refusals
 
 
-def _why_not(memory: Memory, fresh: Learned, kept: Kept) -> str:
+def _refusal(memory: Memory, fresh: Learned, saved: SavedPosterior) -> str:
+    """Why a saved posterior cannot be used, or ""."""
+    """Why a saved posterior cannot be used, or ""."""
     prior = fresh.covariance
     active = np.diag(prior) > 0.0
-    if (kept.names, kept.mean.shape, kept.covariance.shape) != (memory.names, prior.shape[:1], prior.shape):
+    expected = (memory.names, prior.shape[:1], prior.shape)
+    if (saved.names, saved.mean.shape, saved.covariance.shape) != expected:
         return "it is of another version"
-    if not (np.all(np.isfinite(kept.mean)) and np.all(np.isfinite(kept.covariance))):
+    if not (np.all(np.isfinite(saved.mean)) and np.all(np.isfinite(saved.covariance))):
         return "it holds what is no number"
-    block = kept.covariance[np.ix_(active, active)]
+    block = saved.covariance[np.ix_(active, active)]
     if not np.allclose(block, block.T, atol=1e-9) or np.linalg.eigvalsh(block)[0] <= 0.0:
         return "its covariance is none"
-    if any(name not in kept.counts for name in fresh.counts) or not kept.age_s >= 0.0:
+    if any(name not in saved.counts for name in fresh.counts) or not saved.age_s >= 0.0:
         return "a part of it is missing"
     return ""
 
 
-def _faded(memory: Memory, fresh: Learned, kept: Kept, elapsed_s: float) -> Learned:
-    """What was kept, elapsed_s older: nearer to the prior, which a fresh state holds."""
+def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: float) -> Learned:
+    """The saved posterior after elapsed_s: nearer to the prior, which is the mean and covariance of
+    `fresh`."""
     prior_mean, prior = fresh.mean, fresh.covariance
     active = np.flatnonzero(np.diag(prior) > 0.0)
-    mean, covariance = kept.mean.copy(), kept.covariance.copy()
-    for name in memory.passing:
+    mean, covariance = saved.mean.copy(), saved.covariance.copy()
+    for name in memory.per_run:
         k = memory.names.index(name)
         mean[k] = prior_mean[k]
         covariance[k, :] = covariance[:, k] = 0.0
         covariance[k, k] = prior[k, k]
-    at = np.ix_(active, active)
-    left = 4.0 ** (-elapsed_s / DOUBLES_S)
-    was, base = np.linalg.inv(covariance[at]), np.linalg.inv(prior[at])
-    information = left * was + (1.0 - left) * base
-    vector = left * was @ mean[active] + (1.0 - left) * base @ prior_mean[active]
+    block = np.ix_(active, active)
+    share = 4.0 ** (-elapsed_s / DOUBLES_S)
+    saved_information, prior_information = np.linalg.inv(covariance[block]), np.linalg.inv(prior[block])
+    information = share * saved_information + (1.0 - share) * prior_information
+    vector = share * saved_information @ mean[active] + (1.0 - share) * prior_information @ prior_mean[active]
     faded = np.linalg.inv(information)
     new_mean, new = prior_mean.copy(), prior.copy()
     new_mean[active] = faded @ vector
-    new[at] = (faded + faded.T) / 2.0
-    return Learned(new_mean, new, kept.counts)
+    new[block] = (faded + faded.T) / 2.0
+    return Learned(new_mean, new, saved.counts)

@@ -21,7 +21,7 @@ def number(message: Message, field: str) -> float:
     return float(getattr(message, field)) if message.HasField(field) else math.nan
 
 
-def told(row: tilth_pb2.Parameter) -> str:
+def sentence(row: tilth_pb2.Parameter) -> str:
     """Such as: C_af=2.02e+05 sd=9.1e+03 ESTIMATED 0.4 s."""
     status = tilth_pb2.ParameterStatus.Name(row.status)
     value, sd, age_s = (number(row, field) for field in ("value", "sd", "age_s"))
@@ -33,7 +33,7 @@ def main() -> int:
         sys.stderr.write("subscriber.py ENDPOINT PREFIX/MACHINE [ESTIMATES]\n")
         return 2
     endpoint, base, *most = sys.argv[1:]
-    left = int(most[0]) if most else -1
+    remaining = int(most[0]) if most else -1
     config = zenoh.Config()
     for key, value in (
         ("mode", "client"),
@@ -46,10 +46,10 @@ def main() -> int:
         for sample in estimates:
             if str(sample.encoding) == "application/protobuf;tilth.SoilTireEstimate":
                 estimate = tilth_pb2.SoilTireEstimate.FromString(sample.payload.to_bytes())
-                sys.stdout.write("; ".join(map(told, estimate.parameters)) + "\n")
+                sys.stdout.write("; ".join(map(sentence, estimate.parameters)) + "\n")
                 sys.stdout.flush()
-                left -= 1
-            if left == 0:
+                remaining -= 1
+            if remaining == 0:
                 break
     return 0
 

@@ -17,13 +17,15 @@ LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
 EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
 DATED_NS = 315_532_800_000_000_000  # 1980-01-01: a time before is of a clock that nobody has set
-HEARD = 8  # times told by receivers before they are believed, and at most so many times that are remembered:
+LEAST_TIMES = (
+    8  # times told by receivers before they are believed, and at most so many times that are remembered:
+)
 REMEMBERED = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """What the clocks of the computer said at one instant, ns."""
+    """Readings of the computer's clocks at one instant, ns."""
 
     t_ns: int
     realtime_ns: int
@@ -49,6 +51,7 @@ class Clock:
         self._ahead_most_ns -= ahead_ns
 
     def t_ns(self) -> int:
+        """Time now, ns since 1970 by the wall clock at the start of the run; it never steps."""
         return time.monotonic_ns() + self.offset_ns
 
     def wall_ahead_ns(self) -> int:
@@ -80,13 +83,13 @@ class Clock:
         return t_ns
 
     def add_gnss_time(self, rx_ns: int, utc_ns: int) -> None:
-        """A receiver said at rx_ns that it was utc_ns."""
+        """Take the UTC time that a receiver reported at rx_ns."""
         self._gnss_ahead.append(utc_ns - rx_ns)
 
     @property
     def gnss_ahead_ns(self) -> int | None:
         """UTC by the receivers less this clock; None until enough of them agree. Good to about a second."""
-        if len(self._gnss_ahead) < HEARD:
+        if len(self._gnss_ahead) < LEAST_TIMES:
             return None
         return int(statistics.median(self._gnss_ahead))
 
@@ -105,6 +108,7 @@ class Clock:
         return utc_ns if utc_ns >= EARLIEST_NS else None
 
     def relation(self) -> Relation:
+        """Readings of all clocks now."""
         monotonic_ns = time.monotonic_ns()
         return Relation(
             t_ns=monotonic_ns + self.offset_ns,
@@ -128,4 +132,5 @@ def boot_id() -> str:
 
 
 def utc_text(t_ns: int, pattern: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
+    """UTC of an instant, ns since 1970, in a format of time.strftime."""
     return time.strftime(pattern, time.gmtime(t_ns // 1_000_000_000))

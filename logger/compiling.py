@@ -1,4 +1,4 @@
-"""Compiles what the estimators of a machine call, and knows where that is kept.
+"""Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
 "-" it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are
@@ -21,22 +21,22 @@ from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
 TEXT: Final = "compiling kernels, once per machine: half a minute, a few minutes on a small computer"
-UNKEPT: Final = (
+NO_CACHE_FOLDER: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
 )
 NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
-Told = Callable[[float], None]  # of the share of the compiling that is done, 0 to 1
+Progress = Callable[[float], None]  # takes the share of the compiling that is done, 0 to 1
 
 
-class Unkept(Exception):
+class NoCacheFolder(Exception):
     """There is no place for compiled kernels; one sentence that says what to set."""
 
 
 class CompilingStopped(BaseException):
-    """Who is told wants no compiling. No Exception: those make a kernel go on interpreted."""
+    """Raised by `progress` to stop. A BaseException: an Exception would make the kernel run interpreted."""
 
 
 def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
@@ -46,7 +46,7 @@ def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
 
 def is_prepared(machine: Machine) -> bool:
     """Whether all of it is in this process already."""
-    return all(kernel.how != "not called yet" for kernel in kernels_of(machine))
+    return all(kernel.called for kernel in kernels_of(machine))
 
 
 def load(machine: Machine) -> bool:
@@ -62,40 +62,43 @@ def load(machine: Machine) -> bool:
     return True
 
 
-def prepare(machine: Machine, told: Told) -> float:
+def prepare(machine: Machine, progress: Progress) -> float:
     """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
 
-    told: 0.0 when the first kernel has to be compiled, then more with each function; may raise Stopped.
+    progress: gets 0.0 when the first kernel has to be compiled, more after each function; may raise
+    CompilingStopped.
     """
     began: list[float] = []
-    left = set[CodeType]()  # functions still to be compiled; the second kernel to call one finds it kept
+    uncompiled = set[
+        CodeType
+    ]()  # functions still to be compiled; the second kernel to call one finds it kept
     work = 0
 
     def begins(code: CodeType) -> None:
         nonlocal work
         if not began:
             began.append(time.monotonic())
-            waiting = [kernel for kernel in kernels_of(machine) if kernel.how == "not called yet"]
-            left.update(f.__code__ for kernel in waiting for f in kernel.functions())
-            work = _size(left)
-            told(0.0)
+            waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
+            uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
+            work = _size(uncompiled)
+            progress(0.0)
 
     def ended(code: CodeType) -> None:
-        if code in left:  # not one of numba's own, nor one for other types
-            left.remove(code)
-            told(min(1.0 - _size(left) / work, MOST))
+        if code in uncompiled:  # not one of numba's own, nor one for other types
+            uncompiled.remove(code)
+            progress(min(1.0 - _size(uncompiled) / work, MOST))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
 
 
 def _size(functions: set[CodeType]) -> int:
-    """How much work they are, about: compiling takes the longer the longer they are."""
+    """Estimated work of compiling them: proportional to their length."""
     return sum(len(code.co_code) for code in functions)
 
 
 def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:
-    """Call each kernel once; who listens is told when compiling a function begins and when it has ended."""
+    """Call each kernel once. on_start, on_end: called when compiling a function begins and ends."""
     if not _compiles():
         return
     from numba.core import event
@@ -127,8 +130,9 @@ def _compiles() -> bool:
     return not getattr(config, "DISABLE_JIT", 0)  # set at run time
 
 
-def kept_in(machine: Machine) -> str:
-    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises Unkept."""
+def cache_folder(machine: Machine) -> str:
+    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises
+    NoCacheFolder."""
     if not _compiles():
         return ""
     from numba.core.caching import FunctionCache
@@ -137,7 +141,7 @@ def kept_in(machine: Machine) -> str:
     try:
         return str(FunctionCache(kernels[0].function).cache_path) if kernels else ""
     except RuntimeError:
-        raise Unkept(UNKEPT) from None
+        raise NoCacheFolder(NO_CACHE_FOLDER) from None
 
 
 @contextlib.contextmanager
@@ -146,16 +150,16 @@ def keeping_in(folder: str) -> Iterator[None]:
     from numba.core import config
 
     settings: Any = config  # numba sets its attributes itself
-    before, told = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
+    variable_before, setting_before = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
     os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
     try:
         yield
     finally:
-        settings.CACHE_DIR = told
-        if before is None:
+        settings.CACHE_DIR = setting_before
+        if variable_before is None:
             os.environ.pop("NUMBA_CACHE_DIR", None)
         else:
-            os.environ["NUMBA_CACHE_DIR"] = before
+            os.environ["NUMBA_CACHE_DIR"] = variable_before
 
 
 def main(words: list[str]) -> int:

@@ -3,7 +3,7 @@
     read frames ─► log each raw ─► fold ─► log what it gives ─► publish it
 
 One loop, one clock. Frames are recorded from the first second; estimates follow when what they call has been
-compiled. Whatever fails is said, shown and logged as an event; frames are recorded until the end.
+compiled. Every failure is published, displayed and logged as an event; frames are recorded until the end.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.run_log import Recording
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Events, Outlets
@@ -62,7 +63,7 @@ class Daemon:
         supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that is put
         in here is logged, published and shown like what the daemon notices itself.
 
-        Raises MachineError where the wheel-angle sensor or the interface of a bus makes no sense.
+        Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
         self._events: Events = deque() if events is None else events
         supervisor = Supervisor({}) if supervisor is None else supervisor
@@ -92,6 +93,7 @@ class Daemon:
 
     @property
     def uptime_s(self) -> float:
+        """Since the start of the run, s."""
         return (self.parts.clock.t_ns() - self.parts.counts.started_ns) * 1e-9
 
     def turn(self, timeout_s: float = TURN_S) -> int:
@@ -180,7 +182,7 @@ class Daemon:
             self.parts.counts.clock_steps += 1
             step = f"the computer's clock was set by {step_ns * 1e-9:+.3f} s"
             self._report("clock", f"{step}; the log's own clock goes on evenly")
-            self.parts.outlets.recording.clocks("step")
+            self.parts.outlets.recording.clocks(ClockReason.STEP)
 
     def _report(self, kind: str, text: str) -> None:
         self._events.append((kind, text))
@@ -210,9 +212,9 @@ def run_daemon(
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
     suffix = prefix_suffix if zenoh else None
-    shown = status or NoDisplay()
+    display = status or NoDisplay()
     daemon = Daemon(
-        machine, machine_text, folder, suffix, shown,
+        machine, machine_text, folder, suffix, display,
         keep=keep, fresh=fresh, note=note, supervisor=supervisor, events=events,
     )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.

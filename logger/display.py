@@ -1,4 +1,4 @@
-"""What the daemon shows a person, wherever that looks; status_line.py has two of them."""
+"""The interface of a display of the daemon; status_line.py has two implementations."""
 
 from typing import Protocol
 

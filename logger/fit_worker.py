@@ -20,7 +20,7 @@ Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong 
 
 
 def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
-    """(result, "") of a job, or (None, what went wrong): a fit that cannot be made must end nobody."""
+    """(result, "") of a job, or (None, reason): a fit that fails must not end the process."""
     try:
         fitting = ROW[method].fitting
         assert fitting is not None
@@ -37,17 +37,18 @@ def rehearse(machine: Machine) -> None:
 
 
 def main() -> None:
+    """Answer jobs from stdin on stdout until stdin ends."""
     os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
-    asked = sys.stdin.buffer
+    requests = sys.stdin.buffer
     try:
-        machine, in_advance = pickle.load(asked)
+        machine, in_advance = pickle.load(requests)
         with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
             if in_advance:
                 rehearse(machine)
         while True:
-            ticket, method, job = pickle.load(asked)
+            ticket, method, job = pickle.load(requests)
             started = time.perf_counter()
             made, error = make(machine, method, job)
             answer: Answer = (ticket, made, error, time.perf_counter() - started)

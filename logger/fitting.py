@@ -1,6 +1,6 @@
-"""Who makes the fits that the fold asks for: a worker process beside the live loop, or whoever replays.
+"""Makes the fits that the fold requests: in a worker process for the live loop, or in a replay.
 
-A fit takes a tenth of a second or more, a frame has microseconds. What was asked for is decided a fixed time
+A fit takes a tenth of a second or more, a frame has microseconds. A request is decided a fixed time
 of the log later: it is there and is used, or it is late and is used when it is ready. Both are logged before,
 so that a replay does alike.
 """
@@ -33,7 +33,7 @@ class Fitter(Protocol):
     """Makes fits. At most one job of a method is pending."""
 
     def ask(self, method: str, job: Any) -> None:
-        """Begin a fit; nothing where just that one is under way. Takes microseconds."""
+        """Request a fit; does nothing where the same one is under way. Takes microseconds."""
         ...
 
     def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
@@ -63,13 +63,13 @@ class InPlace:
 
 
 class Worker:
-    """Makes fits in a process of its own, from which a crash or a slow fit takes nothing but that fit.
+    """Makes fits in a separate process: a crash or a slow fit costs no more than that fit.
 
     A thread talks to the process: a job is larger than what a pipe holds, and the loop must not wait for it.
     """
 
     def __init__(self, machine: Machine, report: Report, *, patient: bool = False) -> None:
-        """report: is told, from that thread, what goes wrong. patient: for a replay, which waits."""
+        """report: takes kind and text of an event, from that thread. patient: for a replay, which waits."""
         self.seconds: float | None = None  # computing time of the last fit
         self._machine = machine
         self._report = report
@@ -124,7 +124,7 @@ class Worker:
             self._results.clear()
 
     def close(self) -> None:
-        """End the process; what it is at is lost."""
+        """End the process; a fit under way is lost."""
         if self._thread is None:
             return
         with self._changed:
@@ -152,8 +152,8 @@ class Worker:
         try:
             with contextlib.suppress(OSError):  # told at the first job
                 self._running()
-            while (asked := self._asks.get()) is not None:
-                self._answer(*asked)
+            while (request := self._asks.get()) is not None:
+                self._answer(*request)
         finally:
             self._end()
 
@@ -232,36 +232,38 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
     process.stdin.flush()
 
 
-class Retold:
+class ReplayedFits:
     """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time."""
 
     def __init__(self, machine: Machine, report: Report) -> None:
-        self.own = False  # whether the log is one that says so
+        self.holds_outcomes = False  # whether the log records outcomes of fits
         self._worker = Worker(machine, report, patient=True)
-        self._told: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
+        self._outcomes: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
         self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
 
-    def tell(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
-        """What the log says."""
-        self._told[method, asked_ns] = adopted, awaited
+    def add_outcome(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
+        """Take an outcome from the log. adopted, awaited: as in flow.FitOutcome."""
+        self._outcomes[method, asked_ns] = adopted, awaited
 
     def forget(self) -> None:
         """The log goes on with another state, or another run."""
         self._worker.forget()
-        self._told.clear()
+        self._outcomes.clear()
         self._first.clear()
 
     def ask(self, method: str, job: Any) -> None:
         self._worker.ask(method, job)
 
     def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
-        """UNDECIDED until the log has told, which it does right after the frame at which a fit is due, and
-        for one that is late whenever it was ready."""
+        """UNDECIDED until the log has the outcome: right after the frame at which the fit is due, or, for a
+        late one, where it was ready."""
         key = (method, job.asked_ns)
-        if key not in self._told and (awaited or (self.own and t_ns <= self._first.setdefault(key, t_ns))):
+        if key not in self._outcomes and (
+            awaited or (self.holds_outcomes and t_ns <= self._first.setdefault(key, t_ns))
+        ):
             return UNDECIDED
         self._first.pop(key, None)
-        adopted, late = self._told.pop(key, (True, False))
+        adopted, late = self._outcomes.pop(key, (True, False))
         return self._worker.made(method, job) if adopted else LATE if late else None
 
     def made(self, method: str, job: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The fold with the one guard round it: whatever goes wrong in the numerics, frames go on being logged.
+"""The fold with the one exception handler around it: an error in the numerics does not stop the logging.
 
 Live and replay both drive this, so that a replay fails where the live run failed and goes on as it did.
 """
@@ -10,18 +10,18 @@ from tilth.estimator.fold import (
     RECOMMENDED,
     State,
     adopt,
-    ask,
     decide,
-    go_on,
     initial,
-    keep,
     pending,
+    request_fits,
+    resume,
+    save_learned,
     step,
 )
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -81,7 +81,7 @@ class GuardedFold:
 
     @property
     def ready(self) -> bool:
-        """Whether the estimators take the next frame. Who changes it logs that before."""
+        """Whether the estimators take the next frame. The caller logs a change before making it."""
         return self.state.ready
 
     @ready.setter
@@ -90,10 +90,12 @@ class GuardedFold:
 
     @property
     def measurements(self) -> int:
+        """Count since the start."""
         return self._counted["measurements"] + self.state.measurements
 
     @property
     def poses(self) -> int:
+        """Count since the start."""
         return self._counted["poses"] + self.state.poses
 
     @property
@@ -103,11 +105,11 @@ class GuardedFold:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Whose messages the count "unknown_source" holds, and how many of each since the last fault."""
+        """Senders of the messages counted as "unknown_source", with their counts since the last fault."""
         return self.state.decoder.unknown
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
-        """What a frame causes, with its bytes as logged and published."""
+        """The publications that a frame causes, each with its bytes as logged and published."""
         if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
             return []
         try:
@@ -117,14 +119,14 @@ class GuardedFold:
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
             publications += self.decided(frame.t_ns)
-            told = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
-            told = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, payload(publication)) for publication in publications]
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
-        return told
+        return encoded
 
     def decided(self, t_ns: int) -> list[Publication]:
         """What becomes of the fits that are due: logged now, used at the next frame. One that is not ready
@@ -152,7 +154,7 @@ class GuardedFold:
         return out
 
     def _ask(self, t_ns: int) -> None:
-        for method, job in ask(self.state, t_ns):
+        for method, job in request_fits(self.state, t_ns):
             self._fitter.ask(method, job)
         self._due_ns = self._first_due_ns()
 
@@ -169,20 +171,20 @@ class GuardedFold:
         self._due_ns = self._first_due_ns()
         return out
 
-    def keep(self, t_ns: int) -> dict[str, Kept]:
+    def keep(self, t_ns: int) -> dict[str, SavedPosterior]:
         """Method -> what it has learned, for the next run."""
-        return keep(self.state, t_ns)
+        return save_learned(self.state, t_ns)
 
-    def warm(self, kept: Mapping[str, Kept], elapsed_s: float, t_ns: int) -> dict[str, str]:
-        """Before the first frame: go on from what was kept elapsed_s ago. Method -> why not, or ""."""
+    def warm(self, learned: Mapping[str, SavedPosterior], elapsed_s: float, t_ns: int) -> dict[str, str]:
+        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or ""."""
         try:
-            told = go_on(self.state, kept, elapsed_s, t_ns)
+            refusals = resume(self.state, learned, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
-            return dict.fromkeys(kept, f"{type(error).__name__}: {error}")
+            return dict.fromkeys(learned, f"{type(error).__name__}: {error}")
         self.renew()
         self.estimates = dict(self.state.estimates)
-        return told
+        return refusals
 
     def renew(self) -> str:
         """The state as text; the fold goes on from just that text, so that live is replay by construction."""

@@ -1,4 +1,4 @@
-"""Keeps what the estimators have learned beside the logs, for the next run."""
+"""Stores what the estimators have learned in a file next to the logs, for the next run."""
 
 from pathlib import Path
 
@@ -32,6 +32,6 @@ class Keeping:
     def keep(self, t_ns: int, recording: Recording) -> None:
         """Write it in the thread that waits for the disk."""
         self._next_ns = t_ns + EVERY_NS
-        if kept := self._fold.keep(t_ns):
-            text = warm_start_file.text_of(self._machine, kept, t_ns)
-            recording.beside(lambda: warm_start_file.write(self._path, text))
+        if learned := self._fold.keep(t_ns):
+            text = warm_start_file.text_of(self._machine, learned, t_ns)
+            recording.on_disk_thread(lambda: warm_start_file.write(self._path, text))

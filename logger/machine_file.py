@@ -32,12 +32,12 @@ def read_machine(path: Path | str) -> tuple[Machine, str]:
 
 
 def _unfilled(text: str) -> str:
-    """What is left to fill in of a draft, "" if nothing."""
+    """Which lines of a draft are still to be filled in; "" if none."""
     lines = [n for n, line in enumerate(text.splitlines(), 1) if _UNFILLED.match(line)]
     if not lines:
         return ""
-    shown = f"line {lines[0]}" if len(lines) == 1 else f"line {lines[0]} and {len(lines) - 1} more"
-    return f'{shown} still marked "FILL IN"; write the value of each after its ='
+    place = f"line {lines[0]}" if len(lines) == 1 else f"line {lines[0]} and {len(lines) - 1} more"
+    return f'{place} still marked "FILL IN"; write the value of each after its ='
 
 
 def _dbc_name(text: str) -> str | None:

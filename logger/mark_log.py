@@ -20,9 +20,9 @@ class MarkLog:
         self._outlets = outlets
 
     def turn(self) -> None:
-        """Log those that were asked for, answer those that are on the disk."""
+        """Log the marks requested, answer those that are on the disk."""
         recording = self._outlets.recording
-        for mark in self.marks.asked():
+        for mark in self.marks.requests():
             t_ns = self._clock.t_ns()
             event = Event(t_ns, KIND, mark.text, *self._fold.place_deg, self._clock.utc_ns(t_ns))
             recording.message("/event", event.t_ns, CHANNEL["/event"].encode(event))

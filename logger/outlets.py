@@ -1,4 +1,4 @@
-"""Where everything goes that the daemon finds out: the log, Zenoh, and the display of whoever watches."""
+"""The outputs of the daemon: log, Zenoh and display."""
 
 from collections import deque
 from collections.abc import Callable
@@ -41,6 +41,7 @@ class Outlets:
 
     @property
     def zenoh_problem(self) -> str:
+        """What is wrong with Zenoh, in words; "" where nothing is."""
         return self._no_session if self.sink is None else self.sink.problem
 
     @property
@@ -77,5 +78,6 @@ class Outlets:
             self._display = NoDisplay()
 
     def close(self) -> None:
+        """Close Zenoh and the display."""
         if self.sink is not None:
             self.sink.close()

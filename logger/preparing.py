@@ -33,7 +33,7 @@ class Preparing:
     """Begins at once. `ready` is True from when the estimators can be called without waiting."""
 
     def __init__(self, machine: Machine, report: Report) -> None:
-        """report: is told, from a thread, what it does and what goes wrong."""
+        """report: takes kind and text of an event, called from a thread."""
         self.ready = compiling.is_prepared(machine)
         self.seconds = 0.0  # of compiling
         self.text = "" if self.ready else LOADING  # what is being done, in a person's words
@@ -50,7 +50,7 @@ class Preparing:
             self._thread.start()
 
     @property
-    def left_s(self) -> float | None:
+    def remaining_s(self) -> float | None:
         """About how long it still takes; None where that is not known."""
         if self.ready or self._began_s is None or self._done < SURE:
             return None
@@ -84,14 +84,14 @@ class Preparing:
         began_s = time.monotonic()
         self.text = COMPILING
         try:
-            compiling.kept_in(self._machine)
-        except compiling.Unkept as why:
+            compiling.cache_folder(self._machine)
+        except compiling.NoCacheFolder as why:
             self.text = ANEW
             self._report("compiled", str(why))
             self._lend()
         self._report("compiled", f"{self.text}: {FOLLOW}")
-        self._beside()
-        compiling.prepare(self._machine, self._told)  # loads, unless the process could not
+        self._compile_in_process()
+        compiling.prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
 
     def _lend(self) -> None:
@@ -102,7 +102,7 @@ class Preparing:
             )
             self._lent.enter_context(compiling.keeping_in(folder))
 
-    def _beside(self) -> None:
+    def _compile_in_process(self) -> None:
         """Compile in a process of its own."""
         try:
             status = self._process_ends()
@@ -130,10 +130,10 @@ class Preparing:
                 pickle.dump(self._machine, self._process.stdin, pickle.HIGHEST_PROTOCOL)
                 self._process.stdin.flush()
             for line in self._process.stdout:
-                self._told(float(line))
+                self._progress(float(line))
         return self._process.returncode
 
-    def _told(self, share: float) -> None:
+    def _progress(self, share: float) -> None:
         if self._closing:
             raise compiling.CompilingStopped
         if share == 0.0:

@@ -1,4 +1,4 @@
-"""Everything that one run holds open, and what they together say of themselves: status and summary."""
+"""All open parts of one run, and the status and summary made from them."""
 
 from dataclasses import dataclass
 
@@ -44,7 +44,7 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
         wheel_angle=parts.sensors.wheel_angle(t_ns),
         rejected=[pb.Count(reason=reason, count=n) for reason, n in all_rejected(parts).items()],
         preparing=estimation.preparing.text,
-        ready_in_s=estimation.preparing.left_s,
+        ready_in_s=estimation.preparing.remaining_s,
     )
     log_status(status, recording)
     if estimation.worker.seconds is not None:

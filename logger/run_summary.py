@@ -1,4 +1,4 @@
-"""What a run counts while it goes on, and what is said of it at the end."""
+"""Counts of a run under way, and its summary at the end."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,10 +1,11 @@
-"""What the daemon says of itself: tilth.Status, once a second, with every problem in a sentence."""
+"""Builds tilth.Status, once a second, with every problem in a sentence."""
 
 from collections.abc import Iterable, Mapping
 
 from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.states import DeviceState, RunHealth
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
 LOW_HOURS = 1.0  # of recording left
@@ -12,18 +13,20 @@ FRAME_BITS = 142  # of a frame of eight bytes with a long identifier, its usual 
 NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
 
 _RECEIVER_PROBLEMS: Mapping[str, str] = {
-    "waiting": "not heard yet; check its power, its bus, its NAME (said when it is switched on) or source",
-    "no_data": "heard, but it gives no position; check its antenna and corrections",
-    "lost": "no longer heard; check its power and plug",
+    DeviceState.WAITING: "not heard yet; check its power, its bus, its NAME (said when it is switched on) or "
+    "source",
+    DeviceState.NO_DATA: "heard, but it gives no position; check its antenna and corrections",
+    DeviceState.LOST: "no longer heard; check its power and plug",
 }
 _WHEEL_PROBLEMS: Mapping[str, str] = {
-    "waiting": "not heard yet; check its power, its bus and [wheel_angle] in the machine file",
-    "lost": "no longer heard; check its power and plug",
+    DeviceState.WAITING: "not heard yet; check its power, its bus and [wheel_angle] in the machine file",
+    DeviceState.LOST: "no longer heard; check its power and plug",
 }
 _GOOD_FIXES = ("rtk_fixed", "precise", "simulated", "")
 
 
 def bus_status(bus: LiveBus, t_ns: int) -> pb.BusStatus:
+    """The row of one bus at t_ns."""
     status = pb.BusStatus(
         name=bus.name,
         state=bus.state,
@@ -33,7 +36,7 @@ def bus_status(bus: LiveBus, t_ns: int) -> pb.BusStatus:
         error_frames=bus.tally.error_frames,
         lost_frames=bus.traffic.lost,
         reason=bus.problem,
-        stamp=bus.traffic.stamp,
+        stamp=bus.traffic.stamp or "",
         controller=bus.tally.health.state,
         errors=[pb.Count(reason=name, count=n) for name, n in bus.tally.health.counts.items()],
         failures=bus.outages.failures,
@@ -53,7 +56,7 @@ def log_status(status: pb.Status, recording: Recording) -> None:
     status.log_bytes = recording.size_bytes
     if recording.free_bytes is not None:
         status.disk_free_bytes = recording.free_bytes
-        status.hours_left = hours_left(recording.free_bytes, recording.bytes_per_s)
+        status.hours_left = recording_hours(recording.free_bytes, recording.bytes_per_s)
 
 
 def rejected(
@@ -73,11 +76,11 @@ def rejected(
     return counts | {reason: count for reason, count in other.items() if count}
 
 
-def health_of(status: pb.Status) -> str:
-    """One word for whoever watches from afar: good, degraded, bad."""
+def health_of(status: pb.Status) -> RunHealth:
+    """BAD where nothing is recorded, DEGRADED where there is a problem."""
     if not status.recording:
-        return "bad"
-    return "degraded" if status.problems else "good"
+        return RunHealth.BAD
+    return RunHealth.DEGRADED if status.problems else RunHealth.GOOD
 
 
 def problems_of(status: pb.Status, buses: Iterable[LiveBus], recording: Recording, zenoh: str) -> list[str]:
@@ -109,6 +112,6 @@ def _sensor_problems(status: pb.Status) -> list[str]:
     return found
 
 
-def hours_left(free_bytes: float, bytes_per_s: float | None = None) -> float:
-    """Of recording, at that rate or, where none is known yet, at a nominal one."""
+def recording_hours(free_bytes: float, bytes_per_s: float | None = None) -> float:
+    """Hours of recording that fit, at that rate, or at a nominal one where none is known."""
     return free_bytes / (bytes_per_s or NOMINAL_BYTES_PER_S) / 3600.0

@@ -4,6 +4,7 @@ The daemon's loop draws it, so nothing here may take long or wait.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from typing import TextIO
 
 from rich.columns import Columns
@@ -13,18 +14,20 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from tilth.logger.can.live_bus import BusState
 from tilth.logger.clock import utc_text
 from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import of_logarithm
+from tilth.schemas.states import DeviceState
 
 PLAIN_NS = 5_000_000_000
-EVENTS_SHOWN = 4
-PROBLEMS_SHOWN = 6
+MOST_EVENTS = 4
+MOST_PROBLEMS = 6
 STIFFNESSES = ("front", "rear", "implement")  # the first three of PARAMETERS
-_COLOUR = {
-    "open": "green", "alive": "green", "waiting": "yellow",
-    "silent": "red", "failed": "red", "no_data": "red", "lost": "red",
+_COLOUR: Mapping[str, str] = {
+    BusState.OPEN: "green", DeviceState.ALIVE: "green", DeviceState.WAITING: "yellow",
+    BusState.SILENT: "red", BusState.FAILED: "red", DeviceState.NO_DATA: "red", DeviceState.LOST: "red",
 }  # fmt: skip
 
 
@@ -56,7 +59,7 @@ class PanelDisplay:
 
     def __init__(self, machine: str, console: Console | None = None) -> None:
         self._machine = machine
-        self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
+        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
@@ -99,8 +102,8 @@ def _times(count: int) -> str:
 
 def preparing_text(status: pb.Status) -> str:
     """What is still being made ready, and about how long that takes."""
-    left = f", about {status.ready_in_s:.0f} s left" if status.HasField("ready_in_s") else ""
-    return f"{status.preparing}{left}"
+    remaining = f", about {status.ready_in_s:.0f} s left" if status.HasField("ready_in_s") else ""
+    return f"{status.preparing}{remaining}"
 
 
 def stiffness_text(one: ParameterEstimate) -> str:
@@ -122,7 +125,7 @@ def panel(
             Columns((_buses(status), _sensors(status), _soil(estimate)), padding=(0, 3)),
             _log_line(status),
             *([Text(f"… {preparing_text(status)}", style="yellow")] if status.preparing else []),
-            *(Text(f"✘ {problem}", style="bold red") for problem in status.problems[:PROBLEMS_SHOWN]),
+            *(Text(f"✘ {problem}", style="bold red") for problem in status.problems[:MOST_PROBLEMS]),
             *(
                 Text(
                     f"{utc_text(e.t_ns, '%H:%M:%SZ')} {e.text}",
@@ -158,7 +161,7 @@ def _table(*columns: str) -> Table:
 
 
 def _state(state: str) -> Text:
-    mark = "✔" if state in ("open", "alive") else "✘" if _COLOUR.get(state) == "red" else "…"
+    mark = "✔" if state in (BusState.OPEN, DeviceState.ALIVE) else "✘" if _COLOUR.get(state) == "red" else "…"
     return Text(f"{mark} {state.replace('_', ' ')}", style=_COLOUR.get(state, ""))
 
 
@@ -208,8 +211,8 @@ def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate
 def _log_line(status: pb.Status) -> Text:
     if not status.HasField("disk_free_bytes"):
         return Text(status.log_file)
-    left = status.hours_left
-    room = f"{status.disk_free_bytes / 1e9:.1f} GB free, {'over 99' if left > 99 else f'{left:.0f}'} h"
+    hours = status.hours_left
+    room = f"{status.disk_free_bytes / 1e9:.1f} GB free, {'over 99' if hours > 99 else f'{hours:.0f}'} h"
     return Text(
         f"{status.log_file or 'no log file'}  {status.log_bytes / 1e6:.1f} MB  ({room})", overflow="fold"
     )

@@ -67,11 +67,11 @@ def of_environment(environment: MutableMapping[str, str]) -> Supervisor:
     return supervisor
 
 
-def _address(told: str) -> str | None:
+def _address(setting: str) -> str | None:
     """A path, or a name in the abstract namespace, told with an @."""
-    if told.startswith("@"):
-        return "\0" + told[1:]
-    return told if told.startswith("/") else None
+    if setting.startswith("@"):
+        return "\0" + setting[1:]
+    return setting if setting.startswith("/") else None
 
 
 def _watchdog_us(environment: Mapping[str, str]) -> int:

@@ -11,14 +11,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.machine import Machine
 
 FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
-Warm = Callable[[Mapping[str, Kept], float, int], dict[str, str]]  # GuardedFold.warm
+Warm = Callable[[Mapping[str, SavedPosterior], float, int], dict[str, str]]  # GuardedFold.warm
 Report = Callable[[str, str], None]  # kind and text of an event
 
 
@@ -27,17 +27,18 @@ class NotUsable(Exception):
 
 
 def path_of(folder: Path, machine: Machine) -> Path:
+    """Where what the estimators learned of a machine is stored, in the log folder."""
     return folder / f"{machine.name}.warm.json"
 
 
-def text_of(machine: Machine, kept: dict[str, Kept], utc_ns: int) -> str:
+def text_of(machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int) -> str:
     """What is to be written."""
     plain = {
         "format": FORMAT,
         "machine": machine.name,
         "utc_ns": utc_ns,
         "sections": _digests(machine),
-        "methods": {method: one.to_json() for method, one in kept.items()},
+        "methods": {method: one.to_json() for method, one in learned.items()},
     }
     return json.dumps(plain, indent=1)
 
@@ -52,7 +53,7 @@ def write(path: Path, text: str) -> None:
     new.replace(path)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], float] | None:
+def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, SavedPosterior], float] | None:
     """(method -> what was kept, s since then); None where nothing was. Raises NotUsable."""
     try:
         plain = json.loads(path.read_text())
@@ -65,14 +66,14 @@ def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, Kept], fl
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
-        kept = {method: Kept.from_json(one) for method, one in plain["methods"].items()}
+        learned = {method: SavedPosterior.from_json(one) for method, one in plain["methods"].items()}
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return kept, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S
+    return learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S
 
 
 def _digests(machine: Machine) -> dict[str, str]:
@@ -95,9 +96,9 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         return False
     if found is None:
         return False
-    told = warm(*found, t_ns)
-    used = [method for method, refusal in told.items() if not refusal]
-    for method, refusal in told.items():
+    refusals = warm(*found, t_ns)
+    used = [method for method, refusal in refusals.items() if not refusal]
+    for method, refusal in refusals.items():
         if refusal:
             report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
     if used:

@@ -1,5 +1,7 @@
-"""What is heard of one daemon: the last of each message, every event, who lives. Threads of Zenoh's fill it,
-the page's own loop empties it."""
+"""Data received from one daemon: the latest of each message, all events, and which daemons are alive.
+
+Threads of Zenoh fill it, the page's loop empties it.
+"""
 
 import threading
 import time
@@ -44,7 +46,7 @@ class DaemonData:
         base_key(machine or "any", prefix, replay)
         self._prefix, self._wanted = prefix, (machine, replay)
         self._lock = threading.Lock()
-        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was said
+        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was sent
         self._events: deque[tuple[bytes, str, float]] = deque(maxlen=EVENTS)
         self._alive: set[Alive] = set()
         self._refused: Counter[str] = Counter()
@@ -58,10 +60,12 @@ class DaemonData:
 
     @property
     def followed(self) -> Alive | None:
+        """The daemon that is followed; None before one lives."""
         return self._followed
 
     @property
     def base(self) -> str:
+        """Its key prefix; "" where none is followed."""
         return "" if self._followed is None else self._followed.base(self._prefix)
 
     def alive(self) -> tuple[bool, list[str]]:
@@ -70,6 +74,7 @@ class DaemonData:
             return self._followed in self._alive, [one.machine for one in sorted(self._alive)]
 
     def refused(self) -> dict[str, int]:
+        """Reason -> number of messages that were not used."""
         with self._lock:
             return dict(self._refused)
 
@@ -87,18 +92,18 @@ class DaemonData:
         return True
 
     def take(self) -> tuple[dict[str, tuple[dict[str, Any], float]], list[dict[str, Any]]]:
-        """What came since the last call: kind -> message and when it was said; and the events."""
+        """What came since the last call: kind -> message and when it was sent; and the events."""
         with self._lock:
             new, self._new = self._new, {}
             events = list(self._events)
             self._events.clear()
         messages = {}
-        for kind, (data, encoding, said_s) in new.items():
+        for kind, (data, encoding, received_s) in new.items():
             message = self._plain(kind, data, encoding)
             if message is not None:
-                messages[kind] = (message, said_s)
-        told = [self._plain("event", data, encoding) for data, encoding, _ in events]
-        return messages, [event for event in told if event is not None]
+                messages[kind] = (message, received_s)
+        parsed = [self._plain("event", data, encoding) for data, encoding, _ in events]
+        return messages, [event for event in parsed if event is not None]
 
     def mark(self, text: str) -> MarkAnswer:
         """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
@@ -107,8 +112,8 @@ class DaemonData:
         for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
             if reply.ok is not None:
                 return MarkAnswer(True, "in the log")
-            told = reply.err.payload.to_bytes() if reply.err is not None else b""
-            return MarkAnswer(False, told[:200].decode(errors="replace") or "the daemon refused it")
+            refused = reply.err.payload.to_bytes() if reply.err is not None else b""
+            return MarkAnswer(False, refused[:200].decode(errors="replace") or "the daemon refused it")
         return MarkAnswer(
             False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records"
         )
@@ -161,7 +166,7 @@ class DaemonData:
                 return  # a newer one has come meanwhile
         self._keep(reply.ok, time.monotonic() - age_s)
 
-    def _keep(self, sample: zenoh.Sample, said_s: float) -> None:
+    def _keep(self, sample: zenoh.Sample, received_s: float) -> None:
         key = str(sample.key_expr)
         kind = key.removeprefix(f"{self.base}/")
         with self._lock:
@@ -172,7 +177,7 @@ class DaemonData:
             if len(sample.payload) > LARGEST:  # not even kept until it is looked at
                 self._count(f"{kind}: {len(sample.payload)} bytes are too many")
                 return
-            row = (sample.payload.to_bytes(), str(sample.encoding), said_s)
+            row = (sample.payload.to_bytes(), str(sample.encoding), received_s)
             if kind == "event":
                 self._events.append(row)
             else:
@@ -184,6 +189,6 @@ class DaemonData:
             return
         with self._lock:
             (self._alive.add if sample.kind == zenoh.SampleKind.PUT else self._alive.discard)(which)
-            asked = which == self._followed and which in self._alive
-        if asked:  # it has begun anew: another rig perhaps, and values that were missed
+            is_new_start = which == self._followed and which in self._alive
+        if is_new_start:  # it has begun anew: another rig perhaps, and values that were missed
             self._ask()

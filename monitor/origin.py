@@ -1,7 +1,7 @@
-"""Who may ask a server on this computer: no page of another origin.
+"""Decides which requests a server on this computer answers: none from a page of another origin.
 
-Neither one that points its own name here nor one that asks from the same browser. A program that is no
-browser says no origin, and is heard.
+Neither a page whose own name points here nor one in the same browser. A program that is no browser sends no
+origin, and is answered.
 """
 
 import ipaddress
@@ -34,12 +34,12 @@ def refusal(hosts: Sequence[str], origins: Sequence[str], allowed: Sequence[str]
     if len(origins) > 1 or None in found:
         return Refusal(400, "say one Origin, such as http://localhost:8117, or none")
     name = (host[1] or "").lower().strip("[]")
-    own = socket.gethostname().lower()
-    if name not in ("localhost", own, f"{own}.local") and not _is_address(name):
+    host_name = socket.gethostname().lower()
+    if name not in ("localhost", host_name, f"{host_name}.local") and not _is_address(name):
         return Refusal(403, "ask by this computer's address or name")
     for origin, match in zip(origins, found, strict=True):
-        own_page = match is not None and match["place"] and match["place"].lower() == host[0].lower()
-        if not (own_page or origin.lower() in allowed):
+        same_origin = match is not None and match["place"] and match["place"].lower() == host[0].lower()
+        if not (same_origin or origin.lower() in allowed):
             return Refusal(403, "asked by a page from elsewhere")
     return None
 

@@ -70,12 +70,12 @@ class Viewers:
 
     async def run(self) -> None:
         """Turn by turn, until cancelled."""
-        said_s = 0.0
+        sent_s = 0.0
         while True:
             now_s = self._now_s()
             turn = self._view.turn(now_s)
-            if turn.news or turn.anew or now_s - said_s >= IDLE_S:
-                said_s = now_s
+            if turn.news or turn.anew or now_s - sent_s >= IDLE_S:
+                sent_s = now_s
                 self._say(self._view.whole(now_s) if turn.anew else turn.text)
             await asyncio.sleep(TURN_S)
 
@@ -130,8 +130,8 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        asked = HTTPConnection(scope)
-        refused = refusal(asked.headers.getlist("host"), asked.headers.getlist("origin"))
+        connection = HTTPConnection(scope)
+        refused = refusal(connection.headers.getlist("host"), connection.headers.getlist("origin"))
         if refused is None:
             await self._app(scope, receive, headed)
             return
@@ -142,7 +142,8 @@ class Guard:
             await answer(scope, receive, headed)
 
 
-def application(heard: DaemonData, view: View) -> ASGIApp:
+def application(daemon_data: DaemonData, view: View) -> ASGIApp:
+    """The page, its live stream and the query for marks, for any ASGI server."""
     viewers = Viewers(view)
     folder = resources.files("tilth.monitor") / "page"
 
@@ -154,10 +155,10 @@ def application(heard: DaemonData, view: View) -> ASGIApp:
 
     async def mark(request: Request) -> Response:
         try:
-            asked = await _asked(request)
+            text = await _mark_text(request)
         except ValueError as error:
             return _answer(MarkAnswer(False, str(error)), 400)
-        return _answer(await run_in_threadpool(heard.mark, asked), 200)
+        return _answer(await run_in_threadpool(daemon_data.mark, text), 200)
 
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
     routes += [Route("/mark", mark, methods=["POST"])]
@@ -176,7 +177,7 @@ def _answer(mark: MarkAnswer, status: int) -> Response:
     return JSONResponse({"noted": mark.noted, "text": mark.text}, status)
 
 
-async def _asked(request: Request) -> str:
+async def _mark_text(request: Request) -> str:
     """The text of a mark. Raises ValueError."""
     if request.headers.get("content-type") != "application/json":  # what a form of another page cannot send
         raise ValueError("a mark is sent as JSON")
@@ -211,13 +212,17 @@ def listening_socket(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(heard: DaemonData, endpoint: str, listener: socket.socket) -> None:
+def _is_fault(record: logging.LogRecord) -> bool:
+    """A stream that is refused with an answer of its own is none, as this server believes."""
+    return "completing handshake" not in record.getMessage()
+
+
+def serve(daemon_data: DaemonData, endpoint: str, listener: socket.socket) -> None:
     """Until SIGINT or SIGTERM: both are how it is meant to end."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # A stream that is refused with an answer of its own is no fault, as this server believes.
-    logging.getLogger("uvicorn.error").addFilter(lambda said: "completing handshake" not in said.getMessage())
+    logging.getLogger("uvicorn.error").addFilter(_is_fault)
     config = uvicorn.Config(
-        application(heard, View(heard, endpoint)),
+        application(daemon_data, View(daemon_data, endpoint)),
         ws="websockets-sansio",
         ws_max_size=4096,
         ws_per_message_deflate=False,  # the way is short: no core is spent on packing

@@ -1,4 +1,4 @@
-"""What the daemon says, in the words of who sits in the cab. Pure: JSON of messages in, texts, numbers out.
+"""Turns the daemon's messages into words for the driver. Pure: JSON of messages in, texts and numbers out.
 
 Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep standard deviations.
 """
@@ -6,13 +6,15 @@ Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages
 import math
 import re
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import Any, Final
 
-from tilth.estimator.models.manoeuvres import MANOEUVRES
+from tilth.monitor.advice_text import AdviceKind, parse_advice
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
+
 
 GROUPS: Final = ("front", "rear", "implement")  # of tyres, in the order of PARAMETERS, twice
 SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
@@ -22,11 +24,20 @@ WIDEST: Final = 50.0  # sd of a logarithm that is still a number about anything
 LARGEST: Final = 1.0  # 95 % of a logarithm: beyond, a share says nothing
 _NUMBER: Final = r"(\d+(?:\.\d+)?)"
 _SHARE: Final = re.compile(rf"±\s?{_NUMBER} %")
-_NAMES: Final = re.compile("|".join(map(re.escape, PARAMETERS)))
-_SLOW: Final = re.compile(rf"nothing can be learned below {_NUMBER} m/s")
 
 
-def shown(estimate: Fields, rig: Fields | None) -> Fields:
+class GroundWord(StrEnum):
+    """How the soil holds a group of tyres, as the page shows it."""
+
+    SOFT = "soft"
+    USUAL = "as usual"
+    FIRM = "firm"
+    NOT_KNOWN_YET = "not known yet"
+    NOT_KNOWN_NOW = "not known now"  # it was, but has grown old
+    WITHDRAWN = "withdrawn"  # something contradicts
+
+
+def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
     """What the page shows of an estimate: of each parameter its value, the half-width of its logarithm's
     95 %, status and reason; of each group of tyres a word; what to drive; what is withdrawn and why."""
     values, within, statuses = row(estimate)
@@ -76,47 +87,37 @@ def priors(rig: Fields) -> Fields:
 def ground(value: float | None, within: float | None, status: int, usual: float | None) -> Fields:
     """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on."""
     if status == Status.INVALID:
-        return {"word": "withdrawn", "text": ""}
+        return {"word": GroundWord.WITHDRAWN, "text": ""}
     if status == Status.STALE:
-        return {"word": "not known now", "text": ""}
+        return {"word": GroundWord.NOT_KNOWN_NOW, "text": ""}
     if status != Status.ESTIMATED or value is None or within is None or not usual:
-        return {"word": "not known yet", "text": ""}
+        return {"word": GroundWord.NOT_KNOWN_YET, "text": ""}
     ratio = value / usual
     low, high = ratio * math.exp(-within), ratio * math.exp(within)
     text = f"{_percent(ratio)} % of usual (95 %: {_percent(low)} to {_percent(high)} %)"
     if high < SOFT:
-        return {"word": "soft", "text": text}
+        return {"word": GroundWord.SOFT, "text": text}
     if low > FIRM:
-        return {"word": "firm", "text": text}
+        return {"word": GroundWord.FIRM, "text": text}
     inside = USUAL[0] <= low and high <= USUAL[1]
-    return {"word": "as usual" if inside else "not known yet", "text": text}
+    return {"word": GroundWord.USUAL if inside else GroundWord.NOT_KNOWN_YET, "text": text}
 
 
-def advised(advice: str) -> str:
-    """The sentence of estimator/results/advice.py as one for a driver; "" where there is none to give."""
-    slow = _SLOW.fullmatch(advice)
-    if slow:
-        return f"Drive faster than {3.6 * float(slow[1]):.1f} km/h: below, nothing can be learned."
-    start, _, rest = advice.partition("; ")
-    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in _NAMES.findall(start)]
-    if not groups:
+def advised(text: str) -> str:
+    """An estimate's advice as a sentence for a driver; "" where there is none to give."""
+    advice = parse_advice(text)
+    match advice.kind:
+        case AdviceKind.TOO_SLOW:
+            return f"Drive faster than {3.6 * advice.speed:.1f} km/h: below, nothing can be learned."
+        case AdviceKind.NOT_AT_THIS_SPEED:
+            return "At this speed there is no gentle steering that would tell more."
+        case AdviceKind.NOTHING_HELPS:
+            return "Drive on: no steering at this speed would tell much more."
+    if advice.manoeuvre is None:
         return ""
-    if not rest:
-        return "At this speed there is no gentle steering that would tell more."
-    if rest.startswith("no "):
-        return "Drive on: no steering at this speed would tell much more."
-    for manoeuvre in MANOEUVRES:
-        found = manoeuvre.driven and re.match(_spoken(manoeuvre.called), rest)
-        if found:
-            what = f"{manoeuvre.driven} for {found[1]} s, wheels to about {found[2]}°"
-            return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
-    return ""
-
-
-def _spoken(called: str) -> str:
-    """What the advice says of a manoeuvre, as a pattern."""
-    before, after = map(re.escape, called.split("{:g}"))
-    return rf"{_NUMBER} s of {before}{_NUMBER}{after} would "
+    what = f"{advice.manoeuvre.driven} for {advice.seconds} s, wheels to about {advice.degrees}°"
+    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in advice.parameters]
+    return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
 
 
 def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:
@@ -140,6 +141,7 @@ def at_95(text: str) -> str:
 
 
 def short(number: float) -> float:
+    """The number with five digits: enough for a page."""
     return float(f"{number:.5g}")
 
 

@@ -27,9 +27,11 @@ class Comparison:
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
 
     def logged(self, row: Logged) -> None:
+        """Take a result that was logged live."""
         self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
 
     def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Take a result of the replay."""
         if topic in IDENTICAL:
             self._take(topic, (t_ns, data), self._again, self._live)
 
@@ -45,18 +47,22 @@ class Comparison:
             again.clear()
 
     def _take(
-        self, topic: str, row: _Row, own: dict[str, deque[_Row]], other: dict[str, deque[_Row]]
+        self,
+        topic: str,
+        row: _Row,
+        waiting_here: dict[str, deque[_Row]],
+        waiting_there: dict[str, deque[_Row]],
     ) -> None:
         if self.difference:
             return
-        waiting = other[topic]
+        waiting = waiting_there[topic]
         if not waiting:
-            own[topic].append(row)
+            waiting_here[topic].append(row)
             return
         self.compared += 1
         opposite = waiting.popleft()
         if row != opposite:
-            live, again = (row, opposite) if own is self._live else (opposite, row)
+            live, again = (row, opposite) if waiting_here is self._live else (opposite, row)
             self.difference = _difference(topic, live, again)
 
 
@@ -65,7 +71,7 @@ def _difference(topic: str, live: _Row, again: _Row) -> str:
         return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
     message = CHANNEL[topic].message
     found = _first_field(message.FromString(live[1]), message.FromString(again[1]))
-    return f"{topic} at {_seconds(live[0])}: {found or 'same values in other bytes'}"
+    return f"{topic} at {_seconds(live[0])}: {found or 'same values in waiting_there bytes'}"
 
 
 def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> str:
@@ -79,7 +85,7 @@ def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> s
             return _first_field(a, b, name + ".")
         if field.is_repeated and len(a) == len(b):
             return _first_item(a, b, name)
-        return f"{name} was {_shown(live, field, a)}, is {_shown(again, field, b)}"
+        return f"{name} was {_formatted(live, field, a)}, is {_formatted(again, field, b)}"
     return ""
 
 
@@ -95,7 +101,7 @@ def _present(message: ProtoMessage, field: Any) -> bool:
     return message.HasField(field.name) if field.has_presence else True
 
 
-def _shown(message: ProtoMessage, field: Any, value: Any) -> str:
+def _formatted(message: ProtoMessage, field: Any, value: Any) -> str:
     if not _present(message, field):
         return "absent"
     return f"{len(value)} long" if field.is_repeated else repr(value)

@@ -1,4 +1,4 @@
-"""What is on these buses? A survey of frames: who speaks, who may be a receiver, what may be the wheel angle.
+"""Surveys the frames of buses: the devices, possible receivers, and signals that may be the wheel angle.
 
 Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 """
@@ -39,7 +39,7 @@ class SentMessage:
 
 @dataclass(frozen=True, slots=True)
 class BusDevice:
-    """Who sends from one address."""
+    """The device that sends from one address of one bus."""
 
     bus: str
     source: int
@@ -87,7 +87,7 @@ class _Times:
 
     @property
     def per_s(self) -> float:
-        """0 for what came a few times within a second: an event, no rate."""
+        """1/s; 0 for a message that came a few times within a second: an event has no rate."""
         seconds = (self.last_ns - self.first_ns) * 1e-9
         return (self.count - 1) / seconds if seconds > 1.0 else 0.0
 
@@ -109,7 +109,7 @@ class _Identifier:
 def listen(
     configs: Sequence[Bus], seconds: float, report: Report, stop: Callable[[], bool]
 ) -> Iterator[Frame]:
-    """Frames of these buses for so long, or until `stop()`. `report` is told what is wrong with a bus.
+    """Frames of these buses for so long, or until `stop()`. `report`: takes a problem with a bus.
 
     Raises MachineError where a bus names an interface that python-can does not know.
     """
@@ -138,6 +138,7 @@ class BusSurvey:
         self._turn_rates = TurnRates()
 
     def take(self, frame: Frame) -> None:
+        """Take a frame; error frames do not count."""
         self._frames += 1
         self._last_ns = frame.rx_ns
         if self._first_ns is None:
@@ -147,9 +148,10 @@ class BusSurvey:
             return
         self._count(frame)
         for message in self._decoder.messages(frame):
-            self._told(message)
+            self._take_message(message)
 
     def findings(self) -> Findings:
+        """All devices, and the candidates for the wheel angle, the best first."""
         seconds = (self._last_ns - (self._first_ns or 0)) * 1e-9
         lags = self._turn_rates.smoothed()
         return Findings(
@@ -179,12 +181,12 @@ class BusSurvey:
         if pgn in _TABLE and pgn not in _SELECTED and pgn != RUDDER:
             return
         key = (frame.bus, frame.can_id, frame.extended)
-        seen = self._identifiers.setdefault(key, _Identifier())
-        if len(seen.data) < MOST_SAMPLES:
-            seen.times_ns.append(frame.rx_ns)
-            seen.data.append(frame.data)
+        identifier = self._identifiers.setdefault(key, _Identifier())
+        if len(identifier.data) < MOST_SAMPLES:
+            identifier.times_ns.append(frame.rx_ns)
+            identifier.data.append(frame.data)
 
-    def _told(self, message: Message) -> None:
+    def _take_message(self, message: Message) -> None:
         self._turn_rates.take(message)
         origin = message.origin
         speaker = self._speaker(origin.bus, origin.source)
@@ -204,8 +206,8 @@ class BusSurvey:
 
     def _wheel_angles(self) -> Iterator[WheelCandidate]:
         yaw = max(self._yaw.values(), key=len, default=[])
-        for (bus, can_id, extended), seen in self._identifiers.items():
-            words = candidates(bus, can_id, extended, seen.times_ns, seen.data, yaw)
+        for (bus, can_id, extended), identifier in self._identifiers.items():
+            words = candidates(bus, can_id, extended, identifier.times_ns, identifier.data, yaw)
             best = max(words, key=lambda word: word.score, default=None)
             if best is not None:
                 yield best

@@ -1,4 +1,4 @@
-"""What `--json` says of estimates, the same from a replay and from the demo."""
+"""The JSON of estimates, the same from a replay and from the demo."""
 
 from collections.abc import Mapping
 

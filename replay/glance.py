@@ -1,12 +1,12 @@
-"""What is in a log file, seen without reading all of it: by its index, or, where it has none yet, by the
-heads of its records."""
+"""Summarises a log file without reading all of it: from its index, or else from the heads of its records."""
 
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
+from enum import Enum, auto
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -19,19 +19,22 @@ from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb
 
-WHOLE: Final = "whole"
-BEING_WRITTEN: Final = "being written"  # by another program, now
-UNFINISHED: Final = "unfinished"
-NO_LOG: Final = "no log of tilth"
 _INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
 _ENTRY = 16
 
 
+class FileState(Enum):
+    WHOLE = auto()
+    BEING_WRITTEN = auto()  # by another program, now
+    UNFINISHED = auto()
+    NO_LOG = auto()  # not one of tilth's
+
+
 @dataclass(slots=True)
 class Glance:
-    """What a file tells. Times are log times, ns; 0 where there is no message."""
+    """Summary of one log file. Times are log times, ns; 0 where there is no message."""
 
-    state: str  # one of those above
+    state: FileState
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
@@ -47,24 +50,24 @@ def glance(path: Path) -> Glance:
         size = path.stat().st_size
         if not is_finished(file, size):
             if not is_ours(file, size):
-                return Glance(NO_LOG)
-            found = Glance(BEING_WRITTEN if is_being_written(file) else UNFINISHED)
+                return Glance(FileState.NO_LOG)
+            found = Glance(FileState.BEING_WRITTEN if is_being_written(file) else FileState.UNFINISHED)
             return _by_heads(file, size, found)
         file.seek(0)
         try:
             reader = make_reader(file)
             if "tilth" not in reader.get_header().library:
-                return Glance(NO_LOG)
+                return Glance(FileState.NO_LOG)
             return _by_index(reader)
         except DAMAGE:
-            return Glance(NO_LOG)
+            return Glance(FileState.NO_LOG)
 
 
 def _by_index(reader: McapReader) -> Glance:
-    found = Glance(WHOLE)
+    found = Glance(FileState.WHOLE)
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
-        return Glance(NO_LOG)
+        return Glance(FileState.NO_LOG)
     counts = summary.statistics.channel_message_counts
     buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
     found.frames = sum(
@@ -74,9 +77,9 @@ def _by_index(reader: McapReader) -> Glance:
     found.last_ns = summary.statistics.message_end_time
     last = next(reader.iter_messages(buses, reverse=True), None) if buses else None
     until_ns = last[2].log_time + 1 if last else None
-    told = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
-    if told:
-        found.sensors = _sensors(told[2].data)
+    status = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
+    if status:
+        found.sensors = _sensors(status[2].data)
     found.events = _kinds(row.data for _, _, row in reader.iter_messages(["/event"]))
     for record in reader.iter_metadata():
         _metadata(found, record)
@@ -122,7 +125,7 @@ class _ChunkPlaces:
 
 
 def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
-    """As far as it is whole; what is damaged is passed over, for `tilth verify` says it."""
+    """As far as the file is whole; damaged chunks are passed over: `tilth verify` reports them."""
     chunks = _ChunkPlaces(file)
     times: list[int] = []
     for place in walk(file, size):
@@ -169,7 +172,7 @@ def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     with_frames = chunks.holding(buses)[-1:]
     until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
     for number in reversed(chunks.holding({"/status"})):
-        told = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
-        if told:
-            found.sensors = _sensors(told[-1])
+        statuses = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
+        if statuses:
+            found.sensors = _sensors(statuses[-1])
             return

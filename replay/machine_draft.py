@@ -1,4 +1,4 @@
-"""A machine file from what was heard on the buses: it parses once every line marked FILL IN is filled in."""
+"""Drafts a machine file from a survey of buses: it parses once every line marked FILL IN is filled in."""
 
 from collections.abc import Iterator, Sequence
 
@@ -41,8 +41,8 @@ _PRIORS = (("front", 220e3, 1.1), ("rear", 486e3, 1.5), ("implement", 167e3, 1.1
 def draft(findings: Findings, buses: Sequence[Bus]) -> str:
     """The text. buses: as they were opened; those of a log are left to be filled in."""
     opened = {bus.name: bus for bus in buses}
-    said = f'# A draft by `{command("discover")}`. Every line with "FILL IN" needs a value; then: '
-    parts = [f"{said}{command('check', 'THIS_FILE')}\n", _HEAD]
+    headline = f'# A draft by `{command("discover")}`. Every line with "FILL IN" needs a value; then: '
+    parts = [f"{headline}{command('check', 'THIS_FILE')}\n", _HEAD]
     for axle, stiffness, length in _PRIORS:
         parts.append(
             f"[tyres.{axle}]\n"

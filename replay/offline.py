@@ -12,7 +12,7 @@ from pathlib import Path
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
-from tilth.logger.fitting import Retold
+from tilth.logger.fitting import ReplayedFits
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
 from tilth.replay.compare import IDENTICAL, Comparison
@@ -27,10 +27,10 @@ from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 INPUTS = frozenset({FIT_TOPIC, READY_TOPIC})  # what enters the fold besides frames and stored states
 WITH_RESULTS = IDENTICAL | INPUTS
-SHOWN = 4096  # frames between two looks of the progress bar
-SAID = frozenset(
+PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
+REPORTED_KINDS = frozenset(
     {"fault", "clock_step", *receiver_checks.KINDS}
-)  # events that a person at a replay should read
+)  # kinds of events that are printed in a replay
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ class ReplayOutputs:
     publish: Callable[[str, bytes], None] | None = None  # topic, payload
     comparison: Comparison | None = None
     pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
-    progress: Callable[[int], None] | None = None  # is told the bytes read so far
+    progress: Callable[[int], None] | None = None  # takes the number of bytes read so far
 
 
 class Pace:
@@ -113,8 +113,7 @@ def replay(
     another run, or out of order, begins with a new fold: its counts are added up, the estimates are those of
     the last run. A state stored in a log is taken up where the log was recorded with this machine file, as
     the daemon did when it wrote it: a file of a run replays alone, and several give what the run gave.
-    `buses` maps names of the logs to names of the machine file. `say` is told, in sentences, what a person
-    should know.
+    `buses` maps names of the logs to names of the machine file. `say` takes sentences for the user.
     Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
     """
     run = _Run(machine, machine_text, outputs or ReplayOutputs(), say)
@@ -145,14 +144,14 @@ class _Run:
         self._outputs = outputs
         self._say = say
         self._read_bytes = 0
-        self._told_other = False
+        self._reported_other_machine = False
         self._waited = 0  # frames for which the estimators were not ready
         self._place: RunPlace | None = None  # of the last log
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
         self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
         self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
-        self.fitter = Retold(machine, lambda kind, text: say(text))
+        self.fitter = ReplayedFits(machine, lambda kind, text: say(text))
         self._fold = GuardedFold(machine, fitter=self.fitter)
         self._before = _counts(self._fold)
         self._unknown_before = self._unknown_now()
@@ -170,13 +169,13 @@ class _Run:
     def _follow(self, log: OpenLog) -> None:
         """See whether a log goes on where the one before it ended, and say so where it does not."""
         last, self._place = self._place, place(log)
-        self.fitter.own = self._place.run != ("", "")
+        self.fitter.holds_outcomes = self._place.run != ("", "")
         if last is None:
             return
         self._anew |= not self._place.goes_on_from(last)
-        told = self._place.told_after(last)
-        if told:
-            self._say(f"{log.path}: {told}")
+        gap = self._place.gap_after(last)
+        if gap:
+            self._say(f"{log.path}: {gap}")
 
     def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
         pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
@@ -186,14 +185,16 @@ class _Run:
             if self._anew:
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
-                log_time.follow(time, record)
-                even_ns = time.silent_ns if self.fitter.own else 0  # a clock of tilth's is never set
+                log_time.take_stamp(time, record)
+                even_ns = (
+                    time.silent_ns if self.fitter.holds_outcomes else 0
+                )  # a clock of tilth's is never set
                 summary.duration_ns = before_ns + time.passed_ns + even_ns
                 if pace is not None:
                     pace(time.latest_ns)
                 summary.frames += 1
                 self._frame(record)
-                if progress is not None and summary.frames % SHOWN == 0:
+                if progress is not None and summary.frames % PROGRESS_FRAMES == 0:
                     progress(self._read_bytes + log.position())
             elif isinstance(record, Snapshot):
                 self._snapshot(log, record)
@@ -212,33 +213,33 @@ class _Run:
         self._put(self._fold.take(frame))
 
     def _fit(self, record: Logged) -> None:
-        """What the log says became of a fit: it is used at the next frame, as it was live."""
-        told = FitOutcome.FromString(record.data)
-        self.fitter.tell(told.method, told.asked_ns, told.adopted, told.awaited)
-        self._put([(p, payload(p)) for p in self._fold.decided(told.t_ns)])
+        """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
+        outcome = FitOutcome.FromString(record.data)
+        self.fitter.add_outcome(outcome.method, outcome.asked_ns, outcome.adopted, outcome.awaited)
+        self._put([(p, payload(p)) for p in self._fold.decided(outcome.t_ns)])
 
     def _ready(self, log: OpenLog, record: Logged) -> None:
         """From here on the estimators take part, or do not, as they did live."""
-        told = Ready.FromString(record.data)
-        if told.ready and not self._fold.ready and self._waited:
+        ready = Ready.FromString(record.data)
+        if ready.ready and not self._fold.ready and self._waited:
             self._say(
                 f"{log.path}: {self._waited} frames came before the estimators were ready; estimates follow "
                 "after them, as they did live"
             )
         self._waited = 0
-        self._fold.ready = told.ready
+        self._fold.ready = ready.ready
         if self._outputs.writer is not None:
             self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
 
-    def _put(self, told: list[tuple[Publication, bytes]]) -> None:
+    def _put(self, publications: list[tuple[Publication, bytes]]) -> None:
         writer, publish = self._outputs.writer, self._outputs.publish
         comparison = self._outputs.comparison
-        for publication, data in told:
+        for publication, data in publications:
             topic = publication.topic
             value = publication.value
             if isinstance(value, Event):
                 self.summary.events.append(value)
-                if value.kind in SAID:
+                if value.kind in REPORTED_KINDS:
                     self._say(value.text)
             elif isinstance(value, Pose):
                 self._flag(value)
@@ -251,9 +252,9 @@ class _Run:
 
     def _flag(self, pose: Pose) -> None:
         for flag in pose.flags:
-            seen = self.summary.flags.setdefault(str(flag), Flagged(0, pose.t_ns, pose.t_ns))
-            seen.poses += 1
-            seen.last_ns = pose.t_ns
+            flagged = self.summary.flags.setdefault(str(flag), Flagged(0, pose.t_ns, pose.t_ns))
+            flagged.poses += 1
+            flagged.last_ns = pose.t_ns
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
@@ -264,9 +265,9 @@ class _Run:
     def _snapshot(self, log: OpenLog, stored: Snapshot) -> None:
         """Go on from a stored state, as the daemon did that stored it."""
         if stored.machine_sha256 != self._sha256:
-            if not self._told_other:
+            if not self._reported_other_machine:
                 self._refuse(log, stored, "it is of another machine file")
-            self._told_other = True
+            self._reported_other_machine = True
             return
         try:
             fold = GuardedFold(self._machine, stored.state_json, self.fitter)
@@ -286,8 +287,10 @@ class _Run:
         self._put([(event, payload(event))])
 
     def _take_addresses(self, stored: Snapshot) -> None:
-        """Of a refused state, where no part before it told who has which address: receivers tell it only when
-        they start, so that without it a later part of a run would give no pose."""
+        """Take the addresses from a refused state, where no earlier part gave them.
+
+        Receivers claim them only when they start: without them a later part of a run would give no pose.
+        """
         if self._fold.state.frames:
             return
         try:
@@ -326,9 +329,9 @@ class _Run:
         self._fold.faults = 0
 
     def _unknown_now(self) -> Counter[tuple[str, int]]:
-        told = self._fold.unknown
-        self._origins |= {(origin.bus, origin.source): origin for origin in told}
-        return Counter({(origin.bus, origin.source): number for origin, number in told.items()})
+        unknown = self._fold.unknown
+        self._origins |= {(origin.bus, origin.source): origin for origin in unknown}
+        return Counter({(origin.bus, origin.source): number for origin, number in unknown.items()})
 
     def _ended(self, log: OpenLog) -> None:
         for reason, count in log.skipped.items():

@@ -1,4 +1,4 @@
-"""What is in a run's files: read whole and checked."""
+"""Reads and checks all files of a run."""
 
 import io
 from collections import Counter, defaultdict
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -14,9 +14,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
 from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
-from tilth.logger.log.mcap_log import CAN_TOPIC
+from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
 from tilth.logger.log.recovery import UNREADABLE, is_being_written, is_ours
-from tilth.logger.log.run_log import ROTATION
 from tilth.logger.log.runs import file_name
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -24,7 +23,8 @@ from tilth.schemas.proto import tilth_pb2 as pb
 GNSS, WHEEL = "/gnss/", "/measurement/wheel_angle"
 SHORTEST_S: Final = 0.5  # a gap; and longer than
 SPACINGS: Final = 4.0  # times the usual spacing
-DROPPED: Final = "dropped on "  # a bus: how faults begin that cost frames
+DROPPED: Final = "dropped"  # frames of one bus, before they were read
+NOT_RECORDED: Final = "not_recorded"  # frames, as in Status.faults
 YOUNG_S: Final = 3.0  # a daemon's first status: what it counts was counted in this run
 
 
@@ -35,6 +35,16 @@ class Coverage:
     count: int
     per_s: float
     gaps: tuple[tuple[int, float], ...]  # t_ns and length in s, the longest first
+
+
+class LoggedFault(NamedTuple):
+    """Something that the daemon counted in the run: dropped frames of one bus, or a row of Status.faults."""
+
+    reason: str
+    bus: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.reason} on {self.bus}" if self.bus else self.reason
 
 
 @dataclass(slots=True)
@@ -50,10 +60,8 @@ class RunSurvey:
     last_ns: int = 0
     utc_minus_ns: int = 0  # what gives UTC, added to the log's times
     by_gnss: bool = False  # whether receivers have confirmed it
-    heard: dict[str, Coverage] = field(default_factory=dict)  # by topic
-    faults: Counter[str] = field(
-        default_factory=Counter
-    )  # dropped frames by bus, and what the daemon counted
+    coverage: dict[str, Coverage] = field(default_factory=dict)  # by topic
+    faults: Counter[LoggedFault] = field(default_factory=Counter)
     steps_s: list[float] = field(default_factory=list)  # of the computer's clock
     backwards: int = 0  # times that ran back, from one record to the next
     events: list[pb.Event] = field(default_factory=list)
@@ -63,19 +71,19 @@ class RunSurvey:
 
     @property
     def duration_s(self) -> float:
-        """By the log's own clock, which nobody sets."""
+        """s, by the clock of the log, which never steps."""
         return (self.last_ns - self.first_ns) * 1e-9
 
     @property
     def good(self) -> bool:
-        """Whether all that was received is in it and can be read. A clock that was set costs nothing."""
-        lost = any(reason == "not_recorded" or reason.startswith(DROPPED) for reason in self.faults)
-        return not (self.wrong or lost or self.backwards)
+        """Whether every frame received is in the log and can be read. A step of the clock does no harm."""
+        lost_frames = any(fault.reason in (DROPPED, NOT_RECORDED) for fault in self.faults)
+        return not (self.wrong or lost_frames or self.backwards)
 
 
 @dataclass(slots=True)
 class _Reading:
-    """What is collected on the way."""
+    """Collected while the files of a run are read."""
 
     times: defaultdict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     statuses: list[pb.Status] = field(default_factory=list)
@@ -84,7 +92,7 @@ class _Reading:
 
 
 def survey(paths: Iterable[Path]) -> list[RunSurvey]:
-    """Every byte read and checked; a Survey of each run, in the order given. Raises OSError."""
+    """Read and check every byte; a RunSurvey of each run, in the order given. Raises OSError."""
     runs: dict[str, tuple[RunSurvey, _Reading]] = {}
     for path in paths:
         metadata, clocks, damage = dict[str, Mapping[str, str]](), list[Mapping[str, str]](), Counter[str]()
@@ -166,8 +174,8 @@ def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tupl
         if opcode == Opcode.MESSAGE:
             yield topics.get(channel, ""), (t_ns, data[start + MESSAGE.size : stop])
         elif opcode == Opcode.CHANNEL:
-            told = Channel.read(ReadDataStream(io.BytesIO(data[start + HEAD.size : stop])))
-            topics[told.id] = told.topic
+            definition = Channel.read(ReadDataStream(io.BytesIO(data[start + HEAD.size : stop])))
+            topics[definition.id] = definition.topic
         start = stop
 
 
@@ -175,11 +183,11 @@ def _run_of(
     runs: dict[str, tuple[RunSurvey, _Reading]], path: Path, metadata: Mapping[str, Mapping[str, str]]
 ) -> tuple[RunSurvey, _Reading]:
     """The run that a file belongs to, and the file its next part."""
-    told = metadata.get("run", {})
-    one, reading = runs.setdefault(told.get("id", str(path)), (RunSurvey(), _Reading()))
-    one.run, one.note = told.get("id", ""), told.get("note", "")
+    run_metadata = metadata.get("run", {})
+    one, reading = runs.setdefault(run_metadata.get("id", str(path)), (RunSurvey(), _Reading()))
+    one.run, one.note = run_metadata.get("id", ""), run_metadata.get("note", "")
     one.machine = metadata.get("machine", {}).get("name", "")
-    part = _number(told.get("part"))
+    part = _number(run_metadata.get("part"))
     if one.parts and part > one.parts[-1] + 1:
         one.wrong.append(f"{path.name}: part {part} after part {one.parts[-1]}; what is between is missing")
     elif one.parts and part <= one.parts[-1]:
@@ -209,18 +217,18 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
     first_ns = min((times[0] for times in buses), default=one.first_ns)
     last_ns = max((times[-1] for times in buses), default=one.last_ns)
     for topic, times in sorted(reading.times.items()):
-        one.heard[topic] = _heard(np.array([first_ns, *times, last_ns]))
+        one.coverage[topic] = _coverage_of(np.array([first_ns, *times, last_ns]))
     for status in reading.statuses[:1]:
         for mount in (receiver.mount for receiver in status.receivers):
-            if f"{GNSS}{mount}" not in one.heard:
-                one.heard[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
-        one.heard.setdefault(WHEEL, Coverage(0, 0.0, ()))
+            if f"{GNSS}{mount}" not in one.coverage:
+                one.coverage[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
+        one.coverage.setdefault(WHEEL, Coverage(0, 0.0, ()))
     if reading.statuses:
         one.faults = _counted(reading.statuses[-1])
         if reading.statuses[0].uptime_s > YOUNG_S:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
-    if reading.ended == ROTATION:
+    if reading.ended == ClockReason.ROTATION:
         run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
         following = one.files[-1].with_name(file_name(run, part + 1))
         if following.exists():  # it may have begun since the files to be read were named
@@ -229,7 +237,7 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
             one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
-def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
+def _coverage_of(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
     """times: with the run's first and last instant before and after them."""
     apart = np.diff(times) * 1e-9
     usual = float(np.median(apart[1:-1])) if apart.size > 2 else 0.0
@@ -240,17 +248,17 @@ def _heard(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:
     return Coverage(count, count / span_s if span_s > 0 else 0.0, tuple(gaps))
 
 
-def _counted(status: pb.Status) -> Counter[str]:
-    counts = Counter({f"{DROPPED}{bus.name}": bus.lost_frames for bus in status.buses})
-    counts.update({fault.reason: fault.count for fault in status.faults})
+def _counted(status: pb.Status) -> Counter[LoggedFault]:
+    counts = Counter({LoggedFault(DROPPED, bus.name): bus.lost_frames for bus in status.buses})
+    counts.update({LoggedFault(fault.reason): fault.count for fault in status.faults})
     return +counts
 
 
 def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
     ahead = None
-    for told in clocks:
-        before, ahead = ahead, _number(told.get("realtime_ns")) - _number(told.get("t_ns"))
-        if told.get("why") == "step" and before is not None:
+    for clock in clocks:
+        before, ahead = ahead, _number(clock.get("realtime_ns")) - _number(clock.get("t_ns"))
+        if clock.get("why") == ClockReason.STEP and before is not None:
             one.steps_s.append((ahead - before) * 1e-9)
     if clocks:
         one.utc_minus_ns = _number(clocks[-1].get("utc_minus_t_ns"))
@@ -258,7 +266,7 @@ def _clocks(one: RunSurvey, clocks: list[Mapping[str, str]]) -> None:
 
 
 def _number(text: str | None) -> int:
-    """0 for what is none: metadata bear no checksum."""
+    """0 for a text that is no number: metadata have no checksum."""
     try:
         return int(text or "0")
     except ValueError:

@@ -1,11 +1,11 @@
-"""Who of those that tell both a heading and a turn rate smooths it: found without a machine file."""
+"""Finds devices that smooth their turn rate, from heading and turn rate, without a machine file."""
 
 import math
 from dataclasses import dataclass, field
 from typing import Final
 
 from tilth.estimator.pose.geometry import wrap
-from tilth.estimator.pose.turn_rate_lag import Lag, judge, regress, time_constant
+from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant, update_verdict
 from tilth.schemas.flow import Message, Origin
 from tilth.schemas.spread import plus_minus
 
@@ -30,6 +30,7 @@ class TurnRates:
         self._senders: dict[tuple[str, int], _TurnRateSender] = {}
 
     def take(self, message: Message) -> None:
+        """Take a message with a heading, a turn rate or both."""
         heading, rate = message.values.get("heading_rad"), message.values.get("yaw_rate_radps")
         if heading is None and rate is None:
             return
@@ -49,7 +50,7 @@ class TurnRates:
             if sender.lag.smoothed
         }
 
-    def told(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """The same, a sentence each."""
         return [
             f"address {source} on {bus}: {in_words(lag)}" for (bus, source), lag in self.smoothed().items()
@@ -57,6 +58,7 @@ class TurnRates:
 
 
 def in_words(lag: tuple[float, float]) -> str:
+    """(time constant, its sd), s, as a phrase."""
     return (
         f"its turn rate lags by {plus_minus(*lag, 's')} behind its heading: it is "
         "smoothed and will not be used; turn its smoothing off"
@@ -88,6 +90,6 @@ def _face(sender: _TurnRateSender, rx_ns: int, heading: float) -> None:
     if sender.began_ns:
         lag.integral += lag.rate * min(since_ns, passed_ns) * 1e-9
         regress(lag, wrap(heading - sender.heading), passed_ns * 1e-9, HEADING_SD)
-        judge(lag)
+        update_verdict(lag)
     sender.began_ns, sender.heading = rx_ns, heading
     lag.integral, lag.first_rate = 0.0, lag.rate

@@ -1,4 +1,4 @@
-"""Which message may be the wheel angle? One whose 16-bit word moves smoothly, best with the yaw rate."""
+"""Searches for the wheel angle: a 16-bit word that moves smoothly, best with the yaw rate."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -53,9 +53,9 @@ class WheelCandidate:
 
     @property
     def score(self) -> float:
-        """To order them by: it turns with the machine, and nobody else has a use for it."""
-        own = not self.extended or self.pgn in PROPRIETARY or self.pgn == RUDDER
-        return abs(self.yaw_correlation or 0.0) + 0.3 * own + 0.2 * self.smoothness
+        """For sorting: high where it correlates with the yaw rate and has no other known use."""
+        unassigned = not self.extended or self.pgn in PROPRIETARY or self.pgn == RUDDER
+        return abs(self.yaw_correlation or 0.0) + 0.3 * unassigned + 0.2 * self.smoothness
 
 
 def candidates(

@@ -46,7 +46,7 @@ def _set_present(target: Any, value: Any, names: tuple[str, ...]) -> None:
 
 
 def _measurement_encoder(kind: type[flow.Measurement]) -> Callable[[Any], bytes]:
-    own = tuple(f.name for f in fields(kind) if f.name not in _SKIPPED)
+    own_fields = tuple(f.name for f in fields(kind) if f.name not in _SKIPPED)
     common = ("sid", "sd") if "sd" in kind.__dataclass_fields__ else ("sid",)
 
     def encode(value: flow.Measurement) -> bytes:
@@ -59,7 +59,7 @@ def _measurement_encoder(kind: type[flow.Measurement]) -> Callable[[Any], bytes]
         if origin.mount is not None:
             message.mount = origin.mount.value
         _set_present(message, value, common)
-        _set_present(message, value, own)
+        _set_present(message, value, own_fields)
         return message.SerializeToString()
 
     return encode
@@ -134,8 +134,8 @@ def _encode_outcome(outcome: flow.FitOutcome) -> bytes:
     ).SerializeToString()
 
 
-def _encode_ready(told: flow.Ready) -> bytes:
-    return pb.Ready(t_ns=told.t_ns, ready=told.ready, text=told.text).SerializeToString()
+def _encode_ready(ready: flow.Ready) -> bytes:
+    return pb.Ready(t_ns=ready.t_ns, ready=ready.ready, text=ready.text).SerializeToString()
 
 
 def _encode_rig(machine: Machine) -> bytes:
@@ -256,12 +256,12 @@ def payload(publication: flow.Publication) -> bytes:
 def file_descriptor_set(descriptor: Descriptor) -> bytes:
     """Serialised FileDescriptorSet of a message with all that it imports: an MCAP protobuf schema."""
     result = FileDescriptorSet()
-    seen: set[str] = set()
+    added: set[str] = set()
 
     def add(file: FileDescriptor) -> None:
-        if file.name in seen:
+        if file.name in added:
             return
-        seen.add(file.name)
+        added.add(file.name)
         for dependency in file.dependencies:
             add(dependency)
         file.CopyToProto(result.file.add())

@@ -43,11 +43,13 @@ REASONS: dict[str, str] = {
 
 _CLAIM, _RUDDER = row(60928), row(RUDDER)
 _PLAIN = {row.pgn: row for row in PGNS if row.manufacturer is None}
-_OWN = {(row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.manufacturer is not None}
+_PROPRIETARY = {
+    (row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.manufacturer is not None
+}
 _NAMING = frozenset(row.pgn for row in PGNS if row.manufacturer is not None and row.selector is None)
 _FAST = frozenset(row.pgn for row in PGNS if row.fast)
 _WANTED = frozenset(row.pgn for row in PGNS)
-_MEASURED = frozenset(row.pgn for row in PGNS if not row.told_only)
+_MEASURED = frozenset(row.pgn for row in PGNS if not row.decode_only)
 _OF_RECEIVERS = {(row.pgn, row.selector): makers_of(row, anyone=False) for row in PGNS}
 _OF_ANYONE = {(row.pgn, row.selector): makers_of(row, anyone=True) for row in PGNS}
 
@@ -72,8 +74,8 @@ class _Route:
 
 
 class Decoder:
-    """What the buses of a machine say. One Decoder takes every frame of a log in its order, by `messages` or
-    by `measurements`."""
+    """Decodes the frames of a machine's buses. One Decoder takes every frame of a log in its order, by
+    `messages` or by `measurements`."""
 
     def __init__(self, machine: Machine | None = None) -> None:
         """machine: whose receivers and wheel-angle sensor make measurements; None: messages only.
@@ -100,11 +102,11 @@ class Decoder:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Whose messages the count "unknown_source" holds, and how many of each."""
+        """Senders of the messages counted as "unknown_source", with their counts."""
         return self._addresses.unknown
 
     def origin(self, bus: str, source: int) -> Origin:
-        """Who has an address, as far as is known."""
+        """The device that has an address, as far as known."""
         return self._addresses.sender(bus, source).origin
 
     def messages(self, frame: Frame) -> list[Message]:
@@ -115,15 +117,15 @@ class Decoder:
                 key = (frame.bus, frame.can_id, frame.extended)
                 self._passed[key] = self._passed.get(key, 0) + 1
             return []
-        told: list[Message] = []
+        messages: list[Message] = []
         if route.sensor is not None and route.row is not _RUDDER:
-            told.append(self._tell_wheel(route, route.sensor, frame))
+            messages.append(self._wheel_message(route, route.sensor, frame))
         arrival = route.read(route, frame) if route.read is not None else None
         if arrival is not None:
-            told.append(self._tell(route, arrival))
-        return told
+            messages.append(self._message_of(route, arrival))
+        return messages
 
-    def _tell_wheel(self, route: _Route, sensor: WheelAngleSensor, frame: Frame) -> Message:
+    def _wheel_message(self, route: _Route, sensor: WheelAngleSensor, frame: Frame) -> Message:
         angle = sensor.read(frame.data)
         reason = angle if isinstance(angle, str) else None
         if reason is not None:
@@ -135,14 +137,14 @@ class Decoder:
             destination=route.can_id.destination, reason=reason,
         )  # fmt: skip
 
-    def _tell(self, route: _Route, arrival: _Arrival) -> Message:
+    def _message_of(self, route: _Route, arrival: _Arrival) -> Message:
         known, payload, _, _ = arrival
         faults = self._faults
         dropped: dict[str, Word] = {}
         values = known.layout.decode(payload, faults, dropped)
         groups = known.layout.groups(payload, faults) if known.groups else {}
         reason = next(iter(faults)) if faults else None
-        head, repeat, _ = self._told(route.sender, arrival, values)
+        head, repeat, _ = self._head(route.sender, arrival, values)
         if reason is None and known.telling.isdisjoint(values):
             reason = "not_available"
             count(self.rejected, reason)
@@ -182,7 +184,7 @@ class Decoder:
             sender = route.sender
             if sender.contested:
                 self._addresses.settle(sender, frame.t_ns)
-            sender.heard_ns = frame.t_ns
+            sender.received_ns = frame.t_ns
         return route
 
     def _new_route(self, frame: Frame, wanted: frozenset[int]) -> _Route | None:
@@ -211,7 +213,7 @@ class Decoder:
     def _single(self, route: _Route, frame: Frame) -> _Arrival | None:
         found = route.row
         if found is None:
-            found = self._own(route.sender, route.can_id.pgn, frame.data, 1)
+            found = self._proprietary_row(route.sender, route.can_id.pgn, frame.data, 1)
         return (found, frame.data, frame.t_ns, frame.rx_ns) if found is not None else None
 
     def _fast(self, route: _Route, frame: Frame) -> _Arrival | None:
@@ -230,7 +232,7 @@ class Decoder:
     def _put_together(self, route: _Route, whole: Assembled, frames: int) -> _Arrival | None:
         found = _PLAIN.get(whole.pgn)
         if found is None:
-            found = self._own(route.sender, whole.pgn, whole.payload, frames)
+            found = self._proprietary_row(route.sender, whole.pgn, whole.payload, frames)
         return (found, whole.payload, whole.t_ns, whole.rx_ns) if found is not None else None
 
     def _claimed(self, route: _Route, frame: Frame) -> _Arrival | None:
@@ -245,22 +247,22 @@ class Decoder:
             return None
         return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
 
-    def _own(self, sender: Sender, pgn: int, payload: bytes, frames: int) -> Pgn | None:
-        """The row of a manufacturer's own message, by whose it is: its first two bytes or its sender tell."""
+    def _proprietary_row(self, sender: Sender, pgn: int, payload: bytes, frames: int) -> Pgn | None:
+        """The row of a proprietary message, by its manufacturer: from its first two bytes or its sender."""
         found = None
         if pgn in _NAMING:
             if len(payload) >= 2:
-                found = _OWN.get((int.from_bytes(payload[:2], "little") & 0x7FF, pgn, None))
+                found = _PROPRIETARY.get((int.from_bytes(payload[:2], "little") & 0x7FF, pgn, None))
         elif sender.manufacturer is None:
             count(self.rejected, "unidentified")
         elif payload:
-            found = _OWN.get((sender.manufacturer, pgn, payload[0]))
+            found = _PROPRIETARY.get((sender.manufacturer, pgn, payload[0]))
         if found is None:
             key = (sender.bus, sender.source, pgn)
             self._foreign[key] = self._foreign.get(key, 0) + frames
         return found
 
-    def _told(self, sender: Sender, arrival: _Arrival, values: Mapping[str, Word]) -> tuple[Head, bool, bool]:
+    def _head(self, sender: Sender, arrival: _Arrival, values: Mapping[str, Word]) -> tuple[Head, bool, bool]:
         """Head, whether the position repeats the one before, whether a fault was counted."""
         known, payload, t_ns, rx_ns = arrival
         faults = self._faults
@@ -290,13 +292,13 @@ class Decoder:
         if sender.sd is not None:
             makes = makes + _OF_RECEIVERS[key] if makes else _OF_RECEIVERS[key]
         if not makes:
-            if arrival[0].wish or arrival[0].told_only:
+            if arrival[0].wish or arrival[0].decode_only:
                 return
             if route.sensor is None:
                 self._refuse(sender)
             return
         values = arrival[0].layout.measured(arrival[1], self._faults)
-        head, repeat, faulty = self._told(sender, arrival, values)
+        head, repeat, faulty = self._head(sender, arrival, values)
         nothing = not faulty
         for make in makes:
             made = make(head, values, sender.sd, repeat)

@@ -1,4 +1,4 @@
-"""Who a 64-bit NAME is, in words: manufacturers, functions, device classes, industry groups.
+"""Decodes a 64-bit NAME into words: manufacturer, function, device class, industry group.
 
 Facts of SAE J1939-81 and ISO 11783-1 as AgIsoStack (can_NAME.hpp) and canboat (database/lookups) list them;
 of J1939's manufacturers those met on farms. NMEA 2000 numbers manufacturers, classes and functions in its own
@@ -224,7 +224,7 @@ _MARINE_CLASSES: Final[Mapping[int, str]] = {
 
 
 def manufacturer_name(code: int, industry_group: int | None = None) -> str:
-    """What a manufacturer is called; "" where that is not known here."""
+    """Name of a manufacturer; "" where unknown."""
     first, second = MANUFACTURERS, _MARINE_MANUFACTURERS
     if industry_group == MARINE:
         first, second = second, first
@@ -232,19 +232,19 @@ def manufacturer_name(code: int, industry_group: int | None = None) -> str:
 
 
 def function_name(code: int, device_class: int, industry_group: int) -> str:
-    """What a device does; "" where that is not known here."""
+    """Function of a device; "" where unknown."""
     if industry_group == MARINE:
         return _MARINE_FUNCTIONS.get((device_class, code), "")
     if code < 128:
         return FUNCTIONS.get(code, "")
     if industry_group != AGRICULTURE:
         return ""
-    told = _FARM_FUNCTIONS.get((device_class, code), "")
-    return told or (_IMPLEMENT_FUNCTIONS.get(code, "") if 2 <= device_class <= 15 else "")
+    function = _FARM_FUNCTIONS.get((device_class, code), "")
+    return function or (_IMPLEMENT_FUNCTIONS.get(code, "") if 2 <= device_class <= 15 else "")
 
 
 def class_name(device_class: int, industry_group: int) -> str:
-    """What kind of machine a device belongs to; "" where that is not known here."""
+    """Kind of machine that a device belongs to; "" where unknown."""
     classes = {AGRICULTURE: _FARM_CLASSES, MARINE: _MARINE_CLASSES}.get(industry_group, {})
     return classes.get(device_class, "")
 
@@ -258,23 +258,23 @@ def name_words(name: int) -> dict[str, str]:
     """Its codes in words, by key + "_name"; absent where one is not known here."""
     parts = name_parts(name)
     kind, group = parts["device_class"], parts["industry_group"]
-    told = {
+    names = {
         "manufacturer_name": manufacturer_name(parts["manufacturer"], group),
         "function_name": function_name(parts["function"], kind, group),
         "device_class_name": class_name(kind, group),
         "industry_group_name": INDUSTRY_GROUPS.get(group, ""),
     }
-    return {key: word for key, word in told.items() if word}
+    return {key: word for key, word in names.items() if word}
 
 
 def device(name: int) -> str:
-    """Whose a NAME is and what it does, for people, such as "John Deere, navigation, instance 1"."""
+    """Manufacturer and function of a NAME, for people, such as "John Deere, navigation, instance 1"."""
     parts, words = name_parts(name), name_words(name)
-    told = [
+    parts_in_words = [
         words.get("manufacturer_name", f"manufacturer {parts['manufacturer']}"),
         words.get("function_name", f"function {parts['function']}"),
     ]
     if parts["industry_group"] == AGRICULTURE and parts["device_class"] > 1:
-        told.append(words.get("device_class_name", f"class {parts['device_class']}"))
+        parts_in_words.append(words.get("device_class_name", f"class {parts['device_class']}"))
     instance = parts["function_instance"] or parts["device_instance"]
-    return ", ".join([*told, f"instance {instance}"] if instance else told)
+    return ", ".join([*parts_in_words, f"instance {instance}"] if instance else parts_in_words)

@@ -1,4 +1,4 @@
-"""One field of a message: where its bits are, what they mean, when they mean nothing.
+"""One field of a message: its bits, scale, unit, and raw values that mean "no data".
 
 The same row decodes and encodes. Messages are little-endian; bit b of byte B has the number 8 B + b, and a
 field's `start` is its least significant bit.
@@ -23,7 +23,7 @@ OUT_OF_RANGE = "out_of_range"  # why a value is dropped
 
 
 def count(rejected: dict[str, int], reason: str) -> None:
-    """One more of what was not used, and why."""
+    """Count one rejected item under its reason."""
     rejected[reason] = rejected.get(reason, 0) + 1
 
 
@@ -100,9 +100,9 @@ class Field:
 
 
 def _text(characters: bytes) -> str:
-    """Devices fill up with spaces, zeros, ones or @; what no screen shows is told as a question mark."""
-    told = characters.partition(b"\0")[0].rstrip(b" @\xff").decode("latin-1")
-    return "".join(c if c.isprintable() else "?" for c in told)
+    """Devices pad with spaces, zeros, ones or @. Unprintable characters become question marks."""
+    text = characters.partition(b"\0")[0].rstrip(b" @\xff").decode("latin-1")
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _number(key: str, value: Word) -> float:
@@ -188,8 +188,8 @@ class Layout:
     """Fields of one message, compiled: payload to words and back."""
 
     __slots__ = (
-        "_all", "_alone", "_composed", "_family", "_fields", "_groups", "_measured", "_needed", "_parts",
-        "_size", "_texts", "_told",
+        "_all", "_alone", "_composed", "_decoded", "_family", "_fields", "_groups", "_measured", "_needed",
+        "_parts", "_size", "_texts",
     )  # fmt: skip
 
     def __init__(
@@ -212,8 +212,8 @@ class Layout:
         self._parts = {part for rule in composed for part in (*rule.parts, *rule.also)}
         plain = [field for field in fields if not field.text]
         self._all = [_step(f, family, words.get(f.key, ANYTHING)) for f in plain]
-        self._told = [step for step in self._all if step.key in words or step.key in self._parts]
-        self._measured = [step for step in self._told if step.key in measured or step.key in self._parts]
+        self._decoded = [step for step in self._all if step.key in words or step.key in self._parts]
+        self._measured = [step for step in self._decoded if step.key in measured or step.key in self._parts]
         self._texts = [(f.key, f.start // 8, f.end // 8) for f in fields if f.text]
         self._groups = [(group, _layout_of(group, family)) for group in groups]
         self._alone = [
@@ -227,7 +227,7 @@ class Layout:
 
         dropped: takes the words that are outside of their range, so that somebody may see them.
         """
-        values = self._composed_of(self._read(self._told, payload, rejected, dropped), rejected, dropped)
+        values = self._composed_of(self._read(self._decoded, payload, rejected, dropped), rejected, dropped)
         return values | self._read_texts(payload) if self._texts else values
 
     def measured(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Word]:
@@ -243,13 +243,13 @@ class Layout:
         found: dict[str, Rows] = {}
         for group, layout in self._groups:
             number = self._fields[group.count]
-            said = payload[number.start // 8] if number.end <= 8 * len(payload) else 0xFF
-            if said >= number.limit(self._family):
+            repeats = payload[number.start // 8] if number.end <= 8 * len(payload) else 0xFF
+            if repeats >= number.limit(self._family):
                 continue
-            there = min(said, max(0, len(payload) - group.start) // group.size)
-            if there < said:
+            whole = min(repeats, max(0, len(payload) - group.start) // group.size)
+            if whole < repeats:
                 count(rejected, "short_frame")
-            starts = range(group.start, group.start + there * group.size, group.size)
+            starts = range(group.start, group.start + whole * group.size, group.size)
             found[group.key] = [layout.decode(payload[at : at + group.size], rejected) for at in starts]
         return found
 
@@ -274,7 +274,7 @@ class Layout:
 
     def _read_texts(self, payload: bytes) -> dict[str, Word]:
         whole = [(key, payload[start:end]) for key, start, end in self._texts if end <= len(payload)]
-        return {key: told for key, characters in whole if (told := _text(characters))}
+        return {key: text for key, characters in whole if (text := _text(characters))}
 
     def _read(
         self,
@@ -309,11 +309,11 @@ class Layout:
                 count(rejected, OUT_OF_RANGE)
                 if dropped is not None:
                     dropped[key] = value
-        if len(values) == 1:
-            for key, start, mask, raws in self._alone:
-                if key in values and whole >> start & mask in raws:
-                    return {}
-        return values
+        return {} if len(values) == 1 and self._says_no_data(values, whole) else values
+
+    def _says_no_data(self, values: Mapping[str, Word], whole: int) -> bool:
+        """Whether a value that stands alone is one of those by which its device says that it has no data."""
+        return any(key in values and whole >> start & mask in raws for key, start, mask, raws in self._alone)
 
     def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
         """Payload of words, and of any further field by its key; what is absent is written as not available.

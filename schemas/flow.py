@@ -23,6 +23,11 @@ class Mount(StrEnum):
     IMPLEMENT_FRONT = "implement_front"
     IMPLEMENT_REAR = "implement_rear"
 
+    @property
+    def body(self) -> str:
+        """tractor | implement."""
+        return self.value.partition("_")[0]
+
 
 class FixType(StrEnum):
     """Quality of a position solution, in the words of the command line."""

@@ -1,4 +1,4 @@
-"""Who speaks: source addresses bound to NAMEs, NAMEs to the receivers of the machine file.
+"""Binds source addresses to NAMEs and NAMEs to the receivers of the machine file.
 
 A source address is no identity: identical receivers all prefer the same one and settle it by address claims
 (SAE J1939-81, ISO 11783-5), differently at every key-on. The 64-bit NAME is one. Where no claim is heard, the
@@ -36,6 +36,7 @@ class Name(NamedTuple):
 
 
 def split_name(name: int) -> Name:
+    """Identity number (bits 0 to 20) and manufacturer code (bits 21 to 31) of a NAME (SAE J1939-81)."""
     return Name(name & 0x1FFFFF, name >> 21 & 0x7FF)
 
 
@@ -60,7 +61,7 @@ class Sender:
     sd: Deviation | None = None  # of the receiver that it is; None: it is none of the machine file
     reason: str = "unknown_source"  # why it is none
     unknown: int = 0  # messages that made no measurement for that reason
-    heard_ns: int = 0  # the latest message or claim from it
+    received_ns: int = 0  # the latest message or claim from it
     contested: bool = False  # two NAMEs claim it: ask `settle` whether that is over
     positions: dict[int, bytes] = field(default_factory=dict)  # by PGN: raw latitude and longitude before
 
@@ -111,7 +112,7 @@ class AddressBook:
 
     @property
     def unknown(self) -> dict[Origin, int]:
-        """Messages of those who are no receiver of the machine file and were asked for a measurement."""
+        """Counts of measurement messages from senders that are no receiver of the machine file."""
         return {s.origin: s.unknown for s in self._senders.values() if s.unknown}
 
     def mount_of(self, bus: str, name: int) -> Mount | None:
@@ -119,7 +120,7 @@ class AddressBook:
         return self._by_name.get((bus, name)) or self._bus(bus).adopted.get(name)
 
     def claim(self, bus: str, source: int, name: int, t_ns: int) -> str | None:
-        """Take an address claim; a reason to count where it was contested or says nothing."""
+        """Take an address claim. Returns a reason to count where it is contested or invalid."""
         if name == NO_NAME or source > NULL_ADDRESS:
             return "not_available"
         book = self._bus(bus)
@@ -132,10 +133,10 @@ class AddressBook:
                 book.contests.pop(source, None)
                 self._bind(book, bus, source, name)
             elif source not in book.contests:
-                alive = t_ns - self.sender(bus, source).heard_ns <= LATELY_NS
+                alive = t_ns - self.sender(bus, source).received_ns <= LATELY_NS
                 book.contests[source] = _Contest(name, t_ns + CONTENTION_NS, alive)
             book.claimed.add(source)
-            self.sender(bus, source).heard_ns = t_ns
+            self.sender(bus, source).received_ns = t_ns
             if holder is not None and holder != name:
                 contested = "address_conflict"
         self._refresh_bus(bus)
@@ -205,7 +206,7 @@ class AddressBook:
         sender.reason = "quarantine" if contest or sender.source in book.ours else "unknown_source"
 
     def _who(self, book: _Bus, bus: str, source: int) -> tuple[int | None, Mount | None]:
-        """NAME and receiver of an address, as far as they are known."""
+        """NAME and receiver of an address, as far as known."""
         if source in book.contests:
             return None, None
         name = book.holder.get(source)
@@ -224,7 +225,7 @@ class AddressBook:
                 [
                     s.bus,
                     s.source,
-                    s.heard_ns,
+                    s.received_ns,
                     {str(pgn): raw.hex() for pgn, raw in s.positions.items()},
                     s.unknown,
                 ]
@@ -236,10 +237,10 @@ class AddressBook:
         """Go on from what `dump` gave. Senders handed out before stay valid."""
         self._buses = {bus: _load_bus(book) for bus, book in state["buses"].items()}
         for sender in self._senders.values():
-            sender.heard_ns, sender.positions, sender.unknown = 0, {}, 0
-        for bus, source, heard_ns, positions, *unknown in state["senders"]:
+            sender.received_ns, sender.positions, sender.unknown = 0, {}, 0
+        for bus, source, received_ns, positions, *unknown in state["senders"]:
             sender = self.sender(bus, source)
-            sender.heard_ns = heard_ns
+            sender.received_ns = received_ns
             sender.unknown = sum(unknown)  # logs from before it was counted have none
             sender.positions = {int(pgn): bytes.fromhex(raw) for pgn, raw in positions.items()}
         for sender in self._senders.values():

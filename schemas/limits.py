@@ -1,4 +1,4 @@
-"""What each number of a machine file can be, what it usually is, and in which wrong units it is often given.
+"""Possible and usual ranges of each number of a machine file, and wrong units it is often given in.
 
 Beyond `low` and `high` a value is impossible. Beyond `usual` it is rare, and worth a second look. The table
 covers tractors from a small one for orchards to an articulated one of 30 t, and implements of 100 kg to 60 t.
@@ -85,7 +85,7 @@ one that is not here the sd may be as large as the value."""
 
 
 class _Unit(NamedTuple):
-    told: str  # in which unit the machine file has such values
+    hint: str  # in which unit the machine file has such values
     others: tuple[tuple[str, float], ...]  # (what it was perhaps given in, factor to the file's unit)
 
 
@@ -122,34 +122,35 @@ def judged(name: str, key: str, value: float) -> Doubt | None:
 def doubt_of(name: str, value: float, row: KeyLimits) -> Doubt:
     """Of a value that is not usual."""
     refused = row.impossible(value)
-    said = f"{name} = {shown(value, row.unit)}: "
+    text = f"{name} = {with_unit(value, row.unit)}: "
     if refused:
         least = f"0 (exactly known) or from {row.least:g}" if row.least else f"from {row.low:g}"
-        said += f"must be {least} to {row.high:g}"
+        text += f"must be {least} to {row.high:g}"
     else:
-        said += f"rare, {row.usual[0]:g} to {row.usual[1]:g} is usual; check it"
+        text += f"rare, {row.usual[0]:g} to {row.usual[1]:g} is usual; check it"
 
     def likely(other: float) -> bool:
         return row.usual[0] <= other <= row.usual[1] and abs(other) >= TINY * row.usual[1]
 
-    return Doubt(said + meant(value, row.unit, likely), refused)
+    return Doubt(text + meant(value, row.unit, likely), refused)
 
 
 def meant(value: float, unit: str, likely: Callable[[float], bool]) -> str:
     """The end of a sentence: what may have been meant by a value, and the unit that is wanted."""
-    told, others = _UNITS[unit]
+    hint, others = _UNITS[unit]
     found = [f"{_round(v)} ({value:g} {other})" for other, factor in others if likely(v := value * factor)]
     if not found:
         slips = (*_SLIPS, *_TURNED) if "deg" in unit or "rad" in unit else _SLIPS
         found = [_round(v) for factor in slips if likely(v := value * factor)][:1]
-    return f"; did you mean {' or '.join(found[:MOST_MEANT])}? {told}" if found else f"; {told}"
+    return f"; did you mean {' or '.join(found[:MOST_MEANT])}? {hint}" if found else f"; {hint}"
 
 
 def _round(value: float) -> str:
     return f"{float(f'{value:.4g}'):g}"
 
 
-def shown(value: float, unit: str) -> str:
+def with_unit(value: float, unit: str) -> str:
+    """The value with its unit, for people."""
     return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
 

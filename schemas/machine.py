@@ -332,7 +332,7 @@ class Machine(_Section):
                     "receiver: two of them have the same bus, name and source; they cannot be told apart"
                 )
         for body in ("tractor", "implement"):
-            pair = [r for r in self.receiver if r.mount.value.startswith(body)]
+            pair = [r for r in self.receiver if r.mount.body == body]
             if len(pair) == 2:
                 apart = sum(
                     (p - q) ** 2 for p, q in zip(pair[0].position[:2], pair[1].position[:2], strict=True)

@@ -1,4 +1,4 @@
-"""How the address of a MAVLink peer is written: as the usual ground stations do."""
+"""Parses the address of a MAVLink peer, written as ground stations do."""
 
 from typing import NamedTuple
 

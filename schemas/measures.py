@@ -1,4 +1,4 @@
-"""Which measurements a message makes, from the words it carries.
+"""Makes measurements from the words of a message.
 
 `MAKERS` is a table over words: a new message of known words needs no row here.
 """

@@ -31,7 +31,7 @@ class Pgn:
     selector: int | None = None  # byte 0 of a manufacturer's own message
     manufacturer: int | None = None  # whose own it is; without a selector its first two bytes say so
     wish: bool = False  # asks for something: no measurement, from whomever
-    told_only: bool = False  # no measurement is made of it: the fold does not read it
+    decode_only: bool = False  # for people: no measurement is made of it, the fold does not read it
     layout: Layout = field(init=False, repr=False, compare=False)
     words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
@@ -254,12 +254,12 @@ PGNS: tuple[Pgn, ...] = (
         Field("hdop", 16, 16, 0.01, signed=True),
         Field("vdop", 32, 16, 0.01, signed=True),
         Field("tdop", 48, 16, 0.01, signed=True),
-    ), told_only=True),
+    ), decode_only=True),
     Pgn(129540, "GNSS Sats in View", "nmea2000", 6, 1000, 3, _CANBOAT, (
         _SID,
         Field("range_residual_mode", 8, 2, names=RANGE_RESIDUAL_MODE),
         Field("satellites_in_view", 16, 8),
-    ), fast=True, told_only=True, groups=(Group("sky", "satellites_in_view", 3, 12, (
+    ), fast=True, decode_only=True, groups=(Group("sky", "satellites_in_view", 3, 12, (
         Field("prn", 0, 8),
         Field("elevation_rad", 8, 16, 1e-4, signed=True),
         Field("azimuth_rad", 24, 16, 1e-4),
@@ -311,7 +311,7 @@ PGNS: tuple[Pgn, ...] = (
         Field("serial_number", 800, 256, text=True),
         Field("certification_level", 1056, 8, names=CERTIFICATION_LEVEL),
         Field("load_equivalency", 1064, 8),
-    ), fast=True, told_only=True),
+    ), fast=True, decode_only=True),
     # Further fields of it are not known to anybody. It is not smoothed where 127251 of the same device is.
     Pgn(130842, "Furuno Six Degrees Of Freedom Movement", "nmea2000", 7, 0, 29, _CANBOAT, (
         Field("own_of", 0, 11),
@@ -319,7 +319,7 @@ PGNS: tuple[Pgn, ...] = (
         Field("roll_rate_radps", 120, 32, 1e-3, 0.0, DEG, signed=True),
         Field("pitch_rate_radps", 152, 32, 1e-3, 0.0, DEG, signed=True),
         Field("yaw_rate_radps", 184, 32, 1e-3, 0.0, DEG, signed=True),
-    ), fast=True, told_only=True, manufacturer=FURUNO),
+    ), fast=True, decode_only=True, manufacturer=FURUNO),
 )
 # fmt: on
 

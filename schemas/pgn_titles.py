@@ -1,4 +1,4 @@
-"""What messages are called that the table `PGNS` does not read: those met on J1939, ISO 11783 and NMEA 2000.
+"""Titles of messages that the table `PGNS` does not decode: those met on J1939, ISO 11783 and NMEA 2000.
 
 Names of SAE J1939-71, ISO 11783-7 and canboat docs/canboat.json: facts, by no means all that there are.
 """
@@ -158,7 +158,7 @@ _OTHERS: Final[Mapping[int, str]] = {
 }
 # fmt: on
 _TITLES: Final = {**_OTHERS, **{row.pgn: row.title for row in PGNS if row.manufacturer is None}}
-_OWN: Final = (
+_PROPRIETARY: Final = (
     (range(61184, 61185), "a manufacturer's own, to one address (Proprietary A)"),
     (range(65280, 65536), "a manufacturer's own (Proprietary B)"),
     (range(126720, 126721), "a manufacturer's own, to one address (fast packet)"),
@@ -167,10 +167,10 @@ _OWN: Final = (
 
 
 def title_of(pgn: int) -> str:
-    """What a PGN is called; "" where that is not known here."""
-    return _TITLES.get(pgn) or next((title for span, title in _OWN if pgn in span), "")
+    """Title of a PGN; "" where unknown."""
+    return _TITLES.get(pgn) or next((title for span, title in _PROPRIETARY if pgn in span), "")
 
 
-def is_own(pgn: int) -> bool:
+def is_proprietary(pgn: int) -> bool:
     """True for the PGNs that each manufacturer uses as it likes."""
-    return any(pgn in span for span, _ in _OWN)
+    return any(pgn in span for span, _ in _PROPRIETARY)

@@ -1,7 +1,7 @@
-"""Whether a machine file can be that of a real rig: its numbers one by one, and against each other.
+"""Checks whether a machine file can describe a real rig: single numbers, and numbers against each other.
 
-What cannot be is refused when the file is read; what is rare is said by `tilth check` and at the start of
-what estimates. Ranges of single values are in `limits`.
+Impossible values are refused when the file is read; rare ones are reported by `tilth check` and at the start
+of commands that estimate. Ranges of single values are in `limits`.
 """
 
 import math
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from tilth.schemas.axle_loads import axle_loads
-from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, shown, spread_judged
+from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, spread_judged, with_unit
 from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
 
@@ -26,7 +26,7 @@ SIDE_BY_SIDE: Final = 0.3  # m: receivers may stand so far in a wrong order
 
 
 def doubts(machine: Machine) -> list[Doubt]:
-    """All that cannot be or is rare; what is refused first."""
+    """All impossible and rare values; the impossible ones first."""
     found = [*_values(machine), *_rig(machine), *_receivers(machine), *wheel_doubts(machine)]
     return sorted(found, key=lambda doubt: not doubt.refused)
 
@@ -40,7 +40,7 @@ def refuse_impossible(machine: Machine) -> None:
 
 
 def unusual(machine: Machine) -> list[str]:
-    """What can be but is rare, a sentence each."""
+    """Rare values, a sentence each."""
     return [doubt.text for doubt in doubts(machine) if not doubt.refused]
 
 
@@ -188,13 +188,12 @@ def _receivers(machine: Machine) -> Iterator[Doubt]:
         ),
     }
     for receiver in machine.receiver:
-        body = receiver.mount.partition("_")[0]
         words = ("forward", "right", "up")
-        for word, value, row in zip(words, receiver.position, reach[body], strict=True):
+        for word, value, row in zip(words, receiver.position, reach[receiver.mount.body], strict=True):
             if not row.usual[0] <= value <= row.usual[1]:
                 yield doubt_of(f"receiver {receiver.mount}: position, {word}", value, row)
     for body in reach:
-        pair = [r for r in machine.receiver if r.mount.startswith(body)]
+        pair = [r for r in machine.receiver if r.mount.body == body]
         yield from _order(sorted(pair, key=lambda r: r.mount))  # "…_front" before "…_rear"
 
 
@@ -215,7 +214,7 @@ def _order(pair: list[Receiver]) -> Iterator[Doubt]:
     if behind <= 0.0:
         return
     text = (
-        f"receiver {front.mount}: position, forward = {shown(front.position[0], 'm')}: stands behind "
+        f"receiver {front.mount}: position, forward = {with_unit(front.position[0], 'm')}: stands behind "
         f"{rear.mount}, which is at {rear.position[0]:g}; are the two exchanged?"
     )
     yield Doubt(text, behind > max(aside, SIDE_BY_SIDE))

@@ -1,4 +1,4 @@
-"""Whether a wheel-angle sensor can be one: what its field can tell, and whether a frame has room for it."""
+"""Checks the wheel-angle sensor of a machine file: the range of its field and its place in a frame."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -19,6 +19,7 @@ FARTHEST: Final = 20_000.0  # deg
 
 
 def wheel_doubts(machine: Machine) -> Iterator[Doubt]:
+    """Doubts about [wheel_angle]: scale, range of the angle, place in the frame."""
     given = machine.wheel_angle
     if given.id is not None and not given.extended and given.id > LAST_STANDARD:
         yield Doubt(
@@ -65,7 +66,7 @@ def _linkage(lookup: list[tuple[float, float]]) -> Iterator[Doubt]:
 
 
 def _reach(sensor: WheelAngleSensor, given: WheelAngle) -> Iterator[Doubt]:
-    """Which angles the field can tell at all, from its lowest to its highest raw value."""
+    """Angles at the lowest and highest raw value of the field."""
     reached = _angles(sensor, sensor.scale)
     name = "wheel_angle.scale" if given.dbc is None else "wheel_angle: scale with that of the signal"
     if reached is None:
@@ -74,15 +75,15 @@ def _reach(sensor: WheelAngleSensor, given: WheelAngle) -> Iterator[Doubt]:
         yield Doubt(f"{text}; check scale and offset", True)
     elif reached[0] > -REACHED or reached[1] < REACHED:
         text = (
-            f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits can only tell {_told(reached)}"
+            f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits can only tell {_range(reached)}"
         )
         yield Doubt(f"{text}, which is not both sides; check scale, offset, zero, bits and signed"
                     + _meant(sensor), True)  # fmt: skip
     elif given.lookup is None and _coarse(sensor.scale, reached):
         text = f"{name} = {sensor.scale:g} deg per bit: the field's {sensor.bits.bits} bits would tell"
-        yield Doubt(f"{text} {_told(reached)}, no wheel sensor does{_meant(sensor)}", True)
+        yield Doubt(f"{text} {_range(reached)}, no wheel sensor does{_meant(sensor)}", True)
     elif reached[0] > -USUALLY_REACHED or reached[1] < USUALLY_REACHED:
-        text = f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits tell {_told(reached)}"
+        text = f"{name} = {sensor.scale:g}: the field's {sensor.bits.bits} bits tell {_range(reached)}"
         yield Doubt(f"{text}, rarely enough for a wheel{_meant(sensor)}", False)
 
 
@@ -127,5 +128,5 @@ def _looked_up(sensor: WheelAngleSensor, reading: float) -> float:
     return sensor.lookup[-1][1]
 
 
-def _told(reached: tuple[float, float]) -> str:
+def _range(reached: tuple[float, float]) -> str:
     return f"{reached[0]:.4g} to {reached[1]:.4g} deg"

@@ -1,4 +1,4 @@
-"""What is wrong with a file that a person wrote, in one sentence."""
+"""Reports the first problem of a file that a person wrote, in one sentence."""
 
 import difflib
 import typing
@@ -26,16 +26,16 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
         return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
     message = first["msg"].removeprefix("Value error, ")
     value = first.get("input")
-    shown = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"
-    return f"{key}{shown}: {message}" if key else message
+    value_text = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"
+    return f"{key}{value_text}: {message}" if key else message
 
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | str]:
-    """Of pydantic's path what a person typed: no names of validators and of members of unions."""
-    kept: list[int | str] = []
+    """The keys that a person typed in pydantic's path, without names of validators and union members."""
+    typed_keys: list[int | str] = []
     for number, part in enumerate(where):
         last = missing and number == len(where) - 1
         if (
@@ -43,10 +43,10 @@ def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | 
             or (isinstance(raw, dict) and part in raw)
             or (isinstance(raw, list) and isinstance(part, int))
         ):
-            kept.append(part)
+            typed_keys.append(part)
             inner: Any = raw
             raw = None if last else inner[part]
-    return kept
+    return typed_keys
 
 
 def _number(part: int | str) -> str:

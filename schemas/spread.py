@@ -1,4 +1,4 @@
-"""How a standard deviation is said to people: as the range that holds 95 %, and saying so.
+"""Writes a standard deviation for people: as the range that holds 95 %.
 
 Messages and JSON carry standard deviations, under names that say so.
 """

@@ -1,4 +1,4 @@
-"""The words in which messages are told: every key of `tilth decode --json` and of Message.values."""
+"""The words of decoded messages: every key of `tilth decode --json` and of Message.values."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _QUARTER = Range(-math.pi / 2 - _ROUNDED, math.pi / 2 + _ROUNDED)
 _DILUTION = Range(0.0, 400.0)
 
 
-def _told(meaning: str, unit: str = "") -> Term:
+def _decoded_only(meaning: str, unit: str = "") -> Term:
     return Term(unit, meaning, measured=False)
 
 
@@ -58,38 +58,38 @@ WORDS: dict[str, Term] = {
     "pdop": Term("", "dilution of precision in three dimensions", _DILUTION, measured=False),
     "vdop": Term("", "vertical dilution of precision", _DILUTION, measured=False),
     "tdop": Term("", "dilution of precision in time", _DILUTION, measured=False),
-    "desired_mode": _told("of a GNSS receiver: 1D | 2D | 3D | auto"),
-    "actual_mode": _told("as desired_mode"),
-    "gnss_system": _told("of the solution: gps | glonass | gps_glonass | …"),
-    "integrity": _told("of the solution: unchecked | safe | caution"),
-    "geoid_separation_m": _told("of the geoid from the ellipsoid, positive above it", "m"),
-    "reference_stations": _told("number of them; what is said of each is in stations"),
-    "satellites_in_view": _told("number of them; what is said of each is in sky"),
-    "range_residual_mode": _told("residuals of ranges were used_in_solution | computed_after"),
-    "deviation_rad": _told("of the compass, positive east", "rad"),
-    "variation_rad": _told("of magnetic north from true north, positive east", "rad"),
-    "instance": _told("which of several rudders"),
-    "direction_order": _told("of a rudder: none | starboard | port"),
-    "angle_order_rad": _told("that a rudder is asked for, positive right", "rad"),
-    "time_source": _told("gps | glonass | radio | cesium | rubidium | crystal"),
-    "local_offset_s": _told("of local time from UTC", "s"),
-    "roll_rate_radps": _told("of 130842, as its device counts", "rad/s"),
-    "pitch_rate_radps": _told("of 130842, as its device counts", "rad/s"),
-    "nmea2000_version": _told("of the standard that the device was made to"),
-    "product_code": _told("NMEA's number of the product"),
-    "model": _told("text"),
-    "software_version": _told("text"),
-    "model_version": _told("text"),
-    "serial_number": _told("text"),
-    "certification_level": _told("of NMEA 2000: A | B"),
-    "load_equivalency": _told("current drawn from the bus, in units of 50 mA"),
-    "identity": _told("of a NAME: the device's own number"),
-    "manufacturer": _told("of a NAME: code of SAE J1939 or NMEA 2000"),
-    "device_instance": _told("of a NAME: which of several equal control units"),
-    "function_instance": _told("of a NAME: which of several equal functions"),
-    "function": _told("of a NAME: code"),
-    "device_class": _told("of a NAME: code of the kind of machine"),
-    "system_instance": _told("of a NAME: which of several such machines"),
-    "industry_group": _told("of a NAME: code"),
-    "arbitrary_address": _told("of a NAME: 1 where the device may take another address"),
+    "desired_mode": _decoded_only("of a GNSS receiver: 1D | 2D | 3D | auto"),
+    "actual_mode": _decoded_only("as desired_mode"),
+    "gnss_system": _decoded_only("of the solution: gps | glonass | gps_glonass | …"),
+    "integrity": _decoded_only("of the solution: unchecked | safe | caution"),
+    "geoid_separation_m": _decoded_only("of the geoid from the ellipsoid, positive above it", "m"),
+    "reference_stations": _decoded_only("number of them; what is said of each is in stations"),
+    "satellites_in_view": _decoded_only("number of them; what is said of each is in sky"),
+    "range_residual_mode": _decoded_only("residuals of ranges were used_in_solution | computed_after"),
+    "deviation_rad": _decoded_only("of the compass, positive east", "rad"),
+    "variation_rad": _decoded_only("of magnetic north from true north, positive east", "rad"),
+    "instance": _decoded_only("which of several rudders"),
+    "direction_order": _decoded_only("of a rudder: none | starboard | port"),
+    "angle_order_rad": _decoded_only("that a rudder is asked for, positive right", "rad"),
+    "time_source": _decoded_only("gps | glonass | radio | cesium | rubidium | crystal"),
+    "local_offset_s": _decoded_only("of local time from UTC", "s"),
+    "roll_rate_radps": _decoded_only("of 130842, as its device counts", "rad/s"),
+    "pitch_rate_radps": _decoded_only("of 130842, as its device counts", "rad/s"),
+    "nmea2000_version": _decoded_only("of the standard that the device was made to"),
+    "product_code": _decoded_only("NMEA's number of the product"),
+    "model": _decoded_only("text"),
+    "software_version": _decoded_only("text"),
+    "model_version": _decoded_only("text"),
+    "serial_number": _decoded_only("text"),
+    "certification_level": _decoded_only("of NMEA 2000: A | B"),
+    "load_equivalency": _decoded_only("current drawn from the bus, in units of 50 mA"),
+    "identity": _decoded_only("of a NAME: the device's own number"),
+    "manufacturer": _decoded_only("of a NAME: code of SAE J1939 or NMEA 2000"),
+    "device_instance": _decoded_only("of a NAME: which of several equal control units"),
+    "function_instance": _decoded_only("of a NAME: which of several equal functions"),
+    "function": _decoded_only("of a NAME: code"),
+    "device_class": _decoded_only("of a NAME: code of the kind of machine"),
+    "system_instance": _decoded_only("of a NAME: which of several such machines"),
+    "industry_group": _decoded_only("of a NAME: code"),
+    "arbitrary_address": _decoded_only("of a NAME: 1 where the device may take another address"),
 }

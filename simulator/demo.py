@@ -31,10 +31,14 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import interval
-from tilth.simulator.scenario import Scenario
+from tilth.simulator.scenario import Ground, RollSensor, Scenario, Soil, as_json
 from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import draw
 
+SPATIAL: Final = Scenario(
+    plant="spatial", ground=Ground(rms=0.01), soil=Soil(grip=0.7), roll_sensor=RollSensor(draw=True)
+)
+"""Of `tilth demo --spatial`: the same drive over ground of 1 cm rms, with roll as real receivers tell it."""
 SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
 COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
@@ -85,6 +89,7 @@ def run_demo(
     stop: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda text: None,
     watch: Callable[[str], object] | None = None,
+    scenario: Scenario | None = None,
 ) -> Demo:
     """Drive the packaged machine for so long, in real time. Raises DemoError and MachineError.
 
@@ -97,7 +102,9 @@ def run_demo(
     kept = compiling.load(parse_machine(packaged))  # then the daemon estimates from its first frame on
     if not kept:
         say("kernels are compiled, once per machine; the tractor drives on until estimates had their time")
-    with Player(packaged, seed, seconds if kept else seconds + COMPILING_S, stop, say) as player:
+    scenario = scenario or Scenario()
+    lasting = seconds if kept else seconds + COMPILING_S
+    with Player(packaged, seed, lasting, stop, say, scenario) as player:
         text = on_loopback(packaged, player.port)
         endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
@@ -115,7 +122,7 @@ def run_demo(
     if player.sent is None:
         files = " ".join(str(path) for path in summary.log_files)
         raise DemoError(f"the simulator died before its end; what came until then is in {files}")
-    return Demo(seed, draw(machine, seed, Scenario()), summary, player.sent)
+    return Demo(seed, draw(machine, seed, scenario), summary, player.sent)
 
 
 class _Timed(Display):
@@ -162,6 +169,7 @@ class Player:
         seconds: float,
         stop: Callable[[], bool],
         say: Callable[[str], None],
+        scenario: Scenario,
     ) -> None:
         """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
         self.sent: int | None = None  # frames, as soon as it says so
@@ -175,7 +183,8 @@ class Player:
             bufsize=0,
             start_new_session=True,
         )
-        self._order({"machine_text": machine_text, "seed": seed, "seconds": seconds})
+        order = {"machine_text": machine_text, "seed": seed, "seconds": seconds}
+        self._order({**order, "scenario": as_json(scenario)})
         try:
             self.port = self._ready(stop, say)
         except DemoError:

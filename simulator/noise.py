@@ -12,7 +12,7 @@ BLOCK: Final = 256
 
 # Streams: what a generator is for. `receivers` and `common` take one number more.
 (PARAMETERS, STEERING, SPEED, NUISANCES, RECEIVERS, WHEEL, COMMON, OTHERS, GEOMETRY, GROUND, SOIL, BELIEF,
- DROP_OUT) = range(1, 14)  # fmt: skip
+ DROP_OUT, SPATIAL, ROLL) = range(1, 16)  # fmt: skip
 
 
 def generator(seed: int, *stream: int) -> np.random.Generator:
@@ -32,10 +32,10 @@ def gauss_markov(rng: np.random.Generator, sd: float, correlation_s: float, step
     # x[k] = keep x[k - 1] + w[k], a block at a time: its own w, and what is left of the block before.
     ages = np.subtract.outer(np.arange(BLOCK), np.arange(BLOCK))
     response = np.where(ages >= 0, keep ** np.maximum(ages, 0), 0.0)
-    left = rng.normal(0.0, sd)
+    carried_over = rng.normal(0.0, sd)
     for start in range(0, n, BLOCK):
         block = series[start : start + BLOCK]
         m = len(block)
-        block[:] = response[:m, :m] @ block + keep ** np.arange(1, m + 1) * left
-        left = block[-1]
+        block[:] = response[:m, :m] @ block + keep ** np.arange(1, m + 1) * carried_over
+        carried_over = block[-1]
     return series

@@ -74,6 +74,7 @@ class Watch:
     _echoes: dict[_Key, deque[int]] = field(default_factory=dict)  # when sent, not yet heard
 
     def sent(self, t_ns: int, frame: Frame) -> None:
+        """Note a frame that was sent at t_ns: the bus may echo it."""
         key = (frame.bus, frame.can_id, frame.data)
         self._sent.append((t_ns, key))
         self._echoes.setdefault(key, deque()).append(t_ns)
@@ -144,7 +145,7 @@ def send(machine: Machine, truth: Truth, places: Mapping[str, Bus], say: Callabl
         say(f"listening for {seconds:g} s")
         until_ns = clock.t_ns() + int(seconds * 1e9)
         while clock.t_ns() < until_ns:
-            reason = _heard(buses, watch, TICK_S)
+            reason = _stop_reason(buses, watch, TICK_S)
             if reason:
                 raise CannotSend(f"{reason}; nothing was sent")
         start_ns = (clock.t_ns() + LEAD_NS) // 10_000_000 * 10_000_000
@@ -164,11 +165,11 @@ def play(
     done = Sent()
     for frame in frames:
         while True:
-            left_s = (frame.t_ns - clock.t_ns()) * 1e-9
-            done.stopped = _heard(buses, watch, min(max(left_s, 0.0), TICK_S))
+            remaining_s = (frame.t_ns - clock.t_ns()) * 1e-9
+            done.stopped = _stop_reason(buses, watch, min(max(remaining_s, 0.0), TICK_S))
             if done.stopped:
                 return done
-            if left_s <= 0.0:
+            if remaining_s <= 0.0:
                 break
         t_ns = clock.t_ns()
         done.late += t_ns - frame.t_ns > LATE_NS
@@ -184,7 +185,7 @@ def play(
     return done
 
 
-def _heard(buses: Mapping[str, can.BusABC], watch: Watch, timeout_s: float) -> str:
+def _stop_reason(buses: Mapping[str, can.BusABC], watch: Watch, timeout_s: float) -> str:
     """Take what others have sent; why it forbids to send, "" where it does not."""
     share_s = timeout_s / len(buses)
     for name, bus in buses.items():

@@ -108,8 +108,10 @@ def wheel_angles(scenario: Scenario, time: Array, rng: np.random.Generator) -> A
             line.towards(duration, target, rate)
             continue
         end = line.end + duration
-        while (left := end - line.end) > 1e-9:
-            line.towards(min(left, rng.uniform(0.5, 2.0)), rng.uniform(-RANDOM_DEG, RANDOM_DEG), rate)
+        while (duration_left := end - line.end) > 1e-9:
+            line.towards(
+                min(duration_left, rng.uniform(0.5, 2.0)), rng.uniform(-RANDOM_DEG, RANDOM_DEG), rate
+            )
     return np.radians(line.at(time))
 
 
@@ -148,6 +150,7 @@ class PiecewiseLine:
         self._values += [target, target]
 
     def at(self, time: Array) -> Array:
+        """Value at each time (n,), s; linear between the points."""
         return np.asarray(np.interp(time, self._times, self._values))
 
 
@@ -193,8 +196,8 @@ class Pilot:
 
     def steer(self, k: int, end: int, x: Array) -> tuple[Array | float, Array | float]:
         axle = x[:2] - self.rear * np.array([math.cos(x[AT["psi_t"]]), math.sin(x[AT["psi_t"]])])
-        left = self.length - axle[0] if self.row % 2 == 0 else axle[0]
-        if self.turning is None and left <= 0.0:
+        distance_left = self.length - axle[0] if self.row % 2 == 0 else axle[0]
+        if self.turning is None and distance_left <= 0.0:
             self._begin_turn()
         if self.turning is not None:
             rate = SERVO * (self._ahead(x, axle) - x[AT["delta"]])
@@ -202,7 +205,7 @@ class Pilot:
         else:
             rate = self._regulated(k, x)
             allowed = min(
-                self.speed[k], math.sqrt(self.work.turn_speed**2 + 2 * ACCELERATION * max(left, 0.0))
+                self.speed[k], math.sqrt(self.work.turn_speed**2 + 2 * ACCELERATION * max(distance_left, 0.0))
             )
         self.most = min(allowed, self.most + ACCELERATION * (end - k) * STEP_S)
         return self._command(rate, x), self.most

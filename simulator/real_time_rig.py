@@ -44,28 +44,28 @@ class RealTime:
     driver: LiveDriver | None = None
     sent: int = 0
     late: int = 0  # steps that were behind the clock
-    _told_s: float = 0.0
+    _next_report_s: float = 0.0
 
     def __call__(self, now: float, frames: list[Frame]) -> list[tuple[int, bytes]]:
         due_ns = self.start_ns + round(now * 1e9)
         self.late += self.clock.t_ns() - due_ns > BEHIND_NS
         while True:
-            left = (due_ns - self.clock.t_ns()) * 1e-9
-            if self.server.serve(min(max(left, 0.0), TICK_S), self.orders):
+            remaining_s = (due_ns - self.clock.t_ns()) * 1e-9
+            if self.server.serve(min(max(remaining_s, 0.0), TICK_S), self.orders):
                 raise RunStopped
-            if left <= 0.0:
+            if remaining_s <= 0.0:
                 break
         self.server.send(frames)
         self.sent += len(frames)
-        heard, self.server.heard = self.server.heard, []
-        for one in heard:
+        received, self.server.received = self.server.received, []
+        for one in received:
             t_ns = self.clock.t_ns()
             frame = Frame(t_ns, t_ns, self.bus, one.can_id, one.extended, False, one.data)
             self.server.send([frame], one.by)
-        if self.driver is not None and now >= self._told_s:
-            self._told_s += TELL_S
+        if self.driver is not None and now >= self._next_report_s:
+            self._next_report_s += TELL_S
             self.tell({"at_s": round(now, 3), "implement": [round(v, 4) for v in self.driver.implement()]})
-        return [(one.can_id, one.data) for one in heard if one.extended]
+        return [(one.can_id, one.data) for one in received if one.extended]
 
     def commands(self) -> dict[str, Any]:
         """What became of the commands so far; refusals in a person's words."""

@@ -1,8 +1,8 @@
 """What the virtual tractor's receivers and wheel-angle sensor measure: truth, noise, faults, survey errors.
 
 Positions: white noise and slow (Gauss-Markov) errors of each receiver, and a slow error that all share, as
-RTK receivers have that use one base. Doppler velocities, yaw rate, heading and roll have white noise.
-Quantisation comes from the encoding of the messages.
+RTK receivers have that use one base. Doppler velocities, yaw rate, heading and roll have white noise;
+roll may have a zero error and be late. Quantisation comes from the encoding of the messages.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ POSITION_COMMON = (0.015, 100.0)  # m and s of the error that all share
 VELOCITY = 0.03  # m/s, per axis
 YAW_RATE = np.radians(0.18)
 HEADING = np.radians(0.3)
-ROLL = np.radians(0.2)  # and pitch
+PITCH = np.radians(0.2)
 WHEEL = np.radians(0.07)
 
 
@@ -103,6 +103,7 @@ class Receiving:
         self._effects = _effects(scenario, receiver.mount, self.epochs, dropped)
         self._moved_m = np.array([effect.moved_m for effect in self._effects])
         self._noise = scenario.noise * rng.standard_normal((6, n))
+        self._roll_sd = run.nuisances[f"roll_sd_{receiver.mount}"]
         worse = np.array([effect.sd_m for effect in self._effects])
         self._off = _position_errors(run, self.epochs, worse, rng) if n else (self._moved_m, self._moved_m)
         late = np.array([effect.late_s for effect in self._effects])
@@ -127,8 +128,8 @@ class Receiving:
             np.hypot(north, east),
             at.yaw_rate + YAW_RATE * noise[2],
             (at.heading + HEADING * noise[3]) % (2 * np.pi),
-            at.roll + ROLL * noise[4],
-            at.pitch + ROLL * noise[5],
+            at.roll + self._roll_sd * noise[4],
+            at.pitch + PITCH * noise[5],
         )
         rows = zip(*(column.tolist() for column in columns), self._effects[which], strict=True)
         return [self._repeating(Report(*row)) for row in rows]
@@ -227,7 +228,8 @@ def _place(machine: Machine, truth: Truth, mount: Mount) -> tuple[float, float]:
 def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved_m: Array) -> BodyTrack:
     """Where the receiver reports itself to be at its epochs; the velocities are those to north and east.
 
-    A roll-corrected receiver reports the point on the ground below its antenna.
+    A roll-corrected receiver reports the point on the ground below its antenna. Roll is what its own sensor
+    says, but for noise; the yaw rate is that of a gyro fixed to the body.
     """
     mount = _stands_at(truth.scenario, receiver.mount)
     tractor = mount.startswith("tractor")
@@ -237,6 +239,8 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     back, side = leaning(body.roll, body.pitch)  # of a point one metre higher
     k = np.round((epochs - truth.time[0]) / STEP_S).astype(np.int64)
     psi, roll, pitch, r = body.heading[k], body.roll[k], body.pitch[k], body.yaw_rate[k]
+    late = round(truth.nuisances[f"roll_delay_{receiver.mount}"] / STEP_S)
+    felt = body.roll[np.maximum(k - late, 0)] + truth.nuisances[f"roll_zero_{receiver.mount}"]
     forward, right = _place(machine, truth, mount)
     ahead = forward * np.cos(pitch) - above * back[k]
     aside = (right + moved_m) * np.cos(roll) + above * side[k]
@@ -249,8 +253,8 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
         psi,
         u * cosine - v * sine,
         u * sine + v * cosine,
-        r,
-        roll,
+        r if body.gyro is None else body.gyro[k],
+        felt,
         pitch,
     )
 

@@ -32,6 +32,10 @@ Duration = Annotated[float, Field(gt=0, le=86_400)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angle = Annotated[float, Field(ge=-45, le=45)]  # of wheels, degrees
 Speed = Annotated[float, Field(ge=-4, le=15)]
+Stiffness = Annotated[float, Field(ge=20e3, le=100e6)]
+Track = Annotated[float, Field(ge=0.8, le=6)]
+Gyration = Annotated[float, Field(ge=0.2, le=3)]
+Wave = Annotated[float, Field(ge=0.3, le=1000)]
 Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
 FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
 
@@ -130,18 +134,40 @@ Steering = Annotated[
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class Bump:
+    """One bump, flat on top, its sides along north and east; a negative height makes a hole. Lengths in m."""
+
+    north: float  # of its middle
+    east: float
+    height: Annotated[float, Field(ge=-0.3, le=0.3)]
+    length: Annotated[float, Field(ge=0.1, le=1000)] = 1.0  # to north
+    width: Annotated[float, Field(ge=0.1, le=1000)] = 0.8  # to east
+    ramp: Annotated[float, Field(ge=0.05, le=10)] = 0.3  # of its sides, within length and width
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class Ground:
-    """A side slope, as a plane, and what is uneven on it, as waves along the way."""
+    """A side slope, as a plane, and what is uneven on it: of the planar plant waves along the way that roll
+    and push both bodies, of the spatial one a height field."""
 
     slope_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     downhill_deg: Degrees = 90.0  # direction in which the plane falls, clockwise from north
     roll_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # of either body on uneven ground
     force_sd: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # of the force across either body, over its weight
     band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave
+    rms: Annotated[float, Field(ge=0, le=0.1)] | None = None  # m, of the height field; None: even, or drawn
+    waves: tuple[Wave, Wave] = (1.0, 20.0)  # m, its shortest and longest wave
+    bumps: tuple[Bump, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.band[0] < self.band[1]:
-            raise ValueError(f"band = {list(self.band)}: give the shortest wave first, then a longer one")
+        for key in ("band", "waves"):
+            band = getattr(self, key)
+            if not band[0] < band[1]:
+                raise ValueError(f"{key} = {list(band)}: give the shortest wave first, then a longer one")
+
+
+_OF_PLANT: Final = {"planar": ("rms", "waves", "bumps"), "spatial": ("roll_sd_deg", "force_sd", "band")}
+"""Keys of Ground that a plant does not have."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -179,6 +205,32 @@ class Soil:
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
 
 
+# The spatial plant.
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Spatial:
+    """The rig as two bodies in space on six tyres. A key that is not given has the value of
+    simulator/spatial/vehicle.py or, with `draw`, one that is drawn from the seed."""
+
+    draw: bool = False
+    vertical_stiffness: tuple[Stiffness, Stiffness, Stiffness] | None = None  # N/m of each tyre; front,
+    vertical_damping: tuple[NotNegative, NotNegative, NotNegative] | None = None  # rear, implement; N s/m
+    track: tuple[Track, Track, Track] | None = None  # m
+    pin_height: Annotated[float, Field(ge=0, le=1.5)] | None = None  # m, of the front axle's pin
+    hitch_height: Annotated[float, Field(ge=0.1, le=1.5)] | None = None  # m
+    roll_gyration: tuple[Gyration, Gyration] | None = None  # m, radius of tractor and implement
+    tyre: Literal["exponential", "tanh", "brush", "magic"] | None = None
+    relaxation: Literal["first_order", "string"] | None = None
+    load_exponent: Share | None = None  # of the stiffness
+    camber_thrust: Share | None = None  # side force over load, for each rad that a tyre leans
+    grip: Annotated[float, Field(ge=0.2, le=1000)] | None = None  # None: that of the soil, or drawn
+    combined: bool = True  # drive force takes some of the side force
+    ackermann: Share = 1.0  # 0: both front wheels turn by the same angle, 1: towards one centre
+    front_drive: Share = 0.0  # of the drive force
+    step: Annotated[float, Field(ge=0.0002, le=0.0025)] = 0.002  # s, or a little less
+
+
 # What is out of order.
 
 
@@ -207,6 +259,16 @@ class ReceiverLink:
 
     jitter: Annotated[float, Field(ge=0, le=0.2)] = 0.0015  # s, mean of what is added to the latency
     drop_out: Share = 0.0  # of the epochs that are never sent
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class RollSensor:
+    """The receivers' own roll. With `draw`, what is not given is drawn anew for each receiver."""
+
+    draw: bool = False
+    sd_deg: Annotated[float, Field(ge=0, le=5)] | None = None  # None: 0.2, or drawn from 0.2 to 0.5
+    zero_deg: Annotated[float, Field(ge=-5, le=5)] | None = None  # None: 0, or drawn within 1
+    delay: Annotated[float, Field(ge=0, le=0.5)] | None = None  # s; None: 0, or drawn up to 0.1
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -240,6 +302,7 @@ class Scenario:
     seconds: Duration = 90.0
     seed: Annotated[int, Field(ge=0)] = 1
     machine: str | None = None  # machine file, from this file's folder; None: the packaged one
+    plant: Literal["planar", "spatial"] = "planar"  # spatial needs the extra of that name
     speed: Speeds = 4.5
     speed_sd: Annotated[float, Field(ge=0, le=1)] = 0.05  # m/s, wandering within some ten seconds
     steering: Steering = Turns()
@@ -251,8 +314,10 @@ class Scenario:
     )  # of tractor and implement, right side down
     ground: Ground = Ground()
     soil: Soil = Soil()
+    spatial: Spatial = Spatial()
     survey: SurveyErrors = SurveyErrors()
     wheel: Wheel = Wheel()
+    roll_sensor: RollSensor = RollSensor()
     link: ReceiverLink = ReceiverLink()
     noise: NotNegative = 1.0  # factor on every noise and drawn error of the sensors and the survey
     latency_s: Mapping[Mount, NotNegative] | None = None  # instead of what is drawn
@@ -269,6 +334,22 @@ class Scenario:
         slowest = min(row[1] for row in self.speed) if isinstance(self.speed, tuple) else self.speed
         if slowest < 0 and isinstance(self.steering, (RowSteering, Fieldwork)):
             raise ValueError(f"speed = {slowest:g}: automatic steering does not drive in reverse")
+        self._check_plant()
+
+    def _check_plant(self) -> None:
+        """Raises ValueError for a key of the other plant."""
+        ground, blank = self.ground, Ground()
+        given = [
+            f"ground.{key}" for key in _OF_PLANT[self.plant] if getattr(ground, key) != getattr(blank, key)
+        ]
+        if self.plant == "planar":
+            given += ["spatial"] if self.spatial != Spatial() else []
+            say = 'is of the spatial plant; add plant = "spatial"'
+        else:
+            given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
+            say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
+        if given:
+            raise ValueError(f"{given[0]} {say}")
 
 
 _SCENARIO: Final = TypeAdapter(Scenario)

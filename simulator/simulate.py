@@ -24,6 +24,8 @@ from tilth.schemas.machine import Machine
 from tilth.simulator.ground import AXLES, crossings
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.spatial.forces import TOLD
+from tilth.simulator.spatial.vehicle import WHEELS
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import host_clock, traffic
 
@@ -187,16 +189,46 @@ COLUMNS: Final = (
 """Of LOG.truth.csv, after t_ns: the log's clock, as Frame.t_ns and Pose.t_ns."""
 
 
+def _wheels() -> Iterator[Column]:
+    for k, wheel in enumerate(WHEELS):
+        for name, unit, meaning in _OF_A_WHEEL:
+            yield Column(f"{name}_{wheel}", unit, f"{meaning}, {wheel.replace('_', ' ')}", _told(k, name))
+
+
+def _told(k: int, name: str) -> Callable[[Truth], Array]:
+    def of(truth: Truth) -> Array:
+        assert truth.space is not None
+        samples: Array = truth.space.motion.tyres[:, k, TOLD.index(name)]
+        return samples
+
+    return of
+
+
+_OF_A_WHEEL: Final = (
+    ("load", "N", "of the tyre"),
+    ("across", "N", "side force to the right"),
+    ("elevation", "m", "of the ground under the tyre, upwards"),
+)
+SPATIAL_COLUMNS: Final = tuple(_wheels())
+"""Further ones of a spatial run."""
+
+
+def columns_of(truth: Truth) -> tuple[Column, ...]:
+    """Of LOG.truth.csv."""
+    return COLUMNS if truth.space is None else COLUMNS + SPATIAL_COLUMNS
+
+
 def _write_truth(source: SimulationInput, truth: Truth, files: tuple[Path, Path, Path]) -> None:
     log, described, table = files
     text = json.dumps(_description(source, truth, log, table), indent=1, ensure_ascii=False)
     with described.open("x", encoding="utf-8") as stream:
         stream.write(text + "\n")
-    values = np.column_stack([column.of(truth)[::KEEP] for column in COLUMNS]).tolist()
+    columns = columns_of(truth)
+    values = np.column_stack([column.of(truth)[::KEEP] for column in columns]).tolist()
     with table.open("x", encoding="ascii") as stream:
-        stream.write(",".join(["t_ns", *(column.name for column in COLUMNS)]) + "\n")
+        stream.write(",".join(["t_ns", *(column.name for column in columns)]) + "\n")
         t_ns_at = host_clock(truth)
-        row = "%d" + ",%.9g" * len(COLUMNS) + "\n"
+        row = "%d" + ",%.9g" * len(columns) + "\n"
         for at_s, numbers in zip(truth.time[::KEEP].tolist(), values, strict=True):
             stream.write(row % (t_ns_at(at_s), *numbers))
 
@@ -211,6 +243,7 @@ def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) 
             row.name: {"value": value, "unit": row.unit, "meaning": row.meaning}
             for row, value in zip(RIG_PARAMETERS, truth.rig, strict=True)
         },
+        **_space(truth),
         "nuisances": truth.nuisances,  # SI; named in simulator/tractor.py
         "events": sorted(_events(truth), key=lambda event: (event["t_ns"], event["what"])),
         "origin_deg": ORIGIN_DEG,
@@ -220,7 +253,7 @@ def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) 
             "period_s": KEEP * STEP_S,
             "columns": {
                 "t_ns": {"unit": "ns", "meaning": "the log's clock, as the frames' stamps"},
-                **{c.name: {"unit": c.unit, "meaning": c.meaning} for c in COLUMNS},
+                **{c.name: {"unit": c.unit, "meaning": c.meaning} for c in columns_of(truth)},
             },
         },
         "source": {
@@ -231,6 +264,14 @@ def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) 
             "software": software(),
         },
     }
+
+
+def _space(truth: Truth) -> dict[str, Any]:
+    """What the rig of a spatial run is made of, as drawn."""
+    if truth.space is None:
+        return {}
+    vehicle = truth.space.vehicle
+    return {"vehicle": {**vehicle._asdict(), "masses": vehicle.masses._asdict()}}
 
 
 def _events(truth: Truth) -> Iterator[dict[str, Any]]:

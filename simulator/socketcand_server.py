@@ -18,7 +18,7 @@ from typing import BinaryIO, Final
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import Scenario
+from tilth.simulator.scenario import from_json
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import traffic
 
@@ -53,7 +53,7 @@ class SocketcandServer:
 
     listener: socket.socket
     clients: list[SocketcandClient] = field(default_factory=list)
-    heard: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
+    received: list[Sending] = field(default_factory=list)  # for who owns the bus to take and to pass on
     refused: int = 0  # words of clients that are no frame
 
     @property
@@ -84,7 +84,7 @@ class SocketcandServer:
         """Send frames to every client that listens, but to the one that sent them; one that has gone, or
         stands still, is dropped."""
         if frames:
-            text = b"".join(map(_told, frames))
+            text = b"".join(map(_frame_command, frames))
             for client in self.listening():
                 if client is not by:
                     self._say(client, text)
@@ -127,8 +127,8 @@ class SocketcandServer:
         except ValueError:
             self.refused += 1
             return
-        if len(self.heard) < MOST_WAITING:
-            self.heard.append(Sending(can_id, extended, data, client))
+        if len(self.received) < MOST_WAITING:
+            self.received.append(Sending(can_id, extended, data, client))
         else:
             self.refused += 1
 
@@ -149,7 +149,7 @@ def open_server(port: int = 0) -> SocketcandServer:
     return SocketcandServer(socket.create_server(("127.0.0.1", port)))
 
 
-def _told(frame: Frame) -> bytes:
+def _frame_command(frame: Frame) -> bytes:
     can_id = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
     seconds, nanoseconds = divmod(frame.rx_ns, 1_000_000_000)
     text = f"< frame {can_id} {seconds}.{nanoseconds // 1000:06d} {frame.data.hex().upper()} >"
@@ -177,7 +177,8 @@ def main() -> None:
     with open(0, "rb", buffering=0) as orders:  # unbuffered: select() must see what readline() has not read
         order = json.loads(orders.readline())
         machine = parse_machine(order["machine_text"])
-        truth = drive(machine, order["seed"], order["seconds"], Scenario(clock_offset_s=0.0))
+        scenario = replace(from_json(order["scenario"]), clock_offset_s=0.0)
+        truth = drive(machine, order["seed"], order["seconds"], scenario)
         server = open_server()
         _tell({"port": server.port})
         _tell({"sent": _play_truth(server, machine, truth, orders)})

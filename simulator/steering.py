@@ -52,8 +52,8 @@ class Steering:
         if at.pgn != COMMAND or at.destination not in (ADDRESS, BROADCAST):
             return
         faults: dict[str, int] = {}
-        told = row(COMMAND).layout.decode(data, faults)
-        status = told.get("command_status")
+        command = row(COMMAND).layout.decode(data, faults)
+        status = command.get("command_status")
         if status != "intended":
             if faults:
                 self.refused.update(faults)
@@ -61,11 +61,11 @@ class Steering:
                 self.obeyed = None
             return
         self._watch(now)
-        reason = self._refusal(at.source, told.get("commanded_curvature_per_m"), now, reading)
+        reason = self._refusal(at.source, command.get("commanded_curvature_per_m"), now, reading)
         if reason:
             self.refused[reason] += 1
             return
-        self._wanted = math.atan(self.wheelbase * float(told["commanded_curvature_per_m"]))
+        self._wanted = math.atan(self.wheelbase * float(command["commanded_curvature_per_m"]))
         self._at, self.obeyed = now, at.source
         self.taken += 1
 

@@ -1,7 +1,8 @@
 """The virtual tractor: how a tractor with a towed implement moves when it is driven, and what is true of it.
 
-The nonlinear model (estimator/models/nonlinear.py) is integrated with the sample period; ground, soil and a
-pilot are asked every HOLD samples. Everything is a function of the machine file, the seed and the scenario.
+The planar plant, the nonlinear model (estimator/models/nonlinear.py), is integrated with the sample period;
+ground, soil and a pilot are asked every HOLD samples. The spatial plant is in simulator/spatial_run.py.
+Everything is a function of the machine file, the seed and the scenario.
 """
 
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.nonlinear import INPUTS, STATES
 from tilth.estimator.models.parameters import GEOMETRY, Rig, checked, rig_of
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
 from tilth.simulator import noise
 from tilth.simulator.ground import SoilField, Terrain, field, terrain
@@ -25,6 +26,7 @@ from tilth.simulator.scenario import STEP_S as STEP_S
 from tilth.simulator.scenario import Fault as Fault
 from tilth.simulator.scenario import Reclaim as Reclaim
 from tilth.simulator.scenario import Scenario as Scenario
+from tilth.simulator.spatial.plant import Space
 
 Array = NDArray[np.float64]
 
@@ -32,6 +34,8 @@ PARAMETER_LOG_SD: Final = 0.2
 PARAMETER_LIMIT: Final = 0.35
 PAIR_LIMIT_DEG: Final = 0.3
 ZERO_SD_DEG: Final = 0.3
+ROLL_PLAIN: Final = (0.2, 0.0, 0.0)  # sd and zero error of a receiver's roll, degrees; its delay, s
+ROLL_DRAWN: Final = ((0.2, 0.5), (-1.0, 1.0), (0.0, 0.1))  # the same, from and to
 COMPILED_FROM: Final = 2000  # samples: what is shorter is done before a compiler has been loaded
 TOLD: Final = 1000  # samples between two words on progress
 AT: Final = {name: k for k, name in enumerate(STATES)}
@@ -53,6 +57,7 @@ class BodyTrack:
     yaw_rate: Array
     roll: Array
     pitch: Array
+    gyro: Array | None = None  # rad/s about the body's own z axis; None: that is the yaw rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,9 @@ class Truth:
     implement: BodyTrack
     rig: Rig  # all that the model was given
     soil: Array  # PARAMETERS under each axle, shape (n, 6)
-    states: Array  # of the nonlinear model, its STATES, shape (n, 13): CGs on the ground, not swaying
+    states: Array  # of the nonlinear model, its STATES, shape (n, 13): CGs on the ground, not swaying; of the
+    # spatial plant the CGs themselves
+    space: Space | None = None  # of the spatial plant
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +95,12 @@ class Setting:
     soil: SoilField
 
     def truth(self, time: Array, way: float, states: Array, soil: Array) -> Truth:
-        """Of a stretch of the run. time: (m,), s; way: m driven before it; states: (m, 13); soil: (m, 6)."""
+        """Of a stretch of the run. time: (m,), s; way: m driven before it; states: (m, 13); soil: (m, 6).
+
+        Raises ValueError on the spatial plant, whose states do not tell all.
+        """
+        if self.scenario.plant == "spatial":
+            raise ValueError('who steers by CAN drives the planar plant: leave out plant = "spatial"')
         return Truth(
             self.seed, self.scenario, self.parameters, self.rig.geometry, self.nuisances, time,
             states[:, AT["delta"]], *_tracks(self.rig, self.land, states, way), self.rig, soil, states,
@@ -107,13 +119,17 @@ def drive(
     """Drive the machine of a machine file for so long. `progress` is told the seconds driven.
 
     driven_by: instead of the scenario's own driver. Raises ValueError where the machine is none that can be
-    driven.
+    driven, and NotInstalled, which is one too, where the spatial plant lacks its package.
     """
     scenario = scenario or Scenario()
     setting = setting_of(machine, seed, seconds, scenario)
     driver = (
         driver_of(scenario, setting.believed, setting.time, seed) if driven_by is None else driven_by(setting)
     )
+    if scenario.plant == "spatial":
+        from tilth.simulator.spatial_run import drive_spatial  # it imports this module
+
+        return drive_spatial(setting, driver, progress)
     states, theta = _integrate(setting.rig, driver, setting.land, setting.soil, setting.time, progress)
     return setting.truth(setting.time, 0.0, states, theta)
 
@@ -180,6 +196,7 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
     positions minus true heading, rad. cg_<forward|right|up>_<body>: true CG from the file's, m.
     <forward|right>_<mount>: true place of a receiver from the surveyed one, m. latency_<mount>: s.
     clock_offset, clock_skew: host clock minus UTC at the start, s, and its growth, s/s.
+    roll_<sd|zero|delay>_<mount>: of a receiver's own roll, rad, rad and s.
     """
     rng = generator(seed, noise.NUISANCES)
     zero, tractor, implement, offset, skew = rng.standard_normal(5) * [ZERO_SD_DEG, 1.0, 1.0, 0.2, 15e-6]
@@ -205,7 +222,22 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
     for receiver in machine.receiver:
         forward, right = scenario.noise * survey.lever_sd * within(rng, 2)
         result |= {f"forward_{receiver.mount}": forward, f"right_{receiver.mount}": right}
+        result |= _roll_sensor(scenario, receiver.mount, seed)
     return {key: float(value) for key, value in result.items()}
+
+
+def _roll_sensor(scenario: Scenario, mount: Mount, seed: int) -> dict[str, float]:
+    """Errors of one receiver's roll, as `_nuisances`."""
+    given, rng = scenario.roll_sensor, generator(seed, noise.ROLL, list(Mount).index(mount))
+    drawn = tuple(rng.uniform(low, high) for low, high in ROLL_DRAWN)
+    sd, zero, delay = drawn if given.draw else ROLL_PLAIN
+    return {
+        f"roll_sd_{mount}": float(np.radians(sd if given.sd_deg is None else given.sd_deg)),
+        f"roll_zero_{mount}": float(
+            np.radians(scenario.noise * zero if given.zero_deg is None else given.zero_deg)
+        ),
+        f"roll_delay_{mount}": float(delay if given.delay is None else given.delay),
+    }
 
 
 def _integrate(
@@ -241,7 +273,7 @@ def _integrate(
 
 @cache
 def _interpreted() -> Callable[..., Any]:
-    return nonlinear.integrate.plain()
+    return nonlinear.integrate.interpreted()
 
 
 def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[BodyTrack, BodyTrack]:

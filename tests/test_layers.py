@@ -15,10 +15,15 @@ ROOMS = {
     "estimator": ("models", "pose", "record", "filters", "results", "methods", ""),
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
+    "simulator": ("spatial", ""),
     "analysis": ("", "dissertation"),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
-UNDER_ALL = {"estimator": ("compiled", "kernel_digest", "state_json"), "logger": ("clock", "back_off")}
+UNDER_ALL = {
+    "estimator": ("compiled", "kernel_digest", "state_json"),
+    "logger": ("clock", "back_off"),
+    "simulator": ("scenario",),
+}
 """Modules of a folder itself that its rooms may use."""
 HEARS_ZENOH_ONLY = ("client", "monitor")  # they can crash or lag without touching the recorder
 CONTROLLER = ("plan", "law", "follower", "controller", "wires", "__main__")  # they hear Zenoh only
@@ -106,10 +111,25 @@ def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
         ("logger", "log", "import tilth.logger.daemon"),
         ("replay", "readers", "from tilth.replay.offline import replay"),
         ("analysis", "", "from tilth.analysis.dissertation import page"),
+        ("simulator", "spatial", "from tilth.simulator.tractor import drive"),
     ],
 )
 def test_the_check_sees_a_wrong_door(folder: str, room: str, source: str) -> None:
     assert _wrong_doors(folder, room, source)
+
+
+def _of_the_models(source: str) -> list[str]:
+    return [name for name in _imports(ast.parse(source)) if name.startswith("tilth.estimator.models")]
+
+
+def test_the_spatial_plant_shares_no_equation_with_the_estimators() -> None:
+    """Its room imports nothing of the models, and of the estimator only what compiles a kernel."""
+    room = [path.read_text() for path in (ROOT / "simulator" / "spatial").glob("*.py")]
+    assert len(room) > 5
+    of_estimator = {name for text in room for name in _imports(ast.parse(text)) if "estimator" in name}
+    assert of_estimator == {"tilth.estimator.compiled.kernel"}
+    assert not any(map(_of_the_models, room))
+    assert _of_the_models("from tilth.estimator.models import nonlinear")
 
 
 @pytest.mark.parametrize(

@@ -71,14 +71,14 @@ def run(
     """
     x = nonlinear.running(SPEED, y_t=offset, psi_t=heading, psi_i=heading)
     command = nonlinear.inputs_of(1, speed=SPEED)
-    seen = [x]
+    trajectory = [x]
     for _ in range(round(seconds / period)):
         command[0, 0] = -float(gain @ x)
         x = nonlinear.simulate(plant, command, x, period, actuator=actuator)[-1]
-        seen.append(x)
+        trajectory.append(x)
         if max(abs(x[NAMES.index("delta")]), abs(x[2] - x[3])) > math.pi / 2:
             break
-    states = np.array(seen)
+    states = np.array(trajectory)
     time: Array = np.arange(len(states), dtype=np.float64) * period
     return ClosedLoopRun(time, states)
 
@@ -186,7 +186,7 @@ def regulator_lines() -> list[ComparedFigure]:
     coarse = RANGE[::4].tolist()
     worst = max(float(design(m.name, u, act).poles.real.max()) for m, act in DESIGNED for u in coarse)
     slow = design("relaxation", 1.0).poles
-    beside = [p.real for p in slow if p.imag == 0][-2:]
+    real_poles = [p.real for p in slow if p.imag == 0][-2:]
     return [
         claim("5.2.3", "relaxation with actuator: controllable; observable from y_t, ψ_t, ψ_i", "both",
               "ranks {} and {} of {} at 4.5 m/s".format(*_ranks()), len(set(_ranks())) == 1),
@@ -202,8 +202,8 @@ def regulator_lines() -> list[ComparedFigure]:
               f"largest real part {number(worst, 3)}", worst < 0),
         claim("5.3.2", "relaxation, 1.0 m/s: two real eigenvalues near the dominant pair",
               "they improve the damping",
-              f"{', '.join(number(x, 3) for x in beside)} beside {pole(dominant(slow), 3)}",
-              len(beside) == 2),
+              f"{', '.join(number(x, 3) for x in real_poles)} beside {pole(dominant(slow), 3)}",
+              len(real_poles) == 2),
     ]  # fmt: skip
 
 

@@ -24,6 +24,7 @@ OMEGA: Array = np.geomspace(0.05, 60.0, 3000)  # rad/s, where peaks are looked f
 
 
 def poles_of(name: str, speed: float, rig: Rig = RIG) -> Complex:
+    """Eigenvalues of a linear model at a speed, m/s; complex (n,), 1/s."""
     return eigenvalues(system(model_named(name), rig, speed).a)
 
 

@@ -1,6 +1,7 @@
-"""Soil differs from place to place: what was learned of it is forgotten over distance.
+"""Soil differs from place to place, so what was learned of it is forgotten over distance.
 
-Log-parameters drift as an Ornstein-Uhlenbeck process in distance travelled. Its stationary law is the prior.
+Log-parameters drift as an Ornstein-Uhlenbeck process over the distance driven. Its stationary distribution is
+the prior.
 """
 
 import math
@@ -12,21 +13,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-DRIFT_M: Final = 50_000.0  # distance over which the soil forgets itself
+DRIFT_LENGTH_M: Final = 50_000.0  # correlation length of the soil
 
 
-def kept_over(metres: float) -> float:
-    """Share of what was known of the soil that is left after so many metres."""
-    return math.exp(-metres / DRIFT_M)
+def retained_share(metres: float) -> float:
+    """Correlation of the soil's log-parameters over so many metres."""
+    return math.exp(-metres / DRIFT_LENGTH_M)
 
 
-def added_covariance(kept: float, prior_sd: Array) -> Array:
-    """What the drift adds to a covariance of which that share is left, (k, k). prior_sd: (k,)."""
-    return np.asarray((1.0 - kept**2) * np.diag(prior_sd**2))
+def added_covariance(share: float, prior_sd: Array) -> Array:
+    """Process noise of the drift, (k, k). share: as `retained_share`. prior_sd: (k,)."""
+    return np.asarray((1.0 - share**2) * np.diag(prior_sd**2))
 
 
-def drift(covariance: Array, places: Places, kept: float, prior_sd: Array) -> None:
-    """Drift these unknowns of a covariance (n, n), in place. prior_sd: (n,)."""
-    covariance[places, :] *= kept
-    covariance[:, places] *= kept
-    covariance[np.ix_(places, places)] += added_covariance(kept, prior_sd[places])
+def drift(covariance: Array, indices: Places, share: float, prior_sd: Array) -> None:
+    """Propagate a covariance (n, n) over the drift of the unknowns at these indices, in place.
+
+    share: as `retained_share`. prior_sd: (n,).
+    """
+    covariance[indices, :] *= share
+    covariance[:, indices] *= share
+    covariance[np.ix_(indices, indices)] += added_covariance(share, prior_sd[indices])

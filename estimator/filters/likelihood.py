@@ -1,9 +1,9 @@
-"""Maximum a posteriori of the unknowns over one record: Fisher scoring with a safe step.
+"""Maximum a posteriori estimate of the unknowns over one record: Fisher scoring with damped steps.
 
-Minimised: 1/2 sum(e^2/S + log S) over the record's prediction errors (predictor.py), plus the prior's
-1/2 (p - p0)' P0^-1 (p - p0). Derivatives of e and S are differences of whole filter runs, so that the
-gradient is the exact likelihood's, with what the gains contribute. Information:
-sum(de de'/S + 1/2 dS dS'/S^2).
+The cost is 1/2 sum(e^2/S + log S) over the record's innovations (predictor.py) plus 1/2 (p - p0)' P0^-1 (p -
+p0) of the prior. Derivatives of e and S are differences of whole filter runs, so the gradient is that of the
+exact likelihood and includes the change of the gains. The Fisher information is sum(de de'/S + 1/2 dS
+dS'/S^2).
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.predictor import FOLLOW, FULL, KEEP, Innovations, Measured, innovations
+from tilth.estimator.filters.predictor import (
+    COMPUTE_GAINS,
+    REUSE_GAINS,
+    STORE_GAINS,
+    Innovations,
+    Measured,
+    innovations,
+)
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import DT, N_STATES, X_POSITION, X_PSI, X_R, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
@@ -32,97 +39,100 @@ from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
 
-STEPS: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
+DIFFERENCE_STEP: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
 STEP_LIMIT: Final = 1e-4
 MOST_ITERATIONS: Final = 25
-CLOSE: Final = 0.03  # of a posterior sd: a step this small ends the search
-SLACK: Final = 0.2  # nats that a step may cost: derivatives of what follows others' gains are not exact
-ROUGH: Final = 1.5
-"""Of a disturbance's logarithm that is not known to one: a search that begins with rough ground finds no
-false bottom."""
-_PUSHES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
-FLAT: Final = 0.05  # nats
-SETTLED: Final = 0.1  # of a posterior sd of the six
-NEAR: Final = 0.3  # of a posterior sd: where a search that can go no further has arrived
+SMALL_STEP: Final = 0.03  # of a posterior sd: a step this small ends the search
+SLACK: Final = 0.2  # nats by which a step may raise the cost: derivatives with reused gains are not exact
+ROUGH_START: Final = 1.5
+"""Added at the start to a disturbance's logarithm whose sd is above 1: a search that begins with rough ground
+does not end in a local minimum."""
+_DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
+FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
+SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
+# of a posterior sd: remaining step with which a search that has stopped counts as converged
+ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
 _GAINS: Final = frozenset({*PARAMETERS, *NOISES})
-"""What moves the filter's gains and so the variances. All else moves them little or not at all."""
+"""Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.03, 0.3)
-"""How far any of the six logarithms and any noise level may move before the derivatives are taken again,
-which is nine tenths of a fit's cost."""
-COLOUR: Final = 1.0
-"""By how much of the innovations' autocorrelation the sds of the six grow: what is left of a ground that is
-no Gauss-Markov process and of slow errors of receivers. From Monte Carlo; nothing where they are white."""
+"""How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
+is nine tenths of the cost of a fit."""
+COLOUR_FACTOR: Final = 1.0
+"""The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
+that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
+innovations."""
 MODEL_SD: Final = 0.03
-"""Of the six logarithms with `planar`: tyre curve and load transfer are another rig's than the file's. On
-soil of grip 0.7 that is what is left after 30 s of strong steering; more data do not make it less."""
-SETTLING: Final = 50
-"""Ticks from the beginning whose rows only find where the rig is. The first state's spread is that of any
-manoeuvre; were the first rows judged by it, straight driving would teach that tyres are softer than they are,
-by 0.2 sd a window."""
+"""Sd of the six logarithms with `planar`, from model errors: tyre curve and load transfer of the real rig
+differ from those of the file. On soil of grip 0.7 this error remains after 30 s of strong steering; more data
+do not reduce it."""
+SETTLING_TICKS: Final = 50
+"""Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
+manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
+by 0.2 sd per window."""
 BIN_S: Final = 0.1
-LAGS: Final = 12  # bins over which scores may be correlated: waves of the ground, slow errors of receivers
+LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """What a record says with a prior."""
+    """Result of a fit: the posterior of one record and a prior."""
 
     mean: Array  # [n] of unknowns.NAMES
     covariance: Array  # [n, n]
-    information: Array  # [n, n] of the record alone
-    cost: float  # minimised, per row
-    gain: float  # log-likelihood of the record at the prior's mean over that at `reference`, nats
+    information: Array  # [n, n] of the record without the prior
+    cost: float  # minimum, per row
+    gain: float  # log-likelihood of the record at the prior's mean minus that at `reference`, nats
     iterations: int
     rows: int
     outliers: int
-    whiteness: float  # autocorrelation of the normalised innovations at one step, mean over the kinds
+    whiteness: float  # autocorrelation of the normalised innovations at lag one, mean over the kinds
     converged: bool
 
 
 @dataclass(slots=True)
 class Search:
-    """A record with a prior, and the rows that are used of it."""
+    """The problem: a record, a prior, and which rows are used."""
 
     record: Record
     setup: RigSetup
-    start: Array
+    start: Array  # (15,), first state of the filter
     used: Array  # (m,), 0.0 for a row that is left out
-    prior_mean: Array
-    prior_information: Array  # of the active ones
-    active: NDArray[np.int64]
+    prior_mean: Array  # [n]
+    prior_information: Array  # (a, a), of the active ones
+    active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
 
     @property
-    def judged(self) -> Array:
-        """(m,), 1.0 for a row whose prediction error counts."""
-        return np.where(self.record.rows[:, TICK] >= SETTLING, self.used, 0.0)
+    def scored(self) -> Array:
+        """(m,), 1.0 for a row whose innovation counts in the likelihood."""
+        return np.where(self.record.rows[:, TICK] >= SETTLING_TICKS, self.used, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorJacobian:
-    """Of the prediction errors over the active unknowns, shapes (a, m), at a point."""
+    """Derivatives of the innovations and of their variances over the active unknowns, shape (a, m)."""
 
     de: Array
     dS: Array
-    taken: Array  # [n], the point
+    point: Array  # [n], where they were taken
 
 
 @dataclass(slots=True)
 class Iterate:
-    """Where a search stands."""
+    """Present state of a search."""
 
     point: Array  # [n]
-    e: Array  # (m,), prediction errors
+    e: Array  # (m,), innovations
     S: Array  # (m,), their variances
-    jacobian: ErrorJacobian  # of a point nearby
+    jacobian: ErrorJacobian  # at a point nearby
     cost: float
     iterations: int = 0
     converged: bool = False
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
-    """Where the filter starts, shape (15,): headings and yaw rates of the first tick, the first position."""
+    """First state of the filter, (15,): headings and yaw rates of the first tick, and the first position."""
     x = np.zeros(N_STATES)
     first = record.ticks[0]
     x[X_PSI : X_PSI + 2], x[X_R : X_R + 2] = first[PSI : PSI + 2], first[R : R + 2]
@@ -142,7 +152,10 @@ def first_state(record: Record, setup: RigSetup) -> Array:
 def prediction_errors(
     search: Search, points: Array, modes: Array, readings: Array | None = None
 ) -> tuple[Array, Array]:
-    """(e, S), each shape (q, m), at points, shape (q, n). readings: (q, m), instead of the record's."""
+    """(innovations, their variances), each (q, m), at points, (q, n).
+
+    modes: (q,), as `predictor.innovations`. readings: (q, m), measured values instead of those of the record.
+    """
     geometries = np.array([unknowns.geometry(search.setup.geometry, p) for p in points])
     thetas = np.exp(points[:, unknowns.SIX])
     shape = (len(points), len(search.record.rows))
@@ -156,18 +169,20 @@ def prediction_errors(
 
 
 def negative_log_likelihood(search: Search, e: Array, S: Array) -> float:
-    """Minus the log-likelihood of a record, nats, but for a constant."""
-    return float(0.5 * np.sum(search.judged * (e * e / S + np.log(S))))
+    """Negative log-likelihood of a record, nats, up to a constant."""
+    return float(0.5 * np.sum(search.scored * (e * e / S + np.log(S))))
 
 
 def _cost(search: Search, point: Array, e: Array, S: Array) -> float:
-    off = (point - search.prior_mean)[search.active]
-    with np.errstate(all="ignore"):  # a step too far is no number, and is not taken
-        return negative_log_likelihood(search, e, S) + float(0.5 * off @ search.prior_information @ off)
+    deviation = (point - search.prior_mean)[search.active]
+    with np.errstate(all="ignore"):  # after a step that is too long the cost is not finite; it is rejected
+        return negative_log_likelihood(search, e, S) + float(
+            0.5 * deviation @ search.prior_information @ deviation
+        )
 
 
 def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -> Search:
-    """What a fit starts from; arguments as of `maximise_posterior`."""
+    """The problem of a fit; arguments as of `maximise_posterior`."""
     active = np.flatnonzero(np.diag(covariance) > 0.0)
     sound = np.all(np.isfinite(record.rows), axis=1)
     prior = _inverse(covariance[np.ix_(active, active)])
@@ -177,22 +192,26 @@ def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -
 def maximise_posterior(
     record: Record, setup: RigSetup, mean: Array, covariance: Array, reference: Array | None = None
 ) -> Posterior:
-    """The fit. mean, covariance: the prior over unknowns.NAMES; zero variance holds one fixed.
+    """The fit. mean [n], covariance [n, n]: the prior over unknowns.NAMES; one with zero variance stays
+    fixed.
 
-    reference: a point to compare the prior's mean with on this record, which neither has seen.
+    reference: [n], a point to compare with the prior's mean on this record, which was used for neither
+    (`gain`).
     """
     search = search_of(record, setup, mean, covariance)
     gain = 0.0
     if reference is not None:
-        e, S = prediction_errors(search, np.array([mean, reference]), np.array([FULL, FULL], dtype=float))
+        e, S = prediction_errors(
+            search, np.array([mean, reference]), np.array([COMPUTE_GAINS, COMPUTE_GAINS], dtype=float)
+        )
         gain = negative_log_likelihood(search, e[1], S[1]) - negative_log_likelihood(search, e[0], S[0])
     point = mean.copy()
-    point[_PUSHES] += np.where(np.diag(covariance)[_PUSHES] > 1.0, ROUGH, 0.0)
+    point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, ROUGH_START, 0.0)
     found = _minimise(search, point)
     gradient, information = gradient_and_information(search, found, scores_at(search, found))
     remaining = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
-    converged = found.converged or bool(np.max(remaining[search.active < 6], initial=0.0) < NEAR)
-    autocorrelation = whiteness(record.rows, search.judged, found.e, found.S)
+    converged = found.converged or bool(np.max(remaining[search.active < 6], initial=0.0) < ARRIVED_STEP)
+    autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     if setup.planar:
         found.jacobian = _steering_jacobian(search, found)
     scores = scores_at(search, found)
@@ -207,7 +226,7 @@ def maximise_posterior(
 
 
 def _minimise(search: Search, point: Array) -> Iterate:
-    """Where steps from a point end."""
+    """The minimum of the cost, from a starting point."""
     active, damping = search.active, 1e-3
     at = iterate_at(search, point)
     for at.iterations in range(1, MOST_ITERATIONS + 1):
@@ -220,17 +239,19 @@ def _minimise(search: Search, point: Array) -> Iterate:
         at.point[active] += step
         at.e, at.S = predicted
         if at.iterations == 2:
-            # Rows that are beyond belief at this point, once and for all of this fit.
+            # Outliers are chosen once in a fit, at this point.
             search.used = np.where(np.abs(at.e) > OUTLIER * np.sqrt(at.S), 0.0, search.used)
             at.e, at.S = _errors_at(search, at.point)
         before, at.cost = at.cost, _cost(search, at.point, at.e, at.S)
-        change = np.abs(at.point - at.jacobian.taken)
+        change = np.abs(at.point - at.jacobian.point)
         if np.max(change[unknowns.SIX]) >= TRUST[0] or np.max(change[unknowns.NOISE]) >= TRUST[1]:
             at.jacobian = _error_jacobian(search, at.point)
         sizes = np.abs(step) / _sds(information)
-        # A noise level may go to and fro where nothing depends on it.
-        settled = abs(at.cost - before) < FLAT and bool(np.max(sizes[active < 6], initial=0.0) < SETTLED)
-        if at.iterations > 2 and (settled or bool(np.max(sizes) < CLOSE)):
+        # Only the six must be settled: a noise level that has no effect may go to and fro.
+        settled = abs(at.cost - before) < FLAT_COST and bool(
+            np.max(sizes[active < 6], initial=0.0) < SETTLED_STEP
+        )
+        if at.iterations > 2 and (settled or bool(np.max(sizes) < SMALL_STEP)):
             at.converged = True
             break
     return at
@@ -242,63 +263,65 @@ def iterate_at(search: Search, point: Array) -> Iterate:
 
 
 def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
-    """(e, S), each shape (m,), at one point."""
-    e, S = prediction_errors(search, point[None], np.array([FULL], dtype=float))
+    """(innovations, their variances), each (m,), at one point."""
+    e, S = prediction_errors(search, point[None], np.array([COMPUTE_GAINS], dtype=float))
     return e[0], S[0]
 
 
 def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
-    """At the point, by differences of whole filter runs."""
+    """The derivatives at a point, by differences of whole filter runs."""
     steps = _difference_steps(search)
     points = np.tile(point, (len(steps) + 1, 1))
     points[np.arange(1, len(points)), search.active] += steps
-    modes = [KEEP, *(FULL if NAMES[k] in _GAINS else FOLLOW for k in search.active)]
+    modes = [STORE_GAINS, *(COMPUTE_GAINS if NAMES[k] in _GAINS else REUSE_GAINS for k in search.active)]
     e, S = prediction_errors(search, points, np.array(modes, dtype=float))
     return ErrorJacobian((e[1:] - e[0]) / steps[:, None], (S[1:] - S[0]) / steps[:, None], point)
 
 
 def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
-    """The derivatives by what the wheels' motion explains alone.
+    """The derivatives of e as far as the known wheel angles explain them; those of S are zero.
 
-    Readings are changed by what an open loop at a point nearby shows otherwise, and go through the filter as
-    it is. The search goes by all that the likelihood says; but what it says of tyres by how the ground's
-    forces move the rig is as true as the model of those forces, which is simple, and counts for no certainty:
-    with it, intervals from three windows of steps at 5 Hz held the truth in 78 % of runs, without in 88 %.
+    The open-loop response (without measurements) is computed at the point and at nudged points. The
+    differences are added to the readings, which then pass through the filter at the unchanged point. The
+    search uses the whole likelihood. But the information on tyres in the rig's response to the ground's
+    forces is only as good as the model of those forces, which is simple, so it does not count in the
+    covariance: with it, intervals from three windows of steps at 5 Hz held the true value in 78 % of runs,
+    without it in 88 %.
     """
     nudged = np.flatnonzero([NAMES[k] not in NOISES for k in search.active])
     steps = _difference_steps(search)[nudged]
     points = np.tile(at.point, (len(nudged) + 1, 1))
     here = points.copy()
     points[np.arange(1, len(points)), search.active[nudged]] += steps
-    follow = np.full(len(points), FOLLOW, dtype=float)
-    open_loop, _ = prediction_errors(search, points, follow)
-    follow[0] = KEEP
-    e, _ = prediction_errors(search, here, follow, search.record.rows[:, VALUE] + (open_loop - open_loop[0]))
+    reuse = np.full(len(points), REUSE_GAINS, dtype=float)
+    open_loop, _ = prediction_errors(search, points, reuse)
+    reuse[0] = STORE_GAINS
+    e, _ = prediction_errors(search, here, reuse, search.record.rows[:, VALUE] + (open_loop - open_loop[0]))
     de, dS = at.jacobian.de.copy(), at.jacobian.dS.copy()
     de[nudged], dS[nudged] = (e[1:] - e[0]) / steps[:, None], 0.0
     return ErrorJacobian(de, dS, at.point)
 
 
 def _difference_steps(search: Search) -> Array:
-    """Of the differences, shape (a,)."""
-    return np.minimum(STEPS * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
+    """Steps of the differences, shape (a,)."""
+    return np.minimum(DIFFERENCE_STEP * np.sqrt(1.0 / np.diag(search.prior_information)), STEP_LIMIT)
 
 
 def scores_at(search: Search, at: Iterate) -> Array:
     """Derivative of each row's negative log-likelihood, shape (a, m)."""
     ratio = at.e / at.S
     scores: Array = at.jacobian.de * ratio + at.jacobian.dS * (0.5 * (1.0 - at.e * ratio) / at.S)
-    scores *= search.judged
+    scores *= search.scored
     return scores
 
 
 def gradient_and_information(search: Search, at: Iterate, scores: Array) -> tuple[Array, Array]:
-    """(gradient, information) of the cost, with the prior's."""
-    judged = search.judged
-    whitened, relative = at.jacobian.de * (judged / np.sqrt(at.S)), at.jacobian.dS * (judged / at.S)
+    """(gradient (a,), information (a, a)) of the cost, including the prior."""
+    scored = search.scored
+    whitened, relative = at.jacobian.de * (scored / np.sqrt(at.S)), at.jacobian.dS * (scored / at.S)
     information = whitened @ whitened.T + 0.5 * relative @ relative.T + search.prior_information
-    off = (at.point - search.prior_mean)[search.active]
-    return scores.sum(axis=1) + search.prior_information @ off, information
+    deviation = (at.point - search.prior_mean)[search.active]
+    return scores.sum(axis=1) + search.prior_information @ deviation, information
 
 
 def _sds(information: Array) -> Array:
@@ -312,18 +335,18 @@ def _inverse(matrix: Array) -> Array:
 
 
 def with_gain(found: Posterior, gain: float) -> Posterior:
-    """The same with another comparison."""
+    """The same posterior with another `gain`."""
     return replace(found, gain=gain)
 
 
 def _covariance(search: Search, scores: Array, covariance: Array, autocorrelation: float) -> Array:
-    """Of all unknowns, (n, n), from that of the active ones (a, a): wider for coloured noise and for what the
-    model is not."""
+    """Covariance of all unknowns, (n, n), from that of the active ones, (a, a), widened for coloured noise
+    and for errors of the model."""
     whole = np.zeros((len(NAMES), len(NAMES)))
     whole[np.ix_(search.active, search.active)] = _sandwich(search, covariance, scores)
-    wider = np.ones(len(NAMES))
-    wider[unknowns.SIX] = 1.0 + COLOUR * max(autocorrelation, 0.0)
-    whole *= np.outer(wider, wider)
+    factors = np.ones(len(NAMES))
+    factors[unknowns.SIX] = 1.0 + COLOUR_FACTOR * max(autocorrelation, 0.0)
+    whole *= np.outer(factors, factors)
     if search.setup.planar:
         open_ = search.active[search.active < 6]
         whole[open_, open_] += MODEL_SD**2
@@ -331,10 +354,10 @@ def _covariance(search: Search, scores: Array, covariance: Array, autocorrelatio
 
 
 def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
-    """The covariance, made larger where the scores are correlated over time, as coloured noise makes them.
+    """The covariance, widened if the scores are correlated over time, as they are with coloured noise.
 
-    Newey-West estimate of the scores' covariance between inverse informations (the sandwich of quasi maximum
-    likelihood). It only widens: a short record may by chance look better than white.
+    It is the sandwich estimator of quasi maximum likelihood, with the Newey-West estimate of the scores'
+    covariance in the middle. It never narrows: a short record may look better than white by chance.
     """
     bins = (search.record.rows[:, TICK] * DT / BIN_S).astype(np.int64)
     sums = np.zeros((len(scores), int(bins[-1]) + 1))
@@ -346,15 +369,16 @@ def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
         later = sums[:, lag:] @ sums[:, :-lag].T
         scores_covariance = scores_covariance + (1.0 - lag / (LAGS + 1)) * (later + later.T)
     robust = covariance @ (scores_covariance + search.prior_information) @ covariance
-    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
-    honest: Array = covariance * np.outer(wider, wider)
-    return honest
+    factors = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    widened: Array = covariance * np.outer(factors, factors)
+    return widened
 
 
 def _step(
     search: Search, at: Iterate, gradient: Array, information: Array, damping: float
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
-    """(step, tries, prediction errors and variances after it); None where no step lowers the cost."""
+    """(step, tries, (innovations, variances) after it); None in the third place if no step lowers the
+    cost."""
     for tried in range(1, 8):
         damped = information + damping * 4.0 ** (tried - 1) * np.diag(np.diag(information))
         step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)
@@ -371,7 +395,7 @@ def _step(
 
 
 def whiteness(rows: Array, used: Array, e: Array, S: Array) -> float:
-    """Mean autocorrelation at one step of the normalised innovations of each kind and place."""
+    """Autocorrelation at lag one of the normalised innovations of each kind and place, weighted mean."""
     found, weights = [], []
     for kind, place in {(float(k), float(p)) for k, p in rows[:, [KIND, PLACE]]}:
         chosen = (rows[:, KIND] == kind) & (rows[:, PLACE] == place) & (used > 0.0)

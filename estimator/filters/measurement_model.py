@@ -1,4 +1,4 @@
-"""What a measurement shows at a state of the filters, and its slope."""
+"""Predicted measurements of the filters, and their Jacobians over the state."""
 
 import math
 from typing import NamedTuple
@@ -36,13 +36,13 @@ Array = NDArray[np.float64]
 
 
 class Observation(NamedTuple):
-    """What is measured, and about what it is made linear."""
+    """One measurement without its value: kind, place, and the point of linearisation."""
 
     kind: int  # record.YAW_RATE to HEADING
     place: int  # as record.PLACE
-    share: float  # of a tick that has passed since the one before
+    share: float  # time since the tick before, in ticks, [0, 1)
     u: float  # m/s
-    psi_ref: float  # rad, heading of the body that `ticks` has at the instant
+    psi_ref: float  # rad, heading of the body in `ticks` at the instant
 
 
 @kernel
@@ -55,7 +55,7 @@ def body_of(kind: int, place: int) -> int:
 
 @kernel
 def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
-    """Of a row of the record, which comes at or after tick k and before the next."""
+    """The observation of a row of the record, at or after tick k and before the next. u: m/s."""
     following = min(k + 1, ticks.shape[0] - 1)
     kind, place, share = int(row[KIND]), int(row[PLACE]), row[OFFSET] / DT
     psi = PSI + body_of(kind, place)
@@ -65,7 +65,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 @kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
-    """What a measurement shows at state x; fills h (15,), its slope."""
+    """Predicted measurement at state x, (15,); fills h, (15,), with its Jacobian."""
     h[:] = 0.0
     if obs.kind == YAW_RATE:
         h[X_R + obs.place] = 1.0
@@ -110,7 +110,7 @@ def predict_velocity(
 def predict_position(
     x: Array, obs: Observation, body: int, lever: float, point: Point, setup: RigSetup, h: Array
 ) -> float:
-    """North or east of a receiver, m. lever: as of `predict_velocity`."""
+    """North or east position of a receiver, m; fills h. lever: as of `predict_velocity`."""
     c, d = point.geometry[2], point.geometry[3]
     arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
     aside = setup.levers[obs.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
@@ -147,7 +147,7 @@ def predict_position(
 
 @kernel
 def noise_factor(kind: int, unknowns: Array) -> float:
-    """By what the stated sd of a measurement is multiplied."""
+    """Factor on the stated sd of a measurement. unknowns: (n,)."""
     if kind == YAW_RATE:
         return math.exp(unknowns[AT_S_YAW_RATE])
     if kind == ROLL_ANGLE:

@@ -1,8 +1,8 @@
 """One-step prediction errors of a record at given unknowns: the likelihood that pem maximises.
 
-A Kalman filter over the states of states.py, whose motion is in propagation.py. A measurement between two
-ticks sees the line between their states. Measurements are taken one by one, so that the likelihood is a sum
-over scalars: log L = -1/2 sum (e^2 / S + log S).
+It is a Kalman filter over the states of states.py; propagation.py propagates them. Between two ticks the
+state is taken as linear in time. Measurements are scalar and are processed one by one, so the log-likelihood
+is log L = -1/2 sum (e^2 / S + log S), with innovation e and its variance S.
 """
 
 import math
@@ -57,25 +57,25 @@ from tilth.estimator.record.record import SD, TICK, WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
-SAME_SPEED: Final = 0.03  # m/s: one transition matrix serves speeds this near
+SAME_SPEED: Final = 0.03  # m/s: speeds within this use one transition matrix
 
-FULL, KEEP, FOLLOW = 0, 1, 2
-"""How the gains of a point are found: its own; its own, kept for others; those that were kept."""
+COMPUTE_GAINS, STORE_GAINS, REUSE_GAINS = 0, 1, 2
+"""How a filter run gets its gains: it computes them; computes and stores them; uses the stored ones."""
 
 
 class Measured(NamedTuple):
-    """What is filtered."""
+    """The data of a filter run."""
 
     ticks: Array  # [n, 8], as record.Record
-    rows: Array  # [m, 6], as record.Record, but for the values
+    rows: Array  # [m, 6], as record.Record; the values in it are not used
     readings: Array  # (m,), the values; in `innovations` (q, m), one set for each point
-    used: Array  # (m,), 0.0 for a row to leave out
+    used: Array  # (m,), 0.0 for a row that is left out
 
 
 class Innovations(NamedTuple):
-    """What a filter run gives, (m,) or, of q points, (q, m)."""
+    """Result of a filter run, (m,), or of runs at q points, (q, m)."""
 
-    e: Array  # prediction errors
+    e: Array  # innovations (prediction errors)
     S: Array  # their variances
 
 
@@ -94,12 +94,13 @@ def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
 
 
 @kernel
-def filtered(
+def run_filter(
     measured: Measured, x: Array, point: Point, setup: RigSetup, mode: int, gains: Array, out: Innovations
 ) -> None:
-    """Fill out, (m,): prediction error and its variance of each row at one point of the unknowns.
+    """Fill out, (m,): innovation and its variance of each row, at one point of the unknowns.
 
-    x: (15,), the first state, overwritten with the last. gains: (m, 30), see FULL.
+    x: (15,), the first state, overwritten with the last. mode: COMPUTE_GAINS, STORE_GAINS or REUSE_GAINS.
+    gains: (m, 30), Kalman gains of the state at the tick and of the state one tick later.
     """
     ticks, rows, readings, used = measured
     e, S = out
@@ -147,15 +148,15 @@ def filtered(
     )
     latency, zero = point.unknowns[AT_LATENCY], point.unknowns[AT_WHEEL_ZERO]
     scale = math.exp(-point.unknowns[AT_WHEEL_GAIN])
-    known_u = -1e9
+    model_u = -1e9
     m, row = rows.shape[0], 0
     for k in range(n):
         last = k == n - 1
         nxt = k if last else k + 1
         u = 0.5 * (ticks[k, U] + ticks[nxt, U])
-        if abs(u - known_u) > SAME_SPEED:
+        if abs(u - model_u) > SAME_SPEED:
             discretise(u, point, setup.rig, model, plant)
-            known_u = u
+            model_u = u
             q[0] = (u / point.theta[3] * setup.sds[0] * DT) ** 2
         reading = 0.5 * (wheel_angle_at(ticks, k, latency) + wheel_angle_at(ticks, nxt, latency))
         inputs[0] = (reading - zero) * scale
@@ -163,7 +164,7 @@ def filtered(
         if setup.planar and k % 2 == 0:
             nonlinear_correction(following, u, inputs, model, plant, correction)
             propagate_state(x, u, inputs, model, correction, push_decay, following)
-        if mode != FOLLOW:
+        if mode != REUSE_GAINS:
             transition_jacobian(x, u, model, push_decay, F, F_T)
         while row < m and rows[row, TICK] <= k:
             if used[row] == 0.0:
@@ -175,7 +176,7 @@ def filtered(
             for j in range(N_STATES):
                 x_at[j] = x[j] + share * (following[j] - x[j])
             error = readings[row] - predict_measurement(x_at, obs, point, setup, h)
-            if mode != FOLLOW:
+            if mode != REUSE_GAINS:
                 for j in range(N_STATES):
                     H[j] = (1.0 - share) * h[j]
                 for i in range(N_STATES):
@@ -198,7 +199,7 @@ def filtered(
                         P[i, j] -= part * P_H[j]
                 propagate_change(gain, F_T, gain_after)
                 S[row] = variance
-                if mode == KEEP:
+                if mode == STORE_GAINS:
                     gains[row, :N_STATES] = gain
                     gains[row, N_STATES:] = gain_after
             else:
@@ -210,7 +211,7 @@ def filtered(
             e[row] = error
             row += 1
         if not last:
-            if mode != FOLLOW:
+            if mode != REUSE_GAINS:
                 propagate_covariance(P, F, F_T, q, x[X_PSI], F_P)
             x[:] = following
     while row < m:
@@ -224,16 +225,16 @@ def innovations(
 ) -> None:
     """Fill out, (q, m), at each of the points, whose arrays are (q, n of unknowns.NAMES), (q, 6) and (q, 9).
 
-    modes: (q,), FULL, KEEP or FOLLOW as float; what follows has the variances of the first point, and where
-    none is kept before it corrects nothing: the open loop.
+    modes: (q,), COMPUTE_GAINS, STORE_GAINS or REUSE_GAINS as float. A run with REUSE_GAINS has the variances
+    of the first point. If no gains were stored before it, they are zero: the open loop.
     """
     ticks, rows, readings, used = measured
     gains = np.zeros((rows.shape[0], 2 * N_STATES))
     for i in range(points.unknowns.shape[0]):
         x = start.copy()
         mode = int(modes[i])
-        if mode == FOLLOW:
+        if mode == REUSE_GAINS:
             out.S[i] = out.S[0]
         point = Point(points.unknowns[i], points.theta[i], points.geometry[i])
-        here = Measured(ticks, rows, readings[i], used)
-        filtered(here, x, point, setup, mode, gains, Innovations(out.e[i], out.S[i]))
+        measured_here = Measured(ticks, rows, readings[i], used)
+        run_filter(measured_here, x, point, setup, mode, gains, Innovations(out.e[i], out.S[i]))

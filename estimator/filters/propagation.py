@@ -1,8 +1,10 @@
-"""One tick of the motion: the relaxation model discretised, and what the nonlinear model has beyond it.
+"""Propagates state and covariance over one tick: the discretised relaxation model plus a nonlinear
+correction.
 
-Between two ticks the relaxation model is integrated exactly for the inputs' mean. The nonlinear model's
-difference from it (large angles, tyre curve, load transfer) is found in the middle of two ticks. The tracker,
-whose model is the nonlinear one, shares the position and the plant.
+Between two ticks the relaxation model is integrated exactly for the mean of the inputs. The difference of the
+nonlinear model from it (large angles, tyre curve, load transfer) is evaluated once for two ticks, in their
+middle, and added. The
+tracker, whose model is the nonlinear one, uses the functions for the position and for the plant.
 """
 
 import math
@@ -38,7 +40,7 @@ NUDGE_LINEAR = 1e-6
 
 
 class RelaxationModel(NamedTuple):
-    """The states before X_PUSH, at one speed: x' = A x + B inputs, and the same over a tick."""
+    """The states before X_PUSH at one speed: x' = A x + B inputs, and its discretisation over a tick."""
 
     A: Array  # (8, 8)
     B: Array  # (8, 3), of relaxation.INPUTS
@@ -48,7 +50,7 @@ class RelaxationModel(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """The nonlinear model at one point of the unknowns, and the arrays that it works in."""
+    """The nonlinear model at one point of the unknowns, and its work arrays."""
 
     theta: Array  # (6,)
     rig: Rig
@@ -102,7 +104,7 @@ def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: 
 
 @kernel
 def propagate_position(x: Array, u: float, out: Array) -> None:
-    """Fill the position of out, whose v and psi_t are known, one tick after x."""
+    """Fill the position of out, the state one tick after x, whose v and psi_t are filled already."""
     psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
     sine, cosine = math.sin(psi), math.cos(psi)
     out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
@@ -114,10 +116,10 @@ def propagate_state(
     x: Array, u: float, inputs: Array, model: RelaxationModel, correction: Array, push_decay: Array,
     out: Array,
 ) -> None:  # fmt: skip
-    """Fill out (15,), the state one tick later.
+    """Fill out (15,), the state one tick after x.
 
-    inputs: (3,), as relaxation.INPUTS. correction: (6,), of `nonlinear_correction`. push_decay: what is left
-    of the ground's push after a tick.
+    inputs: (3,), as relaxation.INPUTS. correction: (6,), of `nonlinear_correction`. push_decay: factor on the
+    ground's pushes over a tick.
     """
     F, G, G_push = model.F, model.G, model.G_push
     for i in range(X_PUSH):
@@ -131,7 +133,7 @@ def propagate_state(
         out[i] = total
     for i in range(X_PSI):
         out[i] += DT * correction[i]
-    for i in range(2):  # r' acts on the heading within the tick too
+    for i in range(2):  # the correction of r' changes the heading within the tick too
         out[X_PSI + i] += 0.5 * DT * DT * correction[X_R + i]
     for i in range(X_PUSH, X_POSITION):
         out[i] = push_decay[i - X_PUSH] * x[i]
@@ -171,7 +173,7 @@ def nonlinear_correction(
 
 @kernel
 def position_jacobian(u: float, psi: float, v: float, columns: int, F: Array) -> None:
-    """Fill the rows of the position of F, in its first columns, from its rows of v and psi_t."""
+    """Fill the position's rows of F, in its first columns, from its rows of v and psi_t."""
     sine, cosine = math.sin(psi), math.cos(psi)
     north = -u * sine - v * cosine
     east = u * cosine - v * sine
@@ -186,9 +188,10 @@ def position_jacobian(u: float, psi: float, v: float, columns: int, F: Array) ->
 def transition_jacobian(
     x: Array, u: float, model: RelaxationModel, push_decay: Array, F: Array, F_T: Array
 ) -> None:
-    """Fill F (15, 15), how a small change of the state goes on over one tick, and its transpose.
+    """Fill F (15, 15), the transition Jacobian over one tick, and its transpose F_T.
 
-    Only what `propagate_covariance` and `propagate_change` read of them, which is what is not zero.
+    Only those entries are filled that `propagate_covariance` and `propagate_change` read; the others are
+    zero.
     """
     for i in range(X_PUSH):
         for j in range(X_PUSH):
@@ -205,7 +208,7 @@ def transition_jacobian(
 
 @kernel
 def propagate_change(change: Array, F_T: Array, out: Array) -> None:
-    """Fill out (15,): what a small change of the state (15,) has become a tick later."""
+    """Fill out (15,): F times a small change of the state, (15,)."""
     for j in range(X_PUSH):
         out[j] = 0.0
     for k in range(X_POSITION):
@@ -221,7 +224,7 @@ def propagate_change(change: Array, F_T: Array, out: Array) -> None:
 
 @kernel
 def add_position_noise(P: Array, psi: float) -> None:
-    """Add to a covariance what a tick adds to that of the position, along and across the heading psi."""
+    """Add the position's process noise of one tick to a covariance: along and across the heading psi, rad."""
     sine, cosine = math.sin(psi), math.cos(psi)
     along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
     P[X_POSITION, X_POSITION] += along * cosine * cosine + across * sine * sine
@@ -233,10 +236,10 @@ def add_position_noise(P: Array, psi: float) -> None:
 
 @kernel
 def propagate_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F_P: Array) -> None:
-    """P (15, 15) one tick later. q: (6,), variances that a tick adds to alpha_f, the pushes and both pairs.
+    """Propagate P (15, 15) over one tick: F P F' + Q, in place.
 
-    Rows are added to rows and zeros are not touched, three times as fast as two products of matrices.
-    F_P: (15, 15), overwritten.
+    q: (6,), process noise variances of alpha_f, the pushes and both pairs. Loops add rows to rows and skip
+    zeros, which is three times as fast as two matrix products. F_P: (15, 15), work array.
     """
     for i in range(X_PUSH):
         for j in range(N_STATES):
@@ -266,7 +269,7 @@ def propagate_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F
 
 @kernel
 def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
-    """The rig with this geometry, rolling resistance and tyre curve."""
+    """The rig with this geometry (9,), rolling resistance and curvature of the tyre curve (1/grip)."""
     grip = 1.0 / max(curvature, 1e-3)
     return Rig(
         geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],

@@ -1,4 +1,4 @@
-"""What a machine file says that the filters need."""
+"""What the filters need from a machine file."""
 
 import math
 from typing import Final, NamedTuple
@@ -13,25 +13,25 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOW_SHARE: Final = 0.3  # of a position's sd that is slow and each receiver's own
+SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is independent between receivers
 
 
 class RigSetup(NamedTuple):
-    """A machine file, as kernels take it."""
+    """A machine file as arrays for kernels."""
 
     geometry: Array  # (9,), as parameters.GEOMETRY
     levers: Array  # (4, 2), forward and right of each receiver, m, in the order of flow.Mount
-    middles: Array  # (2, 2), of the middle of each body's receivers
-    sds: Array  # (3,), of the wheel angle of a tick and of both pairs' slow heading errors, rad
+    middles: Array  # (2, 2), forward and right of the middle of each body's receivers, m
+    sds: Array  # (3,), rad: of the wheel angle at a tick, and of the slow heading error of either pair
     rig: Rig
     roll: RollModes
     planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
 
 
 def slow_pair_sd(machine: Machine, body: str) -> float | None:
-    """Sd of a pair's heading error that lasts, rad: slow multipath over the baseline.
+    """Sd of the slow heading error of a body's antenna pair, rad: slow multipath over the baseline.
 
-    None without a pair, or where its antennas are at one place.
+    None without a pair, or if both antennas are at one place. body: tractor or implement.
     """
     pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
     if len(pair) != 2:
@@ -58,7 +58,7 @@ def nominal_roll(machine: Machine) -> RollModes:
 
 
 def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
-    """planar: False for the relaxation model alone, without what the nonlinear model has beyond it."""
+    """The setup of a machine. planar: False for the relaxation model alone, without nonlinear correction."""
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)

@@ -1,8 +1,10 @@
-"""Has the soil changed lately? What a recursive filter knew of the six a while ago, and what it knows now.
+"""Detects a recent change of soil: compares a filter's posterior of the six with checkpoints of the last
+seconds.
 
-While nothing changes, a filter's mean moves by a normal variable of covariance P0 - P1, those of then and
-now; a change c along a direction d moves it by c (P0 - P1) P0^-1 d as well. The statistic is the likelihood
-ratio of the best c against none, a chi-square of one degree of freedom.
+Without a change, the mean moves by a normal variable with covariance P0 - P1, where P0 is the covariance at
+the checkpoint and P1 the present one. A change c along a direction d moves it by c (P0 - P1) P0^-1 d in
+addition. The statistic is the likelihood ratio of the best c against c = 0, a chi-square with one degree of
+freedom.
 """
 
 from dataclasses import dataclass
@@ -16,19 +18,20 @@ Array = NDArray[np.float64]
 DIRECTIONS: Final = np.array(
     [[1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0]], float
 )
-"""Of the six logarithms: all stiffnesses together, or one."""
+"""Directions of a change in the six logarithms: all stiffnesses together, or one of them."""
 CHANGED: Final = 32.0
 """Twice the logarithm of the likelihood ratio: in 1.6 h of steering over uneven ground
 without a change the largest was 21."""
-LEAST_CHANGE: Final = 0.15  # of a logarithm: a smaller one is left to the drift
-KNOWN: Final = 0.2  # sd of a direction's logarithm before which nothing was known that could change
-MARKS: Final = 10  # kept, one in EVERY stretches: 4 s
-EVERY: Final = 2
+LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
+# largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
+KNOWN_SD: Final = 0.2
+MOST_CHECKPOINTS: Final = 10  # kept, one in EVERY segments: 4 s
+CHECKPOINT_SEGMENTS: Final = 2
 
 
 @dataclass(slots=True)
-class Mark:
-    """What was known of the six at a time, and has drifted since."""
+class Checkpoint:
+    """The posterior of the six logarithms at an earlier time, drifted since then."""
 
     mean: Array  # [6]
     covariance: Array  # [6, 6]
@@ -36,27 +39,30 @@ class Mark:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The likeliest change of the six logarithms, and its likelihood ratio."""
+    """The likeliest change of the six logarithms."""
 
-    ratio: float
+    ratio: float  # twice the logarithm of its likelihood ratio
     logs: Array  # [6]
 
 
-def likeliest(marks: list[Mark], mean: Array, covariance: Array) -> Change | None:
-    """The likeliest change since one of the marks; None where there is none to speak of."""
-    if not marks:
+def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Array) -> Change | None:
+    """The likeliest change since any of the checkpoints; None if no change is large enough.
+
+    mean (6,), covariance (6, 6): the present ones.
+    """
+    if not checkpoints:
         return None
-    before = np.array([mark.covariance for mark in marks])
+    before = np.array([checkpoint.covariance for checkpoint in checkpoints])
     known = np.sqrt(np.einsum("di,kij,dj->kd", DIRECTIONS, before, DIRECTIONS))
     weights = np.linalg.solve(before, DIRECTIONS.T[None])  # [k, 6, d]
-    change = mean - np.array([mark.mean for mark in marks])
+    change = mean - np.array([checkpoint.mean for checkpoint in checkpoints])
     score = np.einsum("kid,ki->kd", weights, change)
     information = np.einsum("kid,di->kd", weights, DIRECTIONS)
     information -= np.einsum("kid,ij,kjd->kd", weights, covariance, weights)
-    sound = (known < KNOWN * DIRECTIONS.sum(axis=1)) & (np.abs(score) > LEAST_CHANGE * information)
-    sound &= information > 0.0
-    if not sound.any():
+    valid = (known < KNOWN_SD * DIRECTIONS.sum(axis=1)) & (np.abs(score) > LEAST_CHANGE * information)
+    valid &= information > 0.0
+    if not valid.any():
         return None
-    ratio = np.where(sound, score**2 / np.where(sound, information, 1.0), 0.0)
+    ratio = np.where(valid, score**2 / np.where(valid, information, 1.0), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
     return Change(float(ratio[k, d]), score[k, d] / information[k, d] * DIRECTIONS[d])

@@ -1,11 +1,11 @@
-"""Where each state of the filters stands, and what a tick is.
+"""Layout of the filters' state vectors, and the length of a tick.
 
 x, shape (15,): v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.relaxation), psi_t, psi_i (rad, not
-wrapped); how the ground pushes across the tractor and across the implement, at their CGs as gravity does
-(m/s^2), and what it adds to r_t' (rad/s^2), three first-order Gauss-Markov processes of one memory; north and
-east of the tractor's CG (m); the slow heading error of each antenna pair (rad).
-The tracker's x, shape (16,), has one more: the slow sideways error of the implement's antennas against the
-tractor's (m).
+wrapped); the ground's pushes: accelerations across the tractor and across the implement at their CGs, as of
+gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), three first-order Gauss-Markov processes
+with one time constant; north and east of the tractor's CG (m); the slow heading error of each antenna pair
+(rad). The tracker's x, shape (16,), has one more: the slow lateral error of the implement's antennas relative
+to the tractor's (m).
 """
 
 import math
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 X_V: Final = 0
-X_R: Final = 1  # of the tractor; each body's states stand side by side
+X_R: Final = 1  # of the tractor; the implement's is the next one, here and below
 X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
 X_PSI: Final = 10
@@ -59,7 +59,7 @@ UNEVEN_LENGTH: Final = 1.5  # m
 
 
 class Point(NamedTuple):
-    """One point of the unknowns, with what follows from it."""
+    """One point of the unknowns, with the parameters and the geometry that follow from it."""
 
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     theta: Array  # (6,), N/rad and m

@@ -1,7 +1,8 @@
-"""One segment of the record through an extended Kalman filter whose states include what nobody knows.
+"""Kernel of the tracker: an extended Kalman filter over one segment, whose state includes all unknowns.
 
-The joint state is that of tracker_model.py. Measurements come one by one, at their own instants between two
-ticks, and each is gated. An unknown that may not be learned is only considered, as Schmidt and Kalman do.
+The joint state is that of tracker_model.py. Measurements are processed one by one, each at its instant
+between two ticks, and each is gated. An unknown that may not be learned is only considered (Schmidt-Kalman
+filter): its uncertainty counts, but its value and variance stay.
 """
 
 import math
@@ -83,13 +84,14 @@ from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
-EVERY: Final = 5  # ticks that one set of Jacobians serves
-GATE: Final = 5.0  # sds
-USED, GATED, BAD = 0, 1, 2  # places in RowTally.counts
+EVERY: Final = 5  # ticks for which one set of Jacobians is used
+GATE: Final = 5.0  # sds of the innovation; a larger one is an outlier
+USED, GATED, BAD = 0, 1, 2  # indices into RowTally.counts: updated, outlier, not a finite number
 
 
-class Segment(NamedTuple):
-    """What is filtered: ticks `first` to `first + size`, and the rows among them."""
+class SegmentArrays(NamedTuple):
+    """A segment with its neighbours: the filter runs over ticks `first` to `first + size` and the rows in
+    them."""
 
     ticks: Array  # [n, 8], as record.Record
     first: int
@@ -98,7 +100,7 @@ class Segment(NamedTuple):
 
 
 class JointEstimate(NamedTuple):
-    """What is known of the joint state; all of it is overwritten."""
+    """Mean and covariance of the joint state, prior before the run, posterior after it."""
 
     x: Array  # (16,)
     unknowns: Array  # (n,), in the order of unknowns.NAMES
@@ -108,24 +110,25 @@ class JointEstimate(NamedTuple):
 
 
 class ProcessNoise(NamedTuple):
-    """What moves the states that the machine file says nothing of."""
+    """Process noise that does not come from the machine file."""
 
-    push: Array  # (3,), sds of the ground's pushes
-    push_memory_s: float
-    aside: float  # m, sd of the slow sideways error
+    push: Array  # (3,), sds of the ground's pushes, m/s^2, m/s^2, rad/s^2
+    push_memory_s: float  # their time constant
+    aside: float  # m, sd of the slow lateral error of the implement's antennas
 
 
 class RowTally(NamedTuple):
-    """What became of the rows; added to."""
+    """Counts and sums over the rows of a run; added to."""
 
     counts: Array  # (3,), rows by USED, GATED, BAD
     sums: Array  # (6, 2)
-    """Of yaw rates, velocities and positions the squares of what is left over the stated sds, and their
-    number; of the pushes their squares and what was expected of those."""
+    """Rows 0 to 2, yaw rates, velocities, positions: sum of the squares of the residuals over the stated sds,
+    and number. Rows 3 to 5, pushes: sum of the squares of their estimates, and of the expected values of
+    these."""
 
 
 class JointState(NamedTuple):
-    """The joint state while it is filtered."""
+    """The joint state during a run."""
 
     x: Array  # (16,)
     following: Array  # (16,), x one tick later
@@ -136,7 +139,7 @@ class JointState(NamedTuple):
 
 
 class UpdateWork(NamedTuple):
-    """Arrays that an update works in."""
+    """Work arrays of an update."""
 
     P_H: Array  # (16 + a,)
     gain: Array  # (16 + a,)
@@ -145,10 +148,10 @@ class UpdateWork(NamedTuple):
 
 @kernel
 def propagate_joint_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F_P: Array) -> None:
-    """P (n, n), the joint covariance, one tick later. q: (16,) variances that a tick adds to x.
+    """Propagate P (n, n), the joint covariance, over one tick, in place. q: (16,), process noise of x.
 
-    Slow errors of antennas and all unknowns move by nothing else. Rows are added to rows: wide instructions.
-    F_P: (16, n), overwritten.
+    The slow errors of antennas only decay and the unknowns are constant, so their part of F is diagonal.
+    Loops add rows to rows, so that the compiler can use vector instructions. F_P: (16, n), work array.
     """
     n = P.shape[0]
     F_P[:X_PAIR] = 0.0
@@ -159,8 +162,8 @@ def propagate_joint_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: fl
                     F_P[i, j] += F[i, k] * P[k, j]
     for i in range(X_PAIR, N_TRACKER):
         for j in range(X_PAIR, n):
-            left = F[i, i] * (F[j, j] if j < N_TRACKER else 1.0)
-            P[i, j] *= left
+            decay = F[i, i] * (F[j, j] if j < N_TRACKER else 1.0)
+            P[i, j] *= decay
             if j >= N_TRACKER:
                 P[j, i] = P[i, j]
     for i in range(X_PAIR):
@@ -180,8 +183,8 @@ def propagate_joint_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: fl
 
 @kernel
 def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, float]:
-    """By how much what a receiver shows changes per metre: of it further forward, of the hitch further back
-    from the tractor's CG, of it further right."""
+    """Derivatives of a receiver's measurement, per metre: by its position forward, by the distance of the
+    hitch behind the tractor's CG, by its position to the right."""
     if obs.kind == VELOCITY:
         cosine = math.cos(x[X_PSI] - obs.psi_ref)
         return (x[X_R] * cosine, 0.0, 0.0) if body == 0 else (x[X_R + 1], -x[X_R] * cosine, 0.0)
@@ -195,7 +198,7 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
-    """What a measurement shows; fills h (16 + a,), its slope over the joint state."""
+    """Predicted measurement at x, (16,); fills h, (16 + a,), with its Jacobian over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
     if obs.kind == ROLL_ANGLE:
         for j in range(active.places.shape[0]):
@@ -219,16 +222,18 @@ def predict_joint_measurement(
             h[N_TRACKER + j] = h[X_PAIR + body]
         elif place == AT_ASIDE and body == 1:
             h[N_TRACKER + j] = aside
-        elif body == 1 and place != AT_CG + 1:  # that moves d and the receivers alike
+        elif body == 1 and place != AT_CG + 1:  # this one shifts hitch and receivers alike: no effect
             h[N_TRACKER + j] = back * active.geometry[j, 2] - ahead * active.geometry[j, 3]
     return value
 
 
 @kernel
 def update(error: float, variance: float, H: Array, state: JointState, F_T: Array, work: UpdateWork) -> float:
-    """Take one measurement into the joint state; what is considered stays as it is.
+    """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
 
-    The variance with which it was expected; negative where it is beyond GATE and nothing was taken.
+    error: the innovation. variance: of the measurement's noise. H: (16 + a,), Jacobian over the joint state
+    at the tick. Returns the variance of the innovation; negative if it is beyond GATE and nothing was
+    updated.
     """
     P, considered, (P_H, gain, gain_after) = state.P, state.considered, work
     n = P.shape[0]
@@ -250,7 +255,7 @@ def update(error: float, variance: float, H: Array, state: JointState, F_T: Arra
                 P[i, j] -= gain[i] * P_H[j]
             for j in range(N_TRACKER):
                 gain_after[j] += gain[i] * F_T[i, j]
-        else:  # its own variance stays, the correlation with what was updated is known
+        else:  # considered: its variance stays, its covariance with updated states changes
             for j in range(n):
                 P[i, j] -= (1.0 - considered[j]) * gain[i] * P_H[j]
             gain[i] = 0.0
@@ -264,7 +269,7 @@ def update(error: float, variance: float, H: Array, state: JointState, F_T: Arra
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance, shape (16 + a, 16 + a)."""
+    """The joint covariance of x and the active unknowns, shape (16 + a, 16 + a)."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_TRACKER + na, N_TRACKER + na))
@@ -296,7 +301,7 @@ def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None
 
 @kernel
 def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
-    """What drives the rig in the middle of tick k."""
+    """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
     k = min(k, ticks.shape[0] - 1)
     nxt = min(k + 1, ticks.shape[0] - 1)
     scale = math.exp(-unknowns[AT_WHEEL_GAIN])
@@ -312,8 +317,9 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
 
 
 @kernel
-def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
-    """An empty one of a joint state of n; fills q (16,), the variances that a tick adds to x."""
+def empty_transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
+    """A Transition for a joint state of n, without its Jacobians. Fills q (16,), the process noise of a
+    tick."""
     decay = np.ones(N_TRACKER - X_PUSH)
     for i in range(3):
         push, pair = i, X_PAIR - X_PUSH + i
@@ -335,13 +341,13 @@ def transition(n: int, sds: Array, noise: ProcessNoise, q: Array) -> Transition:
 
 
 @kernel
-def tracked(
-    segment: Segment, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
+def track_segment(
+    segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
     noise: ProcessNoise, tally: RowTally,
 ) -> None:  # fmt: skip
-    """Take a segment into the estimate and the tally.
+    """Run the filter over a segment: updates the estimate and adds to the tally.
 
-    places: (a,), of the active ones of unknowns.NAMES. considered: (16 + a,), 1.0 for what may not be
+    places: (a,), indices of the active ones of unknowns.NAMES. considered: (16 + a,), 1.0 for what may not be
     learned.
     """
     ticks, first, length, rows = segment
@@ -366,7 +372,7 @@ def tracked(
         np.zeros(X_PUSH),
     )
     q = np.zeros(N_TRACKER)
-    step = transition(n, setup.sds, noise, q)
+    step = empty_transition(n, setup.sds, noise, q)
     state = JointState(x, np.zeros(N_TRACKER), unknowns, places, considered, P)
     following, x_at, rates = state.following, np.zeros(N_TRACKER), np.zeros(X_PUSH)
     h, H, F_P = np.zeros(n), np.zeros(n), np.zeros((N_TRACKER, n))
@@ -382,7 +388,7 @@ def tracked(
             plant = Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates, modes, plant.work)
             state_rates(x, drive_at(ticks, k, unknowns), plant, rates)
             x_at[:] = x
-            for i in range(X_PUSH):  # about where x is in the middle of these ticks
+            for i in range(X_PUSH):  # linearise about x in the middle of these ticks, roughly
                 x_at[i] += 0.5 * EVERY * DT * rates[i]
             middle = drive_at(ticks, k + EVERY // 2, unknowns)
             rate_jacobians(x_at, middle, point, plant, setup, active, jacobians)
@@ -416,8 +422,8 @@ def tracked(
             if obs.kind == ROLL_ANGLE:
                 continue
             group = 0 if obs.kind == YAW_RATE else (1 if obs.kind == VELOCITY else 2)
-            left = noise_variance / variance
-            residual = left * left * error * error + (1.0 - left) * noise_variance
+            remaining = noise_variance / variance
+            residual = remaining * remaining * error * error + (1.0 - remaining) * noise_variance
             sums[group, 0] += residual / rows[row - 1, SD] ** 2
             sums[group, 1] += 1.0
         q[X_ALPHA] = (drive.u / theta[3] * setup.sds[0] * DT) ** 2

@@ -1,10 +1,10 @@
-"""How the tracker's states propagate over one tick, and how small changes of them do.
+"""Propagation of the tracker's state over one tick, and its Jacobians.
 
-The states x, shape (16,), are those of states.py. Together with the active ones of unknowns.NAMES, which
-stand still, they are the joint state, shape (n,).
+The states x, shape (16,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+constant, they are the joint state, shape (n,).
 
-The model is the nonlinear one. With its Jacobians, which are taken anew now and then, the mean takes one step
-per tick that is exact where the model is linear.
+The model is the nonlinear one. Its Jacobians are renewed every few ticks; with them the mean takes one step
+per tick (exponential integrator), which is exact for a linear model.
 """
 
 from typing import Final, NamedTuple
@@ -49,18 +49,18 @@ from tilth.estimator.filters.unknowns import geometry as geometry_at
 
 Array = NDArray[np.float64]
 
-NUDGE: Final = 1e-5  # of the differences, in each one's own unit
+NUDGE: Final = 1e-5  # step of the differences, in the unit of each state or unknown
 
 
 class Active(NamedTuple):
     """The unknowns that are estimated."""
 
-    places: Places  # (a,), in unknowns.NAMES
-    geometry: Array  # (a, 9), how the geometry changes with each
+    places: Places  # (a,), indices into unknowns.NAMES
+    geometry: Array  # (a, 9), derivative of the geometry by each
 
 
 class DriveInputs(NamedTuple):
-    """What drives the rig in the middle of a tick."""
+    """Inputs of the rig in the middle of a tick."""
 
     u: float  # m/s
     wheel: float  # true wheel angle, rad
@@ -71,7 +71,7 @@ class DriveInputs(NamedTuple):
 
 
 class RateJacobians(NamedTuple):
-    """Of the rates of the states before X_PUSH, and the arrays that finding them needs."""
+    """Jacobians of the rates of the states before X_PUSH, and work arrays."""
 
     x: Array  # (8, 11), over the states before X_POSITION
     wheel: Array  # (8,), over the true wheel angle
@@ -81,12 +81,12 @@ class RateJacobians(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """One tick of small changes of the joint state."""
+    """Transition of x over one tick, linearised."""
 
-    held: Array  # (8, 8), what a rate that is held adds
-    decay: Array  # (8,), what a tick leaves of the states from X_PUSH on
-    wheel: Array  # (8,), what one rad of true wheel angle adds
-    F: Array  # (16, n), how a small change of the joint state changes x
+    held: Array  # (8, 8), change of the states before X_PUSH per rate that is held over the tick
+    decay: Array  # (8,), factor on the states from X_PUSH on
+    wheel: Array  # (8,), change of the states before X_PUSH per rad of true wheel angle
+    F: Array  # (16, n), Jacobian of x one tick later over the joint state
     F_T: Array  # (n, 16)
 
 
@@ -113,32 +113,32 @@ def rate_jacobians(
     active: Active,
     out: RateJacobians,
 ) -> None:
-    """Fill out, by differences. rig: the machine file's, of which the plant is made."""
-    base, near = out.rates, out.nudged
+    """Fill out, by differences. rig: that of the machine file, from which the plant was made."""
+    base, nudged_rate = out.rates, out.nudged
     state_rates(x, drive, plant, base)
     at = x.copy()
     for j in range(X_POSITION):
         if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN:
             continue  # of the headings only the difference matters
         at[j] += NUDGE
-        state_rates(at, drive, plant, near)
+        state_rates(at, drive, plant, nudged_rate)
         at[j] = x[j]
         for i in range(X_PUSH):
-            out.x[i, j] = (near[i] - base[i]) / NUDGE
+            out.x[i, j] = (nudged_rate[i] - base[i]) / NUDGE
     for i in range(X_PUSH):
         out.x[i, X_PSI + 1] = -out.x[i, X_PSI]
         out.x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
         out.x[i, X_SLOPE], out.x[i, X_SLOPE + 1] = out.x[i, X_PUSH], out.x[i, X_PUSH + 1]
-    turned = DriveInputs(
+    nudged_drive = DriveInputs(
         drive.u, drive.wheel + NUDGE, drive.wheel_rate, drive.gravity_t, drive.gravity_i, drive.wheel_scale
     )
-    state_rates(x, turned, plant, near)
+    state_rates(x, nudged_drive, plant, nudged_rate)
     for i in range(X_PUSH):
-        out.wheel[i] = (near[i] - base[i]) / NUDGE
+        out.wheel[i] = (nudged_rate[i] - base[i]) / NUDGE
     for j in range(active.places.shape[0]):
-        moves = nudged_rates(x, drive, point, plant, setup, active, j, near)
+        depends = nudged_rates(x, drive, point, plant, setup, active, j, nudged_rate)
         for i in range(X_PUSH):
-            out.unknowns[i, j] = (near[i] - base[i]) / NUDGE if moves else 0.0
+            out.unknowns[i, j] = (nudged_rate[i] - base[i]) / NUDGE if depends else 0.0
 
 
 @kernel
@@ -154,7 +154,7 @@ def nudged_rates(
 ) -> bool:
     """Fill out (8,), the rates with the j-th active unknown nudged; whether they depend on it."""
     place, rig = active.places[j], setup.rig
-    theta, here, roll = plant.theta, plant.rig, plant.roll
+    theta, nudged_rig, roll = plant.theta, plant.rig, plant.roll
     rolling, curvature = point.unknowns[AT_ROLLING], point.unknowns[AT_CURVATURE]
     if place < 6:
         theta = plant.theta.copy()
@@ -164,25 +164,26 @@ def nudged_rates(
         nudged[place] += NUDGE
         roll = roll_at(setup.roll, nudged)
     elif place == AT_ROLLING:
-        here = rig_at(rig, point.geometry, rolling + NUDGE, curvature)
+        nudged_rig = rig_at(rig, point.geometry, rolling + NUDGE, curvature)
     elif place == AT_CURVATURE:
-        here = rig_at(rig, point.geometry, rolling, curvature + NUDGE)
+        nudged_rig = rig_at(rig, point.geometry, rolling, curvature + NUDGE)
     elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
         geometry = point.geometry.copy()
         for i in range(9):
             geometry[i] = point.geometry[i] + NUDGE * active.geometry[j, i]
-        here = rig_at(rig, geometry, rolling, curvature)
+        nudged_rig = rig_at(rig, geometry, rolling, curvature)
     else:
         return False
     state_rates(
-        x, drive, Plant(theta, here, plant.x, plant.w, plant.forces, plant.rates, roll, plant.work), out
+        x, drive, Plant(theta, nudged_rig, plant.x, plant.w, plant.forces, plant.rates, roll, plant.work), out
     )
     return True
 
 
 @kernel
 def geometry_jacobian(base: Array, unknowns: Array, geometry: Array, active: Active) -> None:
-    """Fill active.geometry. base: the machine file's geometry; geometry: that at the unknowns."""
+    """Fill active.geometry. base: the geometry of the machine file; geometry: that at the unknowns. Each
+    (9,)."""
     for j in range(active.places.shape[0]):
         place = active.places[j]
         before = unknowns[place]
@@ -193,7 +194,7 @@ def geometry_jacobian(base: Array, unknowns: Array, geometry: Array, active: Act
 
 @kernel
 def integrate_exponential(jacobian: Array, out: Array) -> None:
-    """Fill out (8, 8): what a rate that is held adds over DT, the integral of the Jacobian's exponential."""
+    """Fill out (8, 8): the integral of the Jacobian's matrix exponential over DT, by a power series."""
     A = jacobian[:, :X_PUSH].copy()
     power, factor = np.eye(X_PUSH), DT
     out[:] = DT * power
@@ -205,7 +206,7 @@ def integrate_exponential(jacobian: Array, out: Array) -> None:
 
 @kernel
 def joint_jacobian(jacobians: RateJacobians, active: Active, step: Transition) -> None:
-    """Fill step.F and step.wheel, all but what `complete_jacobian` adds."""
+    """Fill step.F and step.wheel, except for what `complete_jacobian` adds."""
     held, F = step.held, step.F
     F[:, :] = 0.0
     for i in range(X_PUSH):
@@ -228,7 +229,11 @@ def joint_jacobian(jacobians: RateJacobians, active: Active, step: Transition) -
 def complete_jacobian(
     x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
 ) -> None:
-    """Add to step.F, for one tick, rows of the position, columns of zero, gain and latency; fill step.F_T."""
+    """Complete step.F for one tick: rows of the position, columns of wheel zero, gain and latency; fill
+    step.F_T.
+
+    x, following: (16,), the state before and after the tick.
+    """
     F, F_T = step.F, step.F_T
     for j in range(active.places.shape[0]):
         place = active.places[j]

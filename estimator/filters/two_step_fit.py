@@ -5,12 +5,11 @@ Source: Karkee (2009), section 7.2.3. Step one minimises the weighted squares of
 minimises the one-step prediction errors (7.19) of the relaxation model in innovations form (7.17, 7.18) at
 the mean speed, with a wholly free gain K. Replicates are merged one number at a time (7.20, 7.21).
 
-What is known of it: the two outputs of step one carry two numbers about three stiffnesses, so that it ends
-somewhere on a line of equally good answers; step two takes that point for the truth; and a free gain in a
-window of 30 s explains noise too well. With the stiffnesses given, sensor noise alone and the relaxation
-model as plant, its 95 % intervals hold 80 % of the relaxation lengths (60 runs); after step one, on the
-nonlinear plant, 14 % (12 runs).
-Its numbers are for looking at, beside those of an estimator that knows better.
+Its limits: the two outputs of step one determine two combinations of the three stiffnesses, so it ends
+somewhere on a line of equally good solutions. Step two takes that point as true. And a free gain fits the
+noise of a window of 30 s too well. With the true stiffnesses, sensor noise only and the relaxation model as
+plant, its 95 % intervals hold 80 % of the relaxation lengths (60 runs); after step one, on the nonlinear
+plant, 14 % (12 runs). So its numbers serve only for comparison.
 """
 
 import math
@@ -29,26 +28,35 @@ from tilth.schemas.plausible import GRAVITY
 Array = NDArray[np.float64]
 
 WEIGHTS: Final = (4.0, 1.0)  # w_r, w_lambda of 7.15
-EVERY: Final = 10  # ticks between two samples of the outputs: the dissertation's receivers gave 5 a second
+EVERY: Final = 10  # ticks between two samples of the outputs: the dissertation's receivers had 5 Hz
 DT: Final = TICK_NS * 1e-9
-KEPT: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: those of 7.9, without the lateral position
+PREDICTOR_STATES: Final = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    7,
+    8,
+)  # of relaxation.STATES: those of 7.9, without the lateral position
 OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: yaw rates and headings, the outputs of 7.18
-FIRST_GAIN: Final = 0.3  # of each output on its own state, where the search for K begins
-FREEDOM: Final = 2.0  # a logarithm is sought within this of where it began
-STEER_RANGE: Final = math.radians(1.2)  # of the wheel angle for as long as it takes to be steady
+FIRST_GAIN: Final = 0.3  # initial gain of each output on its own state, in the search for K
+SEARCH_RANGE: Final = 2.0  # a logarithm is sought within ± this of its start
+STEER_RANGE: Final = math.radians(1.2)  # of the wheel angle while the rig becomes steady
 SETTLING_LENGTHS: Final = 6.0  # in lengths d + e, for the implement to fall in line
-TURNING: Final = math.radians(1.0)  # of the wheel angle: below, a turn says nothing
-STRAIGHT: Final = 0.01  # rad/s: yaw rate of driving straight ahead
+TURNING: Final = math.radians(1.0)  # least wheel angle of a turn that is used
+STRAIGHT: Final = 0.01  # rad/s: largest yaw rate of straight driving
 LEAST_SAMPLES: Final = 10  # of steady turning, 2 s
-FLAT: Final = 0.02  # of the largest singular value: a direction that the outputs do not tell
-NOTHING: Final = 1e-6  # of the largest singular value: least that is told apart from zero
-WILD: Final = 1e4  # a state, or a scaled error, of a predictor that has become unstable
+RANK_TOLERANCE: Final = 0.02  # of the largest singular value: a direction with less is not observed
+SINGULAR_FLOOR: Final = 1e-6  # of the largest singular value: smaller ones are raised to it
+DIVERGED: Final = 1e4  # a state, or a scaled error, of a predictor that has become unstable
 MOST_PASSES: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One run, and what of the machine file is needed."""
+    """One run, and what is needed from the machine file."""
 
     record: Record
     geometry: Array  # [9] as parameters.GEOMETRY
@@ -58,23 +66,23 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class TwoStep:
-    """What one run says."""
+    """The result of one run."""
 
-    values: Array  # [6] of flow.PARAMETERS, N/rad and m; where not `found` those it began with
+    values: Array  # [6] of flow.PARAMETERS, N/rad and m; those of the start if not `found`
     sds: Array  # [6] as the method gives them
-    found: tuple[bool, bool]  # stiffnesses, relaxation lengths
+    found: tuple[bool, bool]  # whether stiffnesses and relaxation lengths were found
     rank: int  # of the three stiffnesses in 7.15
-    zero: float  # rad, taken off the wheel angle
-    straight_s: float  # of driving that told the zero
-    steady_s: float
-    reason: str  # of what was not found, or ""
+    zero: float  # rad, subtracted from the wheel angle
+    straight_s: float  # duration of the straight driving from which the zero was found
+    steady_s: float  # duration of the steady turning
+    reason: str  # why something was not found, or ""
 
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """A record's inputs at all ticks and outputs at each EVERY-th."""
+    """A record's inputs at all ticks and its outputs at each EVERY-th."""
 
-    wheel: Array  # [n] rad, zero error taken off
+    wheel: Array  # [n] rad, zero error subtracted
     u: Array  # [n] m/s
     gravity: Array  # [n, 2] g sin(roll) of both bodies, m/s^2
     y: Array  # [k, 4] rad/s, rad/s, rad, rad: yaw rates and headings
@@ -84,10 +92,10 @@ class Outputs:
 def merge_scalar(values: Sequence[float], sds: Sequence[float]) -> tuple[float, float]:
     """(mean, sd) of one parameter from several estimates, by 7.20 and 7.21, two at a time.
 
-    Right for independent estimates without bias whose sds are right and do not depend on the value. Those of
-    a stiffness do: a low one comes with a low sd and so weighs more, and what one parameter's error shares
-    with another's is lost. On six runs of row following its 95 % intervals hold 83 % of the truths.
-    Raises ValueError where there is nothing to merge.
+    This is right for independent, unbiased estimates whose sds are right and do not depend on the value. The
+    sds of a stiffness do: a low estimate has a low sd and so a larger weight. Correlations between parameters
+    are lost too. After six runs of row following, its 95 % intervals hold 83 % of the true values. Raises
+    ValueError for no estimates.
     """
     if not values:
         raise ValueError("no estimate to merge")
@@ -109,7 +117,7 @@ def identify(window: Window) -> TwoStep:
     zero = float(outputs.wheel[outputs.at[straight]].mean()) if straight.any() else 0.0
     outputs.wheel[:] -= zero
     straight_s = float(straight.sum() * EVERY * DT)
-    steady = _steady(outputs, window.geometry)
+    steady = _steady_indices(outputs, window.geometry)
     if len(steady) < LEAST_SAMPLES:
         return _not_found(start, zero, straight_s, "no steady turn in this run")
     stiffness, sd_stiffness, rank, within = _stiffnesses(outputs, steady, window)
@@ -133,7 +141,10 @@ def _not_found(start: Array, zero: float, straight_s: float, reason: str) -> Two
 
 
 def _outputs(window: Window) -> Outputs | None:
-    """The record on a grid: means of a body's yaw rates, headings by its two receivers."""
+    """The record on the grid of the outputs: mean yaw rate of each body, heading by its two receivers.
+
+    None if one of the four is not measured.
+    """
     record = window.record
     ticks, rows = record.ticks, record.rows
     at = np.arange(0, len(ticks), EVERY)
@@ -147,7 +158,8 @@ def _outputs(window: Window) -> Outputs | None:
 
 
 def _series(rows: Array, kind: float, place: int, at: NDArray[np.int64]) -> Array | None:
-    """Values of one kind and place at ticks, linear between; the mean of those at one instant."""
+    """Values of one kind and place at these ticks, linear between samples; samples of one instant are
+    averaged."""
     chosen = rows[(rows[:, 2] == kind) & (rows[:, 3] == place)]
     if len(chosen) < 2:
         return None
@@ -161,7 +173,7 @@ def _yaw_rate(rows: Array, body: int, at: NDArray[np.int64]) -> Array | None:
 
 
 def _heading(rows: Array, body: int, at: NDArray[np.int64], levers: Array, near: Array) -> Array | None:
-    """Heading of a body, not wrapped, rad. near: roughly, at the same ticks."""
+    """Heading of a body, rad, not wrapped. near: an approximate one at the same ticks, rad."""
     pair = (2 * body, 2 * body + 1)
     arm = levers[pair[0]] - levers[pair[1]]
     apart = []
@@ -174,14 +186,16 @@ def _heading(rows: Array, body: int, at: NDArray[np.int64], levers: Array, near:
     return np.asarray(near + (angle - near + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _steady(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
-    """Indices into told.y of the steady turn: the wheels have stood still for long enough."""
-    settling = math.ceil(SETTLING_LENGTHS * float(geometry[3] + geometry[4]) / float(outputs.u.mean()) / DT)
+def _steady_indices(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
+    """Indices into outputs.y of the steady turn, where the wheel angle has been constant for long enough."""
+    settling_ticks = math.ceil(
+        SETTLING_LENGTHS * float(geometry[3] + geometry[4]) / float(outputs.u.mean()) / DT
+    )
     chosen = []
     for k, tick in enumerate(outputs.at):
-        lately = outputs.wheel[max(tick - settling, 0) : tick + 1]
-        still = len(lately) > settling and float(np.ptp(lately)) < STEER_RANGE
-        if still and abs(float(lately[-1])) > TURNING:
+        recent = outputs.wheel[max(tick - settling_ticks, 0) : tick + 1]
+        still = len(recent) > settling_ticks and float(np.ptp(recent)) < STEER_RANGE
+        if still and abs(float(recent[-1])) > TURNING:
             chosen.append(k)
     return np.array(chosen, dtype=np.int64)
 
@@ -189,9 +203,10 @@ def _steady(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
 def _stiffnesses(
     outputs: Outputs, steady: NDArray[np.int64], window: Window
 ) -> tuple[Array, Array, int, bool]:
-    """(C_af, C_ar, C_ai; their sds; rank; whether within FREEDOM): the minimum of 7.15, by way of logarithms.
+    """(C_af, C_ar, C_ai; their sds; rank; whether within SEARCH_RANGE): the minimum of 7.15, over logarithms.
 
-    What little of a third number speed and roll bring in decides where on the line of good answers it ends.
+    Speed and roll vary a little and so give a little information on the third number. That decides where on
+    the line of equally good solutions it ends.
     """
     g, ticks, n = window.geometry, outputs.at[steady], np.ones(len(steady))
     rolls = window.record.ticks[ticks, 6:8]
@@ -204,18 +219,20 @@ def _stiffnesses(
         turn = steady_turn(inputs, g[0], g[1], g[2], g[3], g[4])
         return np.asarray(((measured - turn[:, 1:]) * scale).ravel())
 
-    began = np.log(window.start[:3])
-    from scipy.optimize import least_squares  # takes half a second: only who fits this form pays for it
+    start_logs = np.log(window.start[:3])
+    from scipy.optimize import least_squares  # importing it takes half a second, so only where it is needed
 
-    found = least_squares(residuals, began, bounds=(began - FREEDOM, began + FREEDOM), x_scale="jac")
+    found = least_squares(
+        residuals, start_logs, bounds=(start_logs - SEARCH_RANGE, start_logs + SEARCH_RANGE), x_scale="jac"
+    )
     values = np.exp(found.x)
     _, singular, directions = np.linalg.svd(found.jac, full_matrices=False)
     variance = 2 * found.cost / max(found.fun.size - 3, 1)
-    # Along the line the sd is as good as infinite, not none.
-    root = directions.T / np.maximum(singular, NOTHING * singular[0])
+    # Along the line the sd must be practically infinite, not zero.
+    root = directions.T / np.maximum(singular, SINGULAR_FLOOR * singular[0])
     sd = np.sqrt(np.sum(root**2, axis=1) * variance)
-    within = bool(np.all(np.abs(found.x - began) < 0.99 * FREEDOM))
-    return values, values * sd, int(np.sum(singular > FLAT * singular[0])), within
+    within = bool(np.all(np.abs(found.x - start_logs) < 0.99 * SEARCH_RANGE))
+    return values, values * sd, int(np.sum(singular > RANK_TOLERANCE * singular[0])), within
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,14 +240,14 @@ class _Discrete:
     """The relaxation model from one sample of the outputs to the next."""
 
     F: Array  # [8, 8]
-    added: Array  # [k - 1, 8] what the inputs add
+    input_effect: Array  # [k - 1, 8] change of the state by the inputs
 
 
 def _discretise(outputs: Outputs, geometry: Array, theta: Array) -> _Discrete:
     """Exact for inputs that are held over a tick, at the mean speed."""
     u = float(outputs.u.mean())
-    a = system_matrix(u, geometry, theta)[np.ix_(KEPT, KEPT)]
-    b = input_matrix(u, geometry, theta)[list(KEPT)]
+    a = system_matrix(u, geometry, theta)[np.ix_(PREDICTOR_STATES, PREDICTOR_STATES)]
+    b = input_matrix(u, geometry, theta)[list(PREDICTOR_STATES)]
     F, held, power, factor = np.eye(8), DT * np.eye(8), np.eye(8), 1.0
     for order in range(1, 12):
         power, factor = power @ a, factor * DT / order
@@ -239,43 +256,45 @@ def _discretise(outputs: Outputs, geometry: Array, theta: Array) -> _Discrete:
     inputs = np.column_stack([outputs.wheel, outputs.gravity])
     middles = (inputs[:-1] + inputs[1:]) / 2
     n = (len(outputs.at) - 1) * EVERY
-    added = (middles[:n] @ (held @ b).T).reshape(-1, EVERY, 8)
-    effect = np.zeros((len(added), 8))
+    input_effect = (middles[:n] @ (held @ b).T).reshape(-1, EVERY, 8)
+    sample_effect = np.zeros((len(input_effect), 8))
     for j in range(EVERY):
-        effect = effect @ F.T + added[:, j]
-    return _Discrete(np.linalg.matrix_power(F, EVERY), effect)
+        sample_effect = sample_effect @ F.T + input_effect[:, j]
+    return _Discrete(np.linalg.matrix_power(F, EVERY), sample_effect)
 
 
 def _errors(
     outputs: Outputs, steps: Sequence[_Discrete], gains: Array, first: Array, which: NDArray[np.intp]
 ) -> Array:
-    """Prediction errors [q, k, 4] of q predictors (7.19). gains [q, 8, 4], first states [q, 8], and which of
-    the steps each takes."""
+    """Prediction errors [q, k, 4] of q predictors (7.19).
+
+    gains: [q, 8, 4]; first: states, [q, 8]; which: [q], index into steps.
+    """
     transitions = np.array([s.F for s in steps])[which]
-    added = np.array([s.added for s in steps])
+    input_effect = np.array([s.input_effect for s in steps])
     x = first.copy()
     errors = np.zeros((len(x), *outputs.y.shape))
     for k, y in enumerate(outputs.y):
         e = errors[:, k] = y - x[:, OUTPUT_STATES]
         if k < len(outputs.y) - 1:
             x = np.einsum("qij,qj->qi", transitions, x + np.einsum("qij,qj->qi", gains, e))
-            x = np.clip(x + added[which, k], -WILD, WILD)
+            x = np.clip(x + input_effect[which, k], -DIVERGED, DIVERGED)
     return errors
 
 
 def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tuple[Array, Array, bool]:
-    """(sigma_f, sigma_r, sigma_i; their sds; whether within FREEDOM).
+    """(sigma_f, sigma_r, sigma_i; their sds; whether within SEARCH_RANGE).
 
-    Sought: their logarithms, K (8 x 4) and the first state, 43 numbers. Each output counts by the sd of its
-    errors at the first gain.
+    43 numbers are sought: the logarithms of the three, K (8 x 4) and the first state. Each output is weighted
+    by the sd of its errors at the first gain.
     """
-    began = np.log(theta[3:])
+    start_logs = np.log(theta[3:])
     first = np.zeros(8)
     first[list(OUTPUT_STATES)] = outputs.y[0]
     gain = np.zeros((8, 4))
     gain[OUTPUT_STATES, range(4)] = FIRST_GAIN
-    point = np.concatenate([began, gain.ravel(), first])
-    nudges = np.concatenate([np.full(3, 1e-4), np.full(40, 1e-5)])
+    point = np.concatenate([start_logs, gain.ravel(), first])
+    difference_steps = np.concatenate([np.full(3, 1e-4), np.full(40, 1e-5)])
 
     def run(points: Array) -> Array:
         # Points that share their relaxation lengths share the model.
@@ -290,18 +309,18 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
         return np.asarray((run(at[None])[0] / scale).ravel())
 
     def slopes(at: Array) -> Array:
-        e = (run(np.vstack([at, at + np.diag(nudges)])) / scale).reshape(len(point) + 1, -1)
-        return np.asarray(((e[1:] - e[0]) / nudges[:, None]).T)
+        e = (run(np.vstack([at, at + np.diag(difference_steps)])) / scale).reshape(len(point) + 1, -1)
+        return np.asarray(((e[1:] - e[0]) / difference_steps[:, None]).T)
 
-    derivative: Any = slopes  # scipy's types know of names only
-    far = np.concatenate([np.full(3, FREEDOM), np.full(40, np.inf)])
+    derivative: Any = slopes  # the type stubs of scipy allow only names here
+    search_range = np.concatenate([np.full(3, SEARCH_RANGE), np.full(40, np.inf)])
     from scipy.optimize import least_squares  # as above
 
     found = least_squares(
         residuals,
         point,
         jac=derivative,
-        bounds=(point - far, point + far),
+        bounds=(point - search_range, point + search_range),
         x_scale="jac",
         max_nfev=MOST_PASSES,
     )
@@ -309,4 +328,4 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
     degrees = max(found.fun.size - found.x.size, 1)
     inverse = np.linalg.pinv(found.jac.T @ found.jac)
     sd = np.sqrt(np.maximum(np.diag(inverse)[:3], 0.0) * 2 * found.cost / degrees)
-    return np.exp(logs), np.exp(logs) * sd, bool(np.all(np.abs(logs - began) < 0.99 * FREEDOM))
+    return np.exp(logs), np.exp(logs) * sd, bool(np.all(np.abs(logs - start_logs) < 0.99 * SEARCH_RANGE))

@@ -1,7 +1,8 @@
-"""Everything that the estimators of all six parameters do not know, in one vector, with the file's priors.
+"""All unknowns of the estimators that learn the six parameters, in one vector, with priors by the machine
+file.
 
-One Gaussian over these is the prior of a fit and its result. What the machine file gives without an sd has a
-prior sd of zero and stays fixed.
+A Gaussian over this vector is the prior and the posterior of a fit. An unknown that the machine file gives
+without an sd has a prior sd of zero and stays fixed.
 """
 
 import math
@@ -28,9 +29,9 @@ NAMES: Final = (
     "wheel_zero",  # rad: reading when straight
     "wheel_gain",  # logarithm: reading over true angle
     "latency",  # s: by how much all receivers report later than the file says
-    "pair_t", "pair_i",  # rad: heading by the surveyed antennas less true heading
-    "lever_t", "lever_i",  # m: a body's antennas further forward than surveyed
-    "aside_i",  # m: the implement's antennas further right, against the tractor's
+    "pair_t", "pair_i",  # rad: heading by the surveyed antennas minus true heading
+    "lever_t", "lever_i",  # m: by how much a body's antennas are further forward than surveyed
+    "aside_i",  # m: by how much the implement's antennas are further right, relative to the tractor's
     "cg_t", "cg_i",  # m: CG further forward than the file says
     "rolling",  # rolling resistance over load
     "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over roll.nominal
@@ -48,7 +49,7 @@ SIX: Final = slice(0, 6)
 NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
 
-# Places that kernels name; of pair, lever, cg and push the first, with the other bodies' next to it.
+# Indices for kernels. Of pair, lever, cg and push it is the first one; the others follow it.
 AT_WHEEL_ZERO: Final = AT["wheel_zero"]
 AT_WHEEL_GAIN: Final = AT["wheel_gain"]
 AT_LATENCY: Final = AT["latency"]
@@ -103,7 +104,7 @@ def prior(machine: Machine) -> tuple[Array, Array]:
 
 
 def geometry(base: Array, point: Array) -> Array:
-    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. May be compiled."""
+    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. Kernels call it too."""
     changed: Array = base * np.exp(point[AT_GEOMETRY : AT_GEOMETRY + 9])
     changed[4] = base[4] + point[AT_GEOMETRY + 4]
     changed[0] -= point[AT_CG]
@@ -131,7 +132,7 @@ def pair_middles(machine: Machine) -> Array:
 
 
 def base_geometry(machine: Machine) -> Array:
-    """As the machine file has it, shape (9,)."""
+    """GEOMETRY of the machine file, shape (9,)."""
     return geometry_of(machine)
 
 

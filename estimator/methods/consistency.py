@@ -1,9 +1,9 @@
-"""Do the data contradict the machine file? While they do, no number that rests on it is given.
+"""Do the data contradict the machine file? While they do, no estimate is published.
 
-Each check looks at one thing that the file says: where receivers stand, what they correct, how the wheels'
-angle follows the yaw rate, and, by the tracker with the file left open, lengths, wheel angle, latency and
-inertias. A check that fails names the key to look at. Until driving has shown that a gross error would have
-been seen, nothing is given either: a wrong file must never give a number.
+Each check compares the data with one part of the file: positions of receivers, their roll correction, the
+wheel angle against the yaw rate; and, by the open tracker (open_tracker.py), lengths, wheel angle, latency
+and inertias. A failed check names the key of the file. Before the driving was such that a gross error would
+have shown, no estimate is published either: a wrong file must never lead to a number.
 """
 
 import math
@@ -23,7 +23,7 @@ from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import WITHOUT_RTK, Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import COEFFICIENT
@@ -33,24 +33,24 @@ Array = NDArray[np.float64]
 
 CONTRADICTION: Final = FlagKind.CONTRADICTION
 REFUSED: Final = "the data contradict the machine file"
-BEGINS: Final = 22.0  # chi-square of one open number, everything else within what the file allows
-BEGINS_TOTAL: Final = 90.0  # of all of them
-ENDS: Final = 0.4  # of the limits above, for a contradiction that was found
-SETTLES: Final = 40  # poses (8 s) in a row without doubt before the file counts as confirmed
-DOUBTED: Final = 60  # poses (12 s) in a row with doubt after which it does no longer
-LASTS: Final = 5  # poses (1 s) in a row before it is said
-LASTS_OPEN: Final = 40  # poses (8 s), of what the open filter says: other soil looks like it for seconds
-OVER: Final = 50  # poses (10 s) in a row without it before it is over
-FORGETS: Final = 25  # poses (5 s): what was learned while one lasted so long is forgotten
-RIVAL: Final = 0.6  # of the best explanation: another as good as that is named beside it
-OUTLIERS: Final = 0.25  # share of the rows of the last WATCHED stretches that nothing explains
-WATCHED: Final = 100
-LEAST_STRETCHES: Final = 40  # with steering (8 s), before the filter with the file left open is believed
-LATENCIES: Final = 30.0  # chi-square of three differences of latency
-PARKED: Final = 0.2  # m, by which pairs and hitch may be off while the rig stands or creeps
-PARKED_POSES: Final = 10  # poses (2 s) of that: a receiver that is doubted is not looked at for longer
+BEGINS: Final = 22.0  # chi-square of one open number, with all others within what the file allows
+BEGINS_TOTAL: Final = 90.0  # chi-square of all open numbers
+ENDS: Final = 0.4  # factor on these limits for the end of a contradiction
+POSES_TO_CONFIRM: Final = 40  # poses (8 s) in a row without doubt before the file counts as confirmed
+POSES_TO_DOUBT: Final = 60  # poses (12 s) in a row with doubt before it is not confirmed any more
+LEAST_POSES: Final = 5  # poses (1 s) in a row before a finding becomes active
+LEAST_POSES_OPEN: Final = 40  # poses (8 s), of the open tracker: for seconds, other soil has the same effect
+POSES_TO_END: Final = 50  # poses (10 s) in a row without a finding before it ends
+POSES_TO_FORGET: Final = 25  # poses (5 s): what was learned during a longer contradiction is discarded
+RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi-square is named as well
+OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
+OUTLIER_SEGMENTS: Final = 100
+LEAST_SEGMENTS: Final = 40  # segments (8 s) with steering before the open tracker is used
+LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
+PARKED_LIMIT: Final = 0.2  # m, largest error of baselines and hitch while the rig stands or creeps
+PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
 
-EDGE: Final = 6.0  # of what a right file may differ by
+NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
 _KEYS: Final = {
     "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
@@ -75,58 +75,59 @@ class Finding:
 
     key: str
     text: str
-    poses: int = 0  # in a row in which it was found
-    absent: int = 0  # in a row in which it was not
-    counts: bool = False  # it lasted long enough to count
-    by_method: bool = False  # it shows in what a method gives, which therefore has to go on learning
-    lasted: int = 0  # poses since it counts
+    poses: int = 0  # poses in a row in which it was found
+    absent: int = 0  # poses in a row in which it was not found
+    active: bool = False  # it has lasted long enough to withhold estimates
+    by_method: bool = False  # found in a method's estimate; then learning continues, so that it can end
+    active_poses: int = 0  # poses since it became active
 
 
 @dataclass(slots=True)
 class Consistency:
-    """Plain data."""
+    """State of all checks."""
 
-    open: TrackerState
+    open: TrackerState  # the open tracker
     wheel: WheelCheck = field(default_factory=WheelCheck)
     motion: MotionCheck = field(default_factory=MotionCheck)
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
-    lacks: str = "nothing has been driven yet"  # what keeps it from being confirmed
-    agreed: int = 0  # poses in a row in which the open filter agrees with the file; below 0: in which not
-    rates_known: bool = False  # whether turn rates lag: smoothed ones would make lengths look wrong
-    rows: list[tuple[float, float]] = field(default_factory=list)  # (refused, all), last WATCHED stretches
+    missing: str = "nothing has been driven yet"  # why the file is not confirmed
+    agreed: int = 0  # poses in a row in which the open tracker agrees with the file; below 0: does not agree
+    rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
+    rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Method -> key -> what is wrong with what it last gave."""
-    accused: bool = False  # the open filter found something before and was begun anew: the second time counts
-    forgets: bool = False  # what was learned while a contradiction lasted is to be forgotten
+    """Method -> key -> what is wrong with its latest estimate."""
+    # after its first finding the open tracker was restarted; the next one counts
+    open_restarted: bool = False
+    must_forget: bool = False  # what was learned during a contradiction has to be discarded
 
 
 def initial(machine: Machine) -> Consistency:
-    """Nothing driven yet."""
+    """The state before any driving."""
     return Consistency(open_tracker.initial(machine))
 
 
 def observe(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose,
-    stretch: Stretch | None,
+    segment: Segment | None,
 ) -> list[tuple[str, str]]:  # fmt: skip
-    """Take one pose and the stretch that ended with it. (kind, text) of what has begun or is over."""
+    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events."""
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
-    if stretch is not None and open_tracker.take(state.open, machine, stretch):
-        state.rows = [*state.rows, open_tracker.beyond_belief(state.open)][-WATCHED:]
+    if segment is not None and open_tracker.take(state.open, machine, segment):
+        state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
     state.rates_known |= receiver_checks.turn_rates_known(checks)
-    found = _found(state, machine, aligner, checks, pose)
+    found = _findings_at_pose(state, machine, aligner, checks, pose)
     by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
     if found and not any(key in state.findings for key in by_method):
-        by_method = {}  # what follows from what was found
-    return _judge(state, machine, found, by_method)
+        by_method = {}  # a consequence of what the other checks have found
+    return _update_findings(state, machine, found, by_method)
 
 
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
-    """Look at what a method gives, before anything of it is withheld."""
+    """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = _implausible_stiffness(machine, estimate)
-    limits = dict(zip(open_tracker.NAMES, EDGE * open_tracker.allowed(machine), strict=True))
+    limits = dict(zip(open_tracker.NAMES, NUISANCE_SDS * open_tracker.allowed(machine), strict=True))
     for name, (value, _) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
             found[_KEYS[name]] = (
@@ -136,67 +137,68 @@ def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> 
 
 
 def contradicted(state: Consistency) -> str:
-    """Why no number may be given, in words that name the keys; "" where nothing is contradicted."""
-    return "; ".join(finding.text for finding in state.findings.values() if finding.counts)
+    """Why no estimate may be published, with the keys; "" without a contradiction."""
+    return "; ".join(finding.text for finding in state.findings.values() if finding.active)
 
 
 def stops_learning(state: Consistency) -> bool:
-    """Whether what is measured now must not teach."""
-    return any(finding.counts and not finding.by_method for finding in state.findings.values())
+    """Whether nothing may be learned from the present measurements."""
+    return any(finding.active and not finding.by_method for finding in state.findings.values())
 
 
 def flags(state: Consistency) -> list[Flag]:
-    """Of the keys that are contradicted now."""
-    return [Flag(CONTRADICTION, finding.key) for finding in state.findings.values() if finding.counts]
+    """One flag for each key that is contradicted now."""
+    return [Flag(CONTRADICTION, finding.key) for finding in state.findings.values() if finding.active]
 
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
     text = contradicted(state) or "; ".join(state.methods.get(estimate.method, {}).values())
     if text:
-        return _without(estimate, Status.INVALID, f"{REFUSED}: {text}")
+        return _without_numbers(estimate, Status.INVALID, f"{REFUSED}: {text}")
     if not state.confirmed:
-        return _without(estimate, Status.UNESTIMATED, state.lacks)
+        return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
     return estimate
 
 
-def _without(estimate: Estimate, status: Status, reason: str) -> Estimate:
+def _without_numbers(estimate: Estimate, status: Status, reason: str) -> Estimate:
     usable = (Status.ESTIMATED, Status.STALE)
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
-        return estimate  # it says itself why it gives nothing
+        return estimate  # it has no numbers, and its own reasons
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
     return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
 
 
 def soil_changed(state: Consistency, machine: Machine) -> None:
-    """Begin anew with what driving says of the file: what tells other soil from another rig takes seconds."""
+    """Restart the open tracker after a change of soil: it takes seconds to tell other soil from another
+    rig."""
     if state.confirmed:
-        learn_anew(state, machine)
+        discard_findings(state, machine)
         state.confirmed = True
 
 
-def learn_anew(state: Consistency, machine: Machine) -> None:
-    """Forget what was found with measurements that were none, such as smoothed turn rates."""
+def discard_findings(state: Consistency, machine: Machine) -> None:
+    """Discard all that was found with wrong measurements, such as smoothed turn rates."""
     state.open, state.rows = open_tracker.initial(machine), []
     state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
     state.methods, state.confirmed = {}, False
 
 
 def clock_stepped(state: Consistency) -> None:
-    """Time ran back: where the rig was means nothing any more; what was found stays."""
-    state.open.waiting, state.open.running = None, False
-    state.open.before = np.zeros((0, 8))
+    """The log's clock stepped back: the motion state is discarded; findings stay."""
+    state.open.pending, state.open.running = None, False
+    state.open.ticks_before = np.zeros((0, 8))
 
 
-# What is found at one pose: key -> what is wrong.
+# The findings of one pose: key of the machine file -> message.
 
 
-def _found(
+def _findings_at_pose(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose
 ) -> dict[str, str]:
-    found = {**_receivers(pose), **_parked(aligner), **_latencies(machine, aligner)}
+    found = {**_misplaced_receivers(pose), **_parked_errors(aligner), **_latencies(machine, aligner)}
     found |= {
-        f"receiver.{flag.of}.roll_corrected": receiver_checks.in_words(checks, flag)
+        f"receiver.{flag.of}.roll_corrected": receiver_checks.describe(checks, flag)
         for flag in receiver_checks.flags(checks)
         if flag.kind in _ROLL
     }
@@ -205,12 +207,12 @@ def _found(
     if key:
         return found | {key: text}
     if not found and state.rates_known:
-        found |= _left_open(state, machine) or _outliers(state)
+        found |= _open_tracker_findings(state, machine) or _outliers(state)
     return found
 
 
-def _receivers(pose: Pose) -> dict[str, str]:
-    """What poses say of where receivers stand, while all of them have RTK."""
+def _misplaced_receivers(pose: Pose) -> dict[str, str]:
+    """Findings from the flags of a pose: receivers that are misplaced, swapped or late, if all have RTK."""
     if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return {}
     found = {}
@@ -228,19 +230,19 @@ def _receivers(pose: Pose) -> dict[str, str]:
     return found
 
 
-def _parked(aligner: Aligner) -> dict[str, str]:
-    """What distances say while the rig stands or creeps, when time plays no part in them."""
+def _parked_errors(aligner: Aligner) -> dict[str, str]:
+    """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
     keys = ("receiver.position on the tractor", "receiver.position on the implement",
             "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
     return {
         key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
-        for key, what, mean in zip(keys, _OFFSETS, aligner.lasting.parked, strict=True)
-        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED
+        for key, what, mean in zip(keys, _OFFSETS, aligner.long_term.parked, strict=True)
+        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED_LIMIT
     }
 
 
 def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
-    """Whether differences of latency that explain the distances are too large to be any."""
+    """A finding if the latencies that would explain the distances are implausibly different."""
     by_mount = {r.mount: r.latency.sd for r in machine.receiver}
     present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
     if len(present) < 2:
@@ -249,33 +251,33 @@ def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
     differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
     off = differences @ aligner.latency.tau[present]
     covariance = differences @ prior[np.ix_(present, present)] @ differences.T
-    if float(off @ np.linalg.solve(covariance, off)) < LATENCIES:
+    if float(off @ np.linalg.solve(covariance, off)) < LATENCY_CHI_SQUARE:
         return {}
     key = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
     return {key: f"distances between the receivers fit no likely latency: {key}?"}
 
 
-def _left_open(state: Consistency, machine: Machine) -> dict[str, str]:
-    """What the tracker with the file left open says of it."""
-    if len(state.rows) < LEAST_STRETCHES:
+def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, str]:
+    """The finding of the open tracker, or none."""
+    if len(state.rows) < LEAST_SEGMENTS:
         return {}
-    now = open_tracker.misfit(state.open, machine)
-    known = any(key in state.findings and state.findings[key].counts for key in _KEYS.values())
-    share = ENDS if known else 1.0
-    best = float(now.by_name.max())
-    if best < share * BEGINS and now.total < share * BEGINS_TOTAL:
+    misfit = open_tracker.misfit(state.open, machine)
+    decided = any(key in state.findings and state.findings[key].active for key in _KEYS.values())
+    share = ENDS if decided else 1.0
+    best = float(misfit.by_name.max())
+    if best < share * BEGINS and misfit.total < share * BEGINS_TOTAL:
         return {}
-    if known:  # under its first name for as long as it lasts
-        return {f.key: f.text for f in state.findings.values() if f.counts and f.key in _KEYS.values()}
-    order = np.argsort(-now.by_name)
-    names = [open_tracker.NAMES[k] for k in order if now.by_name[k] >= RIVAL * best]
+    if decided:  # it keeps its key for as long as it lasts
+        return {f.key: f.text for f in state.findings.values() if f.active and f.key in _KEYS.values()}
+    order = np.argsort(-misfit.by_name)
+    names = [open_tracker.NAMES[k] for k in order if misfit.by_name[k] >= RIVAL_SHARE * best]
     others = "".join(f", or {_KEYS[name]}" for name in names[1:3])
-    return {_KEYS[names[0]]: f"{_in_words(machine, names[0], now)}: {_KEYS[names[0]]}{others}?"}
+    return {_KEYS[names[0]]: f"{_describe(machine, names[0], misfit)}: {_KEYS[names[0]]}{others}?"}
 
 
-def _in_words(machine: Machine, name: str, now: Misfit) -> str:
+def _describe(machine: Machine, name: str, misfit: Misfit) -> str:
     k = open_tracker.NAMES.index(name)
-    off, sd = float(now.off[k]), float(now.sd[k])
+    off, sd = float(misfit.off[k]), float(misfit.sd[k])
     if name in ("wheel_zero", "pair_t", "pair_i"):
         what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
         return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
@@ -293,11 +295,11 @@ _BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}
 
 
 def _outliers(state: Consistency) -> dict[str, str]:
-    """Whether a good part of what receivers say lately is beyond what any such rig does."""
-    if len(state.rows) < WATCHED // 2:
+    """A finding if many of the recent measurements are outliers of the open tracker."""
+    if len(state.rows) < OUTLIER_SEGMENTS // 2:
         return {}
     refused, rows = (state.rows[-1][k] - state.rows[0][k] for k in (0, 1))
-    if rows <= 0 or refused < OUTLIERS * rows:
+    if rows <= 0 or refused < OUTLIER_SHARE * rows:
         return {}
     share = f"{100 * refused / rows:.0f} %"
     text = f"{share} of what the receivers say fits no rig like this: receiver, tractor or implement?"
@@ -305,7 +307,7 @@ def _outliers(state: Consistency) -> dict[str, str]:
 
 
 def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:
-    """Stiffnesses that no tyre has under its static load, as the key that must be wrong."""
+    """A finding if an estimated stiffness is impossible for a tyre with that static load."""
     loads = static_loads(rig_of(machine))
     for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
         if given.value is None or given.status is not Status.ESTIMATED:
@@ -317,72 +319,73 @@ def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, st
     return {}
 
 
-# What becomes of it.
+# The findings over time.
 
 
-def _judge(
+def _update_findings(
     state: Consistency, machine: Machine, found: Mapping[str, str], by_method: Mapping[str, str]
 ) -> list[tuple[str, str]]:
-    """Keep count of what is found, and say what begins or is over."""
+    """Update the findings with those of one pose. Returns (kind, text) of those that begin or end."""
     events: list[tuple[str, str]] = []
     found = {**by_method, **found}
     for key, text in list(found.items()):
         finding = state.findings.setdefault(key, Finding(key, text))
         finding.by_method = key in by_method
         finding.poses, finding.absent = finding.poses + 1, 0
-        if not finding.counts:
+        if not finding.active:
             finding.text = text
         opened = key in _KEYS.values() and key not in by_method
-        if opened and finding.poses == LASTS_OPEN and not state.accused:
-            _try_again(state, machine, key)
+        if opened and finding.poses == LEAST_POSES_OPEN and not state.open_restarted:
+            _restart_open_tracker(state, machine, key)
             continue
-        if finding.poses >= (LASTS_OPEN if opened else LASTS) and not finding.counts:
-            finding.counts = True
+        if finding.poses >= (LEAST_POSES_OPEN if opened else LEAST_POSES) and not finding.active:
+            finding.active = True
             state.confirmed = False
             events.append((CONTRADICTION, f"{text} Until this is over no number is given"))
     for key, finding in list(state.findings.items()):
-        finding.lasted += finding.counts
+        finding.active_poses += finding.active
         if key in found:
             continue
         finding.poses, finding.absent = 0, finding.absent + 1
-        if not finding.counts or finding.absent >= OVER:
+        if not finding.active or finding.absent >= POSES_TO_END:
             del state.findings[key]
-            if finding.counts:
+            if finding.active:
                 events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
-                state.forgets |= finding.lasted - OVER >= FORGETS
-    if not any(f.counts for f in state.findings.values()):
-        _confirm(state, machine)
+                state.must_forget |= finding.active_poses - POSES_TO_END >= POSES_TO_FORGET
+    if not any(f.active for f in state.findings.values()):
+        _update_confirmation(state, machine)
     return events
 
 
-def _try_again(state: Consistency, machine: Machine, key: str) -> None:
-    """Begin the open filter anew: from far off it may go astray, hardly twice in the same way."""
-    state.accused = True
+def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
+    """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
+    twice."""
+    state.open_restarted = True
     state.open, state.rows = open_tracker.initial(machine), []
     del state.findings[key]
 
 
-def _confirm(state: Consistency, machine: Machine) -> None:
-    """Whether driving has shown that the file is right; what is doubted for long is withheld again."""
-    now = open_tracker.misfit(state.open, machine)
-    fits = float(now.by_name.max()) < ENDS * BEGINS and now.total < ENDS * BEGINS_TOTAL
+def _update_confirmation(state: Consistency, machine: Machine) -> None:
+    """Decide whether driving has confirmed the file; after a long doubt the confirmation is withdrawn."""
+    misfit = open_tracker.misfit(state.open, machine)
+    fits = float(misfit.by_name.max()) < ENDS * BEGINS and misfit.total < ENDS * BEGINS_TOTAL
     state.agreed = max(state.agreed, 0) + 1 if fits else min(state.agreed, 0) - 1
     if state.confirmed:
-        state.confirmed = state.agreed > -DOUBTED
-        state.lacks = _doubt(now)
+        state.confirmed = state.agreed > -POSES_TO_DOUBT
+        state.missing = _doubt_reason(misfit)
         return
-    wide = open_tracker.still_open(now)
-    known = state.rates_known and not motion_check.waits(state.motion)
-    enough = state.agreed >= SETTLES and len(state.rows) >= LEAST_STRETCHES
-    state.confirmed = not wide and enough and known
-    state.accused &= not state.confirmed
-    if not wide and not fits:
-        state.lacks = _doubt(now)
+    unconfirmed_names = open_tracker.unconfirmed(misfit)
+    decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
+    long_enough = state.agreed >= POSES_TO_CONFIRM and len(state.rows) >= LEAST_SEGMENTS
+    state.confirmed = not unconfirmed_names and long_enough and decided
+    state.open_restarted &= not state.confirmed
+    if not unconfirmed_names and not fits:
+        state.missing = _doubt_reason(misfit)
         return
-    keys = ", ".join(_KEYS[name] for name in wide[:2]) or "turn rates and rolls"
-    state.lacks = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"
+    keys = ", ".join(_KEYS[name] for name in unconfirmed_names[:2]) or "turn rates and rolls"
+    state.missing = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"
 
 
-def _doubt(now: Misfit) -> str:
-    key = _KEYS[open_tracker.NAMES[int(np.argmax(now.by_name))]]
+def _doubt_reason(misfit: Misfit) -> str:
+    key = _KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]]
     return f"driving does not agree well with the machine file ({key}?): drive on, steer to both sides"

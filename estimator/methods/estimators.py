@@ -1,8 +1,8 @@
 """The estimators, one row each: an extension point. Tests run over every row.
 
-A row's functions share a state of their own type. It is stored with the log and taken up again: `to_json`
-writes all of it, `from_json` reads it back. Its `events` are what happened and was not published yet. A row
-with `fitting` asks for fits, which are made outside the fold.
+The functions of a row share a state of their own type. It is stored in the log and restored from it:
+`to_json` writes all of it, `from_json` reads it. Its `events` have not been published yet. A row with
+`fitting` requests fits, which are computed outside the fold.
 """
 
 from collections.abc import Callable
@@ -14,30 +14,30 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import learned, pem, steady_state, stored_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.methods.stored_state import Json
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
 class Fitting:
-    """How a row's fits are asked for, made and taken. The job that waits stands in `state.job`."""
+    """How a row's fits are requested, computed and adopted. The pending job is `state.job`."""
 
-    latency_ns: int  # of the log's time, from asking to taking
-    wanted: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
-    fit: Callable[[Machine, Any], Any]  # pure
-    rehearse: Callable[[Machine], None]  # a fit of nothing, which compiles what a fit needs
+    latency_ns: int  # of the log's time, from the request to the adoption
+    request_fit: Callable[[Any, int], Any]  # (state, t_ns): a job, or None
+    fit: Callable[[Machine, Any], Any]  # a pure function of machine and job
+    rehearse: Callable[[Machine], None]  # a fit of made-up data, which compiles what a fit needs
     adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What of a row's state goes on in the next run, besides `informed_ns`."""
+    """What of a row's state is carried over to the next run, besides `informed_ns`."""
 
-    names: tuple[str, ...]  # of what the vector holds
-    passing: tuple[str, ...]  # names that begin anew with each run
-    learned: Callable[[Any], Learned]  # of a state
-    resume: Callable[[Any, Learned], None]  # changes the state, which is fresh
+    names: tuple[str, ...]  # of the entries of the mean
+    per_run: tuple[str, ...]  # names that start from the prior in each run
+    learned: Callable[[Any], Learned]  # (state): what it has learned
+    resume: Callable[[Any, Learned], None]  # (fresh state, what was learned): changes the state
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +47,15 @@ class Estimator:
     to_json: Callable[[Any], Json]  # the whole state
     from_json: Callable[[Any], Any]  # the state; raises ValueError where it is not what `to_json` gave
     take: Callable[
-        [Any, Machine, Pose, Stretch | None], Estimate | None
+        [Any, Machine, Pose, Segment | None], Estimate | None
     ]  # changes the state; an estimate when one is due
-    estimate: Callable[[Any, Machine, int], Estimate]  # what can be said at a time, ns
+    estimate: Callable[[Any, Machine, int], Estimate]  # the estimate at a time, ns
     clock_stepped: Callable[
         [Any, int], None
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
     fitting: Fitting | None = None
     memory: Memory | None = None
-    asked_for: Callable[[Machine], bool] = lambda machine: True  # whether a machine file wants it
+    enabled: Callable[[Machine], bool] = lambda machine: True  # whether it runs with this machine file
     prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
     kernels: tuple[Kernel[..., Any], ...] = ()  # that `prepare` compiles
 
@@ -93,7 +93,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        fitting=Fitting(pem.LATENCY_NS, pem.wanted, pem.fit, pem.rehearse, pem.adopt),
+        fitting=Fitting(pem.LATENCY_NS, pem.request_fit, pem.fit, pem.rehearse, pem.adopt),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
@@ -105,10 +105,10 @@ ESTIMATORS: tuple[Estimator, ...] = (
         two_step.estimate,
         two_step.clock_stepped,
         fitting=Fitting(
-            two_step.LATENCY_NS, two_step.wanted, two_step.fit, two_step.rehearse, two_step.adopt
+            two_step.LATENCY_NS, two_step.request_fit, two_step.fit, two_step.rehearse, two_step.adopt
         ),
-        asked_for=lambda machine: machine.estimation.two_step,
-        # No memory: 7.20 forgets nothing, so that what it merged begins anew with each run.
+        enabled=lambda machine: machine.estimation.two_step,
+        # No memory: 7.20 forgets nothing, so its merged values start again with each run.
     ),
 )
 
@@ -116,5 +116,5 @@ ROW: dict[str, Estimator] = {row.method: row for row in ESTIMATORS}
 
 
 def rows_for(machine: Machine) -> tuple[Estimator, ...]:
-    """The rows that run on a machine, in their order, which is also that of their fits in the worker."""
-    return tuple(row for row in ESTIMATORS if row.asked_for(machine))
+    """The rows that run on a machine, in order. The worker computes their fits in the same order."""
+    return tuple(row for row in ESTIMATORS if row.enabled(machine))

@@ -1,4 +1,4 @@
-"""What a method has learned, taken out of its state and put into a fresh one: for a warm start."""
+"""For the warm start: take what a method has learned out of its state, and put it into a fresh one."""
 
 import math
 from collections.abc import Mapping
@@ -16,51 +16,53 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Learned:
+    """The posterior of a method and its counters."""
+
     mean: Array  # [n]
     covariance: Array  # [n, n]
-    counts: Mapping[str, float]  # name -> a number that goes on
+    counts: Mapping[str, float]  # name -> counter that continues in the next run
 
 
 def of_steady_state(state: SteadyState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s)}
-    return Learned(state.x.copy(), state.p.copy(), counts)
+    return Learned(state.x.copy(), state.P.copy(), counts)
 
 
 def into_steady_state(state: SteadyState, learned: Learned) -> None:
-    """In the place of what this method knows."""
-    state.x, state.p = learned.mean, learned.covariance
+    """Put what was learned into a fresh state."""
+    state.x, state.P = learned.mean, learned.covariance
     state.steady_s = _counted(learned, "steady_s")
     state.sideslip_s = _counted(learned, "sideslip_s")
 
 
 def of_tracker(state: TrackerState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"window_s": float(state.window_s), "distance": float(state.distance)}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
 def into_tracker(state: TrackerState, learned: Learned) -> None:
-    """In the place of what this method knows."""
+    """Put what was learned into a fresh state."""
     state.mean, state.covariance = learned.mean, learned.covariance
     state.window_s = _counted(learned, "window_s")
     state.distance = _counted(learned, "distance")
 
 
 def of_pem(state: PemState) -> Learned:
-    """Of what this method knows."""
+    """What this method has learned, from its state."""
     counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
 def into_pem(state: PemState, learned: Learned) -> None:
-    """In the place of what this method knows."""
+    """Put what was learned into a fresh state."""
     state.mean, state.covariance = learned.mean, learned.covariance
     state.fits = int(_counted(learned, "fits"))
     state.window_s = _counted(learned, "window_s")
 
 
 def _counted(learned: Learned, name: str) -> float:
-    """A number that goes on; none where it is no number."""
+    """A counter of the run before; 0 if it is not finite."""
     count = learned.counts[name]
     return count if math.isfinite(count) else 0.0

@@ -1,9 +1,9 @@
-"""The tracker with the machine file left open: what driving itself says of lengths, wheel angle and antennas.
+"""The open tracker: it estimates lengths, wheel angle and antennas of the machine file from driving.
 
-It is the filter of tracker.py, over the same stretches, with priors as wide as people are wrong. Where its
-answer is further from the file than the file's own uncertainty and the filter's allow, the file is wrong, or
-the rig is not the one that it describes. The antennas' places along a body are held: moved together with the
-centre of gravity they change nothing that is measured, so the lengths a to e answer for them.
+It is the filter of tracker.py over the same segments, with priors as wide as the errors that people make in a
+file. If its result differs from the file by more than the sds of file and filter allow, the file is wrong, or
+describes another rig. The antennas' positions along a body are fixed: shifting them together with the CG
+changes no measurement, so the lengths a to e stand for them.
 """
 
 import math
@@ -18,106 +18,111 @@ from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import SOIL, TrackerState
-from tilth.estimator.record.record import Stretch
+from tilth.estimator.record.record import Segment
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-OPEN: Final = {
+OPEN_SD: Final = {
     "wheel_zero": math.radians(5.0), "wheel_gain": 0.4, "latency": 0.1, "pair_t": math.radians(5.0),
     "pair_i": math.radians(5.0), "aside_i": 0.5, "a": 0.4, "b": 0.4, "c": 0.4, "d": 0.4, "e": 0.5,
     "m_i": 0.4, "I_t": 0.4, "I_i": 0.4,
 }  # fmt: skip
 """Prior sd of each unknown that is left open, in its own unit (unknowns.NAMES)."""
-ALLOWED: Final = {
+ALLOWED_SD: Final = {
     "wheel_zero": math.radians(0.3), "wheel_gain": 0.05, "latency": 0.02, "pair_t": math.radians(0.1),
     "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
     "m_i": 0.08, "I_t": 0.08, "I_i": 0.1,
 }  # fmt: skip
-"""Sd by which a right file may differ beyond its own sds: what the model is worth. From right files."""
-SHOWN: Final = {
+"""Sd by which a right file may differ from the result, besides the file's sds: error of the model. From
+drives with right files."""
+CONFIRMING_SD: Final = {
     "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
     "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
     "I_t": 0.25,
 }  # fmt: skip
-"""Sd from which on a gross error would have shown: only then the file counts as confirmed."""
-SHOWN_ALONE: Final = {"a": 0.11, "I_t": 0.15}
-"""The same with all others as the file has them: a metre on the wheelbase and twice the inertia pass for each
-other, and either moves the stiffnesses by its whole size."""
-NAMES: Final = tuple(OPEN)
+"""Largest sds with which a gross error would show; only then can the file be confirmed."""
+CONFIRMING_SD_ALONE: Final = {"a": 0.11, "I_t": 0.15}
+"""The same, if all other numbers are right: a metre on the wheelbase and twice the inertia have the same
+effect, and either changes the stiffnesses in proportion."""
+NAMES: Final = tuple(OPEN_SD)
 PLACES: Final = [AT[name] for name in NAMES]
-TYRES: Final = 0.7  # prior sd of each of the six logarithms, at the least
-MEMORY: Final = 2400.0  # stretches with steering (8 min) over which what was found is forgotten
-SOIL_MEMORY: Final = 500.0  # stretches with steering (100 s), of the six: soil differs from place to place
-STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # what straight driving tells too
+TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
+MEMORY: Final = 2400.0  # segments with steering (8 min) over which the result is forgotten
+SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
+STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
 
 class Misfit(NamedTuple):
-    """How far the file is from what driving says."""
+    """Difference between the open tracker's result and the file."""
 
-    total: float  # chi-square over all that is open, len(NAMES) degrees of freedom
-    by_name: Array  # [n]; how much of it each one alone takes away
-    off: Array  # [n]; found less the file's, in the unit of each
-    sd: Array  # [n]; of what was found
-    alone: Array  # [n]; the same with all others as the file has them, and what a right file may differ by
+    total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
+    by_name: Array  # [n]; decrease of `total` if this number alone is freed
+    off: Array  # [n]; result minus the file's value, in the unit of each
+    sd: Array  # [n]; of the result
+    alone: Array  # [n]; sd of the difference if all other numbers are right, with the error that is allowed
 
 
 def initial(machine: Machine) -> TrackerState:
-    """At the machine file's values, with the priors of OPEN."""
+    """The state before any data, at the values of the machine file, with the prior sds of OPEN_SD."""
     state = tracker.initial(machine)
     sd = state.prior_sd
-    for name, wide in OPEN.items():
-        sd[AT[name]] = max(sd[AT[name]], wide)
-    sd[SIX] = np.maximum(sd[SIX], TYRES)
+    for name, ratio in OPEN_SD.items():
+        sd[AT[name]] = max(sd[AT[name]], ratio)
+    sd[SIX] = np.maximum(sd[SIX], TYRE_LOG_SD)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
-    state.steered = list(_STEERED)
+    state.needs_steering = list(_STEERED)
     return state
 
 
-def take(state: TrackerState, machine: Machine, stretch: Stretch) -> bool:
-    """Take one stretch; whether it told anything of what only steering tells."""
-    tracker.take_stretch(state, machine, stretch)
+def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
+    """Take one segment. Returns whether there was steering, so that all open numbers were learned."""
+    tracker.take_segment(state, machine, segment)
     state.events.clear()
-    state.marks.clear()  # a change of soil is the tracker's own to find
-    taught = not state.reason and state.waiting is not None
-    if taught:
-        _forget(state)
-    return taught
+    state.checkpoints.clear()  # only the tracker itself detects changes of soil
+    learned = not state.reason and state.pending is not None
+    if learned:
+        _fade(state)
+    return learned
 
 
-def _forget(state: TrackerState) -> None:
-    """Let what was found fade towards the prior: a receiver may be moved in the middle of a day."""
+def _fade(state: TrackerState) -> None:
+    """Drift the posterior towards the prior: a receiver may be moved in the middle of a day."""
     for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
-        kept = math.exp(-1.0 / memory)
-        drift(state.covariance, np.array(places), kept, state.prior_sd)
-        state.P_xtheta[:, places] *= kept
+        share = math.exp(-1.0 / memory)
+        drift(state.covariance, np.array(places), share, state.prior_sd)
+        state.P_xtheta[:, places] *= share
 
 
 def misfit(state: TrackerState, machine: Machine) -> Misfit:
-    """What is found against the machine file."""
+    """The present difference from the machine file."""
     off = (state.mean - state.prior_mean)[PLACES]
     covariance = state.covariance[np.ix_(PLACES, PLACES)]
     inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
-    towards = inverse @ off
-    held = np.diag(inverse)
+    solved = inverse @ off
+    precision = np.diag(inverse)
     return Misfit(
-        float(off @ towards), towards**2 / held, off, np.sqrt(np.diag(covariance)), 1.0 / np.sqrt(held)
+        float(off @ solved),
+        solved**2 / precision,
+        off,
+        np.sqrt(np.diag(covariance)),
+        1.0 / np.sqrt(precision),
     )
 
 
 def allowed(machine: Machine) -> Array:
-    """Sd by which a right file may differ from what is found, [n] in the order of NAMES."""
+    """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
     _, stated = unknowns.prior(machine)
     shape = unknowns.base_geometry(machine)
-    out = np.array([math.hypot(stated[AT[name]], ALLOWED[name]) for name in NAMES])
+    out = np.array([math.hypot(stated[AT[name]], ALLOWED_SD[name]) for name in NAMES])
     centres = {"a": 0, "b": 0, "c": 0, "d": 1, "e": 1}
     for name, body in centres.items():
         length = 1.0 if name == "e" else float(shape["abcde".index(name)])
-        moved = (machine.tractor, machine.implement)[body].cg_sd / length
-        out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], moved)
+        cg_sd = (machine.tractor, machine.implement)[body].cg_sd / length
+        out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], cg_sd)
     for name, which in (("pair_t", "tractor"), ("pair_i", "implement")):
         pair = [r for r in machine.receiver if r.mount.startswith(which)]
         if len(pair) == 2:
@@ -127,14 +132,14 @@ def allowed(machine: Machine) -> Array:
     return out
 
 
-def still_open(now: Misfit) -> list[str]:
-    """The names of which a gross error would not have shown yet, widest first."""
-    wide = {name: float(now.sd[NAMES.index(name)]) / most for name, most in SHOWN.items()}
-    for name, most in SHOWN_ALONE.items():
-        wide[name] = max(wide[name], float(now.alone[NAMES.index(name)]) / most)
-    return sorted((name for name, over in wide.items() if over > 1.0), key=lambda name: -wide[name])
+def unconfirmed(now: Misfit) -> list[str]:
+    """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
+    ratio = {name: float(now.sd[NAMES.index(name)]) / limit for name, limit in CONFIRMING_SD.items()}
+    for name, limit in CONFIRMING_SD_ALONE.items():
+        ratio[name] = max(ratio[name], float(now.alone[NAMES.index(name)]) / limit)
+    return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])
 
 
-def beyond_belief(state: TrackerState) -> tuple[float, float]:
-    """(rows refused as outliers or as no numbers, rows in all) so far."""
+def rejected_rows(state: TrackerState) -> tuple[float, float]:
+    """(rows rejected as outliers or as not finite, all rows) so far."""
     return float(state.counts[GATED] + state.counts[BAD]), float(state.counts[[USED, GATED, BAD]].sum())

@@ -1,10 +1,10 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
-A window is 30 s of learnable driving, or what a gap leaves of it. When it closes a fit is asked for
-(`wanted`), which is done elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time later,
-or when it is ready if that is later still; the next window waits for it.
-Windows are merged by taking the result of one, drifted over the distance since, as the prior of the next: the
-newest data are always taken at their own likelihood, and none is counted twice.
+A window is 30 s of driving without a refused segment, or less before a gap. When it is complete, a fit is
+requested (`request_fit`). It is computed elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the
+log's time later, or when it is ready if that is later still; the next window waits for it. The posterior of
+one window, drifted over the distance since then, is the prior of the next. So each window enters once, with
+its full likelihood.
 """
 
 import math
@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.drift import drift, kept_over
+from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
-from tilth.estimator.record.record import Record, Stretch
+from tilth.estimator.record.record import Record, Segment
 from tilth.estimator.record.windows import OPEN, WINDOW, collect, describe_late, refuse
 from tilth.estimator.results import advice
-from tilth.estimator.results.reporting import PUBLISH_NS, WORST, of_six
+from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -29,21 +29,23 @@ Array = NDArray[np.float64]
 METHOD = "pem"
 LATENCY_NS = 3_000_000_000
 LEAST_STEERING = math.radians(1.0)
-"""Sd of the wheel angle in a window. Below, what looks like information is the ground's own forces, whose
-colour the model does not know: intervals from rows steered automatically held the truth in 85 % of runs."""
-NOISE_SD = 0.4  # log sd with which noise levels begin each window: ground and satellites change
-CHANGED = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
-LEAST_TAKEN = 0.25
-"""Share of the variance that a window is believed to take at the least, where it is asked whether it
-contradicts: where it takes next to nothing, what is left of the search would contradict too."""
+"""Least sd of the wheel angle in a window. With less steering the apparent information comes from the
+ground's forces, whose spectrum the model does not have: intervals from automatically steered rows held the
+true value in 85 % of runs."""
+NOISE_SD = 0.4  # prior log sd of noise levels in each window: ground and satellites change
+CHANGE_CHI_SQUARE = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
+LEAST_SHARE = 0.25
+"""Smallest share of the prior variance, along any direction, that a window counts to have removed in the test
+for a contradiction. If it removed next to nothing, the search's residual error alone would look like a
+contradiction."""
 NOTHING = f"no {WINDOW * 0.2:.0f} s of driving have been fitted"
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A fit to be made. Plain data; with the machine file all that `fit` needs."""
+    """A fit to compute. With the machine file it is all that `fit` needs."""
 
-    asked_ns: int  # of the frame at which the window closed
+    asked_ns: int  # t_ns of the frame at which it was requested
     closed_ns: int  # instant of its last tick
     record: Record
     mean: Array
@@ -52,12 +54,12 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What came of a job."""
+    """The result of a job."""
 
     mean: Array  # [n] of unknowns.NAMES
     covariance: Array  # [n, n]
-    information: Array  # [6, 6], of the window alone about the six logarithms
-    gain: float  # nats by which what was known before explains the window better than the machine file
+    information: Array  # [6, 6], of the window alone, on the six logarithms
+    gain: float  # nats by which the posterior before explains the window better than the machine file does
     whiteness: float
     cost: float
     iterations: int
@@ -75,13 +77,13 @@ class PemState:
     covariance: Array
     prior_mean: Array
     prior_sd: Array
-    window: list[Stretch] = field(default_factory=list)
-    closed: Record | None = None  # waits to be asked for
-    job: Job | None = None  # asked for, not taken yet
-    decided: int = OPEN  # of the job: see windows.OPEN
-    late_ns: int = 0  # by how much the fit was late that was decided last
-    distance: float = 0.0  # since the last window
-    seen_ns: int = 0
+    window: list[Segment] = field(default_factory=list)
+    closed: Record | None = None  # a complete window whose fit is not requested yet
+    job: Job | None = None  # requested, not adopted yet
+    decided: int = OPEN  # state of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the last decided fit was late
+    distance: float = 0.0  # m, since the last window
+    last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
     window_s: float = 0.0
@@ -89,30 +91,31 @@ class PemState:
     late: int = 0
     changes: int = 0
     refused: dict[str, int] = field(default_factory=dict)
-    given: list[bool] = field(default_factory=lambda: [False] * 6)
+    has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     last: Fit | None = None
     reason: str = ""
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
 
 def initial(machine: Machine) -> PemState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     return PemState(mean.copy(), np.diag(sd**2), mean, sd)
 
 
-def take(state: PemState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
-    """Take one stretch; an estimate each PUBLISH_NS."""
-    seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else 0.0
-    state.seen_ns = pose.t_ns
+def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
+    """Take one segment; an estimate each PUBLISH_NS."""
+    seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
+    state.last_pose_ns = pose.t_ns
     state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
-    if not collect(state, pose.t_ns, stretch, PUBLISH_NS, LEAST_STEERING):
+    if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING):
         return None
     return estimate(state, machine, pose.t_ns)
 
 
-def wanted(state: PemState, t_ns: int) -> Job | None:
-    """A fit to ask for at the frame of t_ns, once a window has closed."""
+def request_fit(state: PemState, t_ns: int) -> Job | None:
+    """The fit to request at the frame of t_ns: of a complete window, if no other fit is pending; else
+    None."""
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
@@ -123,9 +126,9 @@ def wanted(state: PemState, t_ns: int) -> Job | None:
 
 
 def _drifted(state: PemState) -> tuple[Array, Array]:
-    """What is known, grown older: the six drift over distance towards the prior, noise levels begin anew."""
+    """The prior of the next window: the six drift over distance, noise levels start again."""
     covariance = state.covariance.copy()
-    drift(covariance, np.arange(6), kept_over(state.distance), state.prior_sd)
+    drift(covariance, np.arange(6), retained_share(state.distance), state.prior_sd)
     covariance[NOISE, :] = 0.0
     covariance[:, NOISE] = 0.0
     noise_sd = np.full(NOISE.stop - NOISE.start, NOISE_SD) if state.fits else state.prior_sd[NOISE]
@@ -134,13 +137,13 @@ def _drifted(state: PemState) -> tuple[Array, Array]:
 
 
 def fit(machine: Machine, job: Job) -> Fit:
-    """The result of a job: a function of its arguments alone."""
+    """The result of a job, a pure function of its arguments."""
     setup = rig_setup(machine)
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
     found = likelihood.maximise_posterior(job.record, setup, mean, covariance, prior_mean)
     change = found.mean[SIX] - mean[SIX]
-    changed = _contradiction(change, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGED
+    changed = _contradiction(change, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGE_CHI_SQUARE
     if changed:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
@@ -153,18 +156,19 @@ def fit(machine: Machine, job: Job) -> Fit:
     return Fit(
         found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
         found.iterations, found.rows, changed, advice.advise(machine, found.mean, found.covariance, speed),
-        _why_not(found, prior_mean, prior_sd),
+        _refusal(found, prior_mean, prior_sd),
     )  # fmt: skip
 
 
-def _contradiction(moved: Array, before: Array, after: Array) -> float:
-    """Chi-square of how far a window moved the six, whose covariance is what it took from theirs.
+def _contradiction(change: Array, before: Array, after: Array) -> float:
+    """Chi-square, 6 degrees of freedom, of a window's change of the six. Its covariance is before - after.
 
-    Where a window took little it is not believed to have taken less than LEAST_TAKEN of the variance.
+    Along directions in which the window removed less than LEAST_SHARE of the variance, that share is used.
+    change: (6,). before, after: covariances, (6, 6).
     """
     root = np.linalg.inv(np.linalg.cholesky(before))
-    taken, along = np.linalg.eigh(np.eye(len(moved)) - root @ after @ root.T)
-    return float(np.sum((along.T @ root @ moved) ** 2 / np.maximum(taken, LEAST_TAKEN)))
+    taken, directions = np.linalg.eigh(np.eye(len(change)) - root @ after @ root.T)
+    return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(taken, LEAST_SHARE)))
 
 
 def rehearse(machine: Machine) -> None:
@@ -175,18 +179,18 @@ def rehearse(machine: Machine) -> None:
     fit(machine, Job(0, 0, Record(0, ticks, rows), mean, np.diag(sd**2)))
 
 
-def _why_not(found: likelihood.Posterior, prior_mean: Array, prior_sd: Array) -> str:
+def _refusal(found: likelihood.Posterior, prior_mean: Array, prior_sd: Array) -> str:
     if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
         return "fit is not a number"
     if not found.converged:
         return "fit did not converge"
-    if np.any(np.abs(found.mean - prior_mean)[SIX] > WORST * prior_sd[SIX]):
+    if np.any(np.abs(found.mean - prior_mean)[SIX] > LARGEST_DEVIATION * prior_sd[SIX]):
         return "fit is beyond what tyres can be"
     return ""
 
 
 def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Estimate:
-    """Take the result of the pending job, or, with None, go on without it. The estimate that follows."""
+    """Adopt the result of the pending job; made: None if there is none. Returns the estimate after it."""
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
@@ -203,7 +207,7 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     if made.changed:
         state.changes += 1
         state.window_s = 0.0
-        state.events.append(("soil_change", _what_changed(job, made)))
+        state.events.append(("soil_change", _describe_change(job, made)))
     state.mean, state.covariance = made.mean, made.covariance
     state.informed_ns = job.closed_ns
     state.window_s += len(job.record.ticks) * 0.02
@@ -211,23 +215,24 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     return estimate(state, machine, t_ns)
 
 
-def _what_changed(job: Job, made: Fit) -> str:
+def _describe_change(job: Job, made: Fit) -> str:
     ratios = np.exp(made.mean[SIX] - job.mean[SIX])
-    words = ", ".join(f"{name} × {ratio:.2f}" for name, ratio in zip(PARAMETERS, ratios, strict=True))
-    return f"the soil holds the tyres differently: {words}; what was learned of it before is given up"
+    ratios_text = ", ".join(f"{name} × {ratio:.2f}" for name, ratio in zip(PARAMETERS, ratios, strict=True))
+    return f"the soil holds the tyres differently: {ratios_text}; what was learned of it before is given up"
 
 
 def clock_stepped(state: PemState, by_ns: int) -> None:
-    """Time ran back: forget the window and the fit under way, keep what was learned and how old it is."""
+    """The log's clock stepped back: discard the window and the pending fit, keep the posterior and its
+    age."""
     state.window.clear()
     state.closed = state.job = None
     state.decided = OPEN
-    state.seen_ns = state.published_ns = 0
+    state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
 
 
 def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
-    """What can be said now."""
+    """The estimate at t_ns."""
     last = state.last
     excitation = {
         "fits": float(state.fits),
@@ -240,7 +245,7 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     }
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
-    return of_six(
+    return six_parameter_estimate(
         state, machine, t_ns, METHOD, state.covariance[SIX, SIX], NOTHING, excitation,
         last.advice if last else "",
     )  # fmt: skip

@@ -1,18 +1,19 @@
 """Three cornering stiffnesses from steady driving, recursively.
 
 In a steady turn the relaxation lengths drop out (Karkee 2009, section 3.6). Yaw rate and articulation alone
-carry two numbers about three stiffnesses, at any speed: rank 2. With the lateral velocity of the tractor's CG
-as third output the rank is 3. This filter says which of the two it is before it says a number.
+determine two combinations of the three stiffnesses, at any speed: rank 2. With the lateral velocity of the
+tractor's CG as third output the rank is 3. The filter publishes the rank, and numbers only with rank 3.
 
-States: whatever the outputs depend on and nobody knows exactly, with the machine file's uncertainty, most of
-which data cannot tell from stiffness (`steady_outputs.CONSTANTS`); and of either antenna pair the heading
-error by multipath, which fades. Straight driving is a steady turn too, and the one that tells zero and
-misalignment.
+States: the constants that the outputs depend on and that are not known exactly, with the uncertainties of the
+machine file (`steady_outputs.CONSTANTS`); the data cannot separate most of them from stiffness. And the slow
+heading error of either antenna pair from multipath. Straight driving is a steady turn too: it shows the zero
+of the wheel angle and the misalignment of the pairs.
 
-Outputs are nearly linear in compliance 1/C, and the prior is normal in the logarithm. So the filter's states
-are compliances under a prior so wide that it says nothing; what data have told of them, a quadratic form, is
-brought together with the prior in logarithms when a number is wanted. With logarithms as states, slopes
-taken far from the truth made the 95 % interval of C_af hold 84 % of the truths drawn with an sd of 0.5.
+The outputs are nearly linear in compliance 1/C, but the prior is normal in the logarithm. So the filter's
+states are compliances, with a prior that is practically flat. The information of the data on them, a
+quadratic form, is combined with the logarithmic prior when an estimate is due. With logarithms as states,
+Jacobians taken far from the true values made the 95 % interval of C_af hold 84 % of true values drawn with an
+sd of 0.5.
 """
 
 import math
@@ -22,22 +23,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.drift import kept_over
+from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import slow_pair_sd
 from tilth.estimator.filters.states import PAIR_MEMORY_S
 from tilth.estimator.filters.steady_outputs import CONSTANTS, largest_slip, linearised
 from tilth.estimator.pose.aligner import POSE_NS
-from tilth.estimator.record.record import Stretch
-from tilth.estimator.record.steady_driving import BLOCK, Sample, Steadiness, observe
+from tilth.estimator.record.record import Segment
+from tilth.estimator.record.steady_driving import BLOCK, Steadiness, SteadySample, observe
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import SUPPORTED
 from tilth.estimator.results.reporting import (
-    LOST,
     PUBLISH_NS,
+    WITHDRAWN,
     age_s,
-    nothing_yet,
     parameter,
     per_mass,
+    reason_without_data,
 )
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -50,20 +51,21 @@ STATES = (*CONSTANTS, "slow_t", "slow_i")
 """The first three as compliance over the prior mean's; the others as unknowns.NAMES; rad."""
 AT = {name: k for k, name in enumerate(STATES)}
 PUBLISHED = ("wheel_zero", "wheel_gain", "pair_t", "pair_i", "rolling", "curvature")
-SOIL = [AT["rolling"], AT["curvature"]]  # what another soil changes besides
-STRAIGHT = [AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "slow_t", "slow_i")]  # what a row teaches
+SOIL = [AT["rolling"], AT["curvature"]]  # they differ with the soil too
+STRAIGHT = [AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "slow_t", "slow_i")]
+"""The states that are learned in straight driving."""
 SLOW = [AT["slow_t"], AT["slow_i"]]
 
-TEACHING_ANGLE = math.radians(1.0)
-"""Of the wheels: below, the outputs' slope over stiffness is mostly the noise of wheel angle and roll, and
-squares of noise would add up to information that nobody received."""
-VAGUE = 3.0  # sd of a compliance over the prior mean's before any data: a flat prior beside the logarithm's
-LARGEST_SLIP = math.radians(6.0)  # of an axle: beyond, one number for the tyre curve is not enough
-WITHOUT_PAIR = math.radians(2.0)  # sd of a heading error that lasts, of a body without two receivers
+LEAST_ANGLE = math.radians(1.0)
+"""Least wheel angle to learn stiffnesses. Below it the Jacobian over stiffness consists mostly of noise of
+wheel angle and roll, and the squares of this noise would add up to false information."""
+WIDE_SD = 3.0  # prior sd of a compliance, over the prior mean's: flat compared with the logarithmic prior
+LARGEST_SLIP = math.radians(6.0)  # of an axle: above, one number does not describe the tyre curve
+NO_PAIR_SD = math.radians(2.0)  # sd of the slow heading error of a body without two receivers
 GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
-SURPRISE_MEMORY = 10.0  # samples, 10 s
-LARGEST_SURPRISE = 6.0  # that one sample may count for
-SURPRISED = 2.0  # beyond: the soil is another, or the rig is
+NIS_MEMORY = 10.0  # samples (10 s) over which the normalised innovation squared (NIS) per output is averaged
+LARGEST_NIS = 6.0  # largest NIS of one sample in that mean
+NIS_LIMIT = 2.0  # of the mean: above, soil or rig have changed
 NEWTON_STEPS = 50
 LONGEST_STEP = 0.5  # of a logarithm
 
@@ -74,44 +76,44 @@ _RELAXATION = ParameterEstimate(
 
 @dataclass(slots=True)
 class SteadyState:
-    """State of the filter. Times ns."""
+    """State of the filter. Times ns. P: covariance of x."""
 
     x: Array  # [21] in the order of STATES
-    p: Array  # [21, 21]
-    prior: Array  # [21] sd; of the first three that of their logarithm
+    P: Array  # [21, 21]
+    prior_sd: Array  # [21] sd; of the first three that of their logarithm
     prior_logs: Array  # [3] prior mean
     logs: Array  # [3] natural logarithms of the stiffnesses, of data and prior
-    log_p: Array  # [3, 3]
+    log_covariance: Array  # [3, 3]
     steadiness: Steadiness = field(default_factory=Steadiness)
-    seen_ns: int = 0
+    last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
     steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
-    surprise: float = 1.0  # recent mean of the squared, normalised innovation per output; 1 is as expected
-    forgotten: int = 0  # times that learning began anew
+    mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
+    forgotten: int = 0  # times that the stiffnesses were reset
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
-    reason: str = ""  # why the latest pose taught nothing
+    reason: str = ""  # why the latest pose was refused
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
 
 def initial(machine: Machine) -> SteadyState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     chosen = [unknowns.AT[name] for name in CONSTANTS]
     pairs = [slow_pair_sd(machine, body) for body in ("tractor", "implement")]
-    slow = [WITHOUT_PAIR if sd is None else sd for sd in pairs]
-    prior = np.concatenate([sd[chosen], slow])
+    slow = [NO_PAIR_SD if sd is None else sd for sd in pairs]
+    prior_sd = np.concatenate([sd[chosen], slow])
     x = np.concatenate([np.ones(3), mean[chosen][3:], [0.0, 0.0]])
-    p = np.diag(np.concatenate([np.full(3, VAGUE), prior[3:]]) ** 2)
-    return SteadyState(x, p, prior, mean[:3], mean[:3].copy(), np.diag(prior[:3] ** 2))
+    P = np.diag(np.concatenate([np.full(3, WIDE_SD), prior_sd[3:]]) ** 2)
+    return SteadyState(x, P, prior_sd, mean[:3], mean[:3].copy(), np.diag(prior_sd[:3] ** 2))
 
 
-def take(state: SteadyState, machine: Machine, pose: Pose, stretch: Stretch | None = None) -> Estimate | None:
-    """Take one pose; an estimate each PUBLISH_NS. Of stretches, which hold the dynamics, nothing is used."""
-    seconds = (pose.t_ns - state.seen_ns) * 1e-9 if state.seen_ns else math.inf
-    state.seen_ns = pose.t_ns
+def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:
+    """Take one pose. Returns an estimate each PUBLISH_NS. The segment, with the dynamics, is not used."""
+    seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else math.inf
+    state.last_pose_ns = pose.t_ns
     _drift(state, seconds, pose)
     length = machine.implement.d.value + machine.implement.e.value
     sample, state.reason = observe(state.steadiness, pose, seconds, length)
@@ -123,66 +125,66 @@ def take(state: SteadyState, machine: Machine, pose: Pose, stretch: Stretch | No
         return None
     state.published_ns = pose.t_ns
     _find_posterior(state)
-    _support(state)
+    _update_supported(state)
     return estimate(state, machine, pose.t_ns)
 
 
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
-    """Time ran back: forget what was going on, keep what was learned and how old it is."""
+    """The log's clock stepped back: discard the present block, keep the posterior and its age."""
     state.steadiness = Steadiness()
-    state.seen_ns = state.published_ns = 0
+    state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
 
 
 def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
-    """Ornstein-Uhlenbeck drift: soil over distance, multipath over time, both towards the prior."""
+    """Propagate: Ornstein-Uhlenbeck drift of the soil over distance and of multipath over time."""
     seconds = min(seconds, 3600.0) if math.isfinite(seconds) else 0.0
     distance = seconds * abs(pose.tractor.forward_velocity or 0.0)
-    forgets = kept_over(distance)
-    keep = np.ones(len(STATES))
-    keep[SOIL] = forgets
-    keep[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
-    # What the drift takes from rolling resistance and tyre curve is knowledge, not where they stood.
-    state.x[SLOW] *= keep[SLOW]
-    more = (1 - keep**2) * state.prior**2
-    more[:3] = (1 - forgets**2) * (state.prior[:3] * np.exp(state.prior_logs - state.logs)) ** 2
-    state.p = state.p * np.outer(keep, keep) + np.diag(more)
+    retained_soil = retained_share(distance)
+    retained = np.ones(len(STATES))
+    retained[SOIL] = retained_soil
+    retained[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
+    # The drift widens the sds of rolling resistance and tyre curve, but leaves their means.
+    state.x[SLOW] *= retained[SLOW]
+    added = (1 - retained**2) * state.prior_sd**2
+    added[:3] = (1 - retained_soil**2) * (state.prior_sd[:3] * np.exp(state.prior_logs - state.logs)) ** 2
+    state.P = state.P * np.outer(retained, retained) + np.diag(added)
 
 
-def _update(state: SteadyState, machine: Machine, sample: Sample) -> bool:
-    """One update. Whether it taught of stiffness: not straight driving, nor outputs too far from expected."""
+def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
+    """One update. Returns whether stiffness was learned: not in straight driving, nor from an outlier."""
     zero = float(state.x[AT["wheel_zero"]])
-    teaches = abs(sample.wheel_angle - zero) > TEACHING_ANGLE
+    informative = abs(sample.wheel_angle - zero) > LEAST_ANGLE
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
         return _refuse(state, "slip beyond the tyre model")
     try:
-        predicted, slope, input_noise = _linearise(state, machine, sample, teaches)
+        predicted, slope, input_noise = _linearise(state, machine, sample, informative)
     except np.linalg.LinAlgError:
         return _refuse(state, "no steady turn exists at these stiffnesses")
     measured, noise = _measured(sample, input_noise)
     rows = [0, 1] if sample.v is None else [0, 1, 2]
     innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
-    S = slope @ state.p @ slope.T + noise
+    S = slope @ state.P @ slope.T + noise
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
         return _refuse(state, "not a number")
-    state.surprise += (min(distance / len(rows), LARGEST_SURPRISE) - state.surprise) / SURPRISE_MEMORY
-    if state.surprise > SURPRISED:
-        _learn_anew(state)
+    state.mean_nis += (min(distance / len(rows), LARGEST_NIS) - state.mean_nis) / NIS_MEMORY
+    if state.mean_nis > NIS_LIMIT:
+        _reset_stiffness(state)
     if distance > GATE[len(rows)]:
         return _refuse(state, "outlier")
-    state.x, state.p = kalman_update(state.x, state.p, innovation, slope, noise)
+    state.x, state.P = kalman_update(state.x, state.P, innovation, slope, noise)
     _find_posterior(state)
-    if teaches:
+    if informative:
         state.steady_s += BLOCK * POSE_NS * 1e-9
         state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
-    return teaches
+    return informative
 
 
 def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> tuple[Array, Array]:
-    """(mean, covariance) after one measurement, (n,) and (n, n); P by Joseph's form, which stays positive.
+    """Kalman update: (mean (n,), covariance (n, n)); the Joseph form keeps the covariance positive definite.
 
-    innovation: (m,), measured less predicted. H: (m, n). R: (m, m), of the measurement's noise.
+    innovation: (m,), measured minus predicted. H: (m, n), Jacobian. R: (m, m), covariance of the noise.
     """
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     remaining = np.eye(len(x)) - gain @ H
@@ -196,27 +198,28 @@ def _refuse(state: SteadyState, reason: str) -> bool:
     return False
 
 
-def _learn_anew(state: SteadyState) -> None:
-    """What was learned no longer explains what is seen: keep the values, give up the confidence in them."""
+def _reset_stiffness(state: SteadyState) -> None:
+    """The posterior no longer explains the measurements: keep the means of the soil's states, reset their
+    sds."""
     if state.steady_s > 0:
-        taught = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
-        text = f"{taught}: the stiffnesses are learned anew"
+        no_longer_fits = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
+        text = f"{no_longer_fits}: the stiffnesses are learned anew"
         state.events.append(("soil_change", text))
     changed = [0, 1, 2, *SOIL]
-    state.p[changed, :] = 0.0
-    state.p[:, changed] = 0.0
-    state.p[changed, changed] = np.concatenate([np.full(3, VAGUE), state.prior[SOIL]]) ** 2
-    state.surprise = 1.0
+    state.P[changed, :] = 0.0
+    state.P[:, changed] = 0.0
+    state.P[changed, changed] = np.concatenate([np.full(3, WIDE_SD), state.prior_sd[SOIL]]) ** 2
+    state.mean_nis = 1.0
     state.steady_s = state.sideslip_s = 0.0
     state.forgotten += 1
 
 
 def _linearise(
-    state: SteadyState, machine: Machine, sample: Sample, teaches: bool
+    state: SteadyState, machine: Machine, sample: SteadySample, informative: bool
 ) -> tuple[Array, Array, Array]:
-    """(outputs [3], their slope over STATES [3, 21], covariance from noisy inputs [3, 3]).
+    """(predicted outputs [3], Jacobian over STATES [3, 21], covariance from noisy inputs [3, 3]).
 
-    At the logarithms of data and prior, which are those of a stiffness above zero.
+    Linearised at the posterior logarithms, so that stiffnesses are positive.
     """
     n, x = len(CONSTANTS), state.x
     predicted, jacobian, input_jacobian = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
@@ -224,12 +227,12 @@ def _linearise(
     slope = np.zeros((3, len(STATES)))
     slope[:, :n] = jacobian
     slope[:, :3] = -jacobian[:, :3] / compliance
-    if not teaches:
-        idle = [k for k in range(n) if k not in STRAIGHT]
-        slope[:, idle] = 0.0
+    if not informative:
+        fixed = [k for k in range(n) if k not in STRAIGHT]
+        slope[:, fixed] = 0.0
     predicted = predicted + slope[:, :3] @ (x[:3] - compliance)
     for pair in ("pair_t", "slow_t"):
-        slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # too large a heading: more λ, less sideslip
+        slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # a heading that is too large: more λ, less sideslip
     for pair in ("pair_i", "slow_i"):
         slope[:, AT[pair]] = 0.0, -1.0, 0.0
     pairs = [AT[name] for name in ("pair_t", "pair_i", "slow_t", "slow_i")]
@@ -239,10 +242,10 @@ def _linearise(
     return predicted, slope, scaled @ scaled.T
 
 
-def _measured(sample: Sample, input_noise: Array) -> tuple[Array, Array]:
-    """(measured [3], white noise covariance [3, 3]) in the order of steady_outputs.OUTPUTS."""
+def _measured(sample: SteadySample, input_noise: Array) -> tuple[Array, Array]:
+    """(measured [3], covariance of its white noise [3, 3]) in the order of steady_outputs.OUTPUTS."""
     measured = np.array([sample.yaw_rate, sample.articulation, sample.v or 0.0])
-    # One heading error enters both articulation and lateral velocity.
+    # The tractor's heading error acts on both articulation and lateral velocity.
     mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -sample.u, 0.0, 1.0]])
     sd = (sample.sd_yaw_rate, sample.sd_heading_t, sample.sd_heading_i, sample.sd_velocity)
     noise = mixing * np.array(sd)
@@ -250,30 +253,31 @@ def _measured(sample: Sample, input_noise: Array) -> tuple[Array, Array]:
 
 
 def _data_information(state: SteadyState) -> tuple[Array, Array]:
-    """What data alone say of the three compliances: information [3, 3], and that times the value [3]."""
-    inverse = np.linalg.inv(state.p[:3, :3])
-    information = inverse - np.eye(3) / VAGUE**2
+    """(information matrix [3, 3], information vector [3]) of the data alone on the three compliances."""
+    inverse = np.linalg.inv(state.P[:3, :3])
+    information = inverse - np.eye(3) / WIDE_SD**2
     values, vectors = np.linalg.eigh((information + information.T) / 2)
-    kept = vectors[:, values > 0]
-    whole = (kept * values[values > 0]) @ kept.T
-    return whole, kept @ (kept.T @ (inverse @ state.x[:3] - np.ones(3) / VAGUE**2))
+    positive = vectors[:, values > 0]
+    information = (positive * values[values > 0]) @ positive.T
+    return information, positive @ (positive.T @ (inverse @ state.x[:3] - np.ones(3) / WIDE_SD**2))
 
 
 def _find_posterior(state: SteadyState) -> None:
-    """Logarithms of most probable stiffness and their covariance, from data and prior: Newton's method."""
+    """Set the most probable logarithms of stiffness and their covariance, from data and prior, by Newton's
+    method."""
     information, vector = _data_information(state)
-    weight = np.diag(state.prior[:3] ** -2)
+    weight = np.diag(state.prior_sd[:3] ** -2)
 
     def cost(at: Array) -> float:
-        y, away = np.exp(state.prior_logs - at), at - state.prior_logs
-        return float(y @ information @ y / 2 - vector @ y + away @ weight @ away / 2)
+        y, deviation = np.exp(state.prior_logs - at), at - state.prior_logs
+        return float(y @ information @ y / 2 - vector @ y + deviation @ weight @ deviation / 2)
 
     at = state.logs
     for _ in range(NEWTON_STEPS):
         y = np.exp(state.prior_logs - at)
         slope = -y * (information @ y - vector) + weight @ (at - state.prior_logs)
-        curve = np.outer(y, y) * information + weight
-        step = np.linalg.solve(curve, slope)
+        hessian = np.outer(y, y) * information + weight
+        step = np.linalg.solve(hessian, slope)
         length = min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         while cost(at - length * step) > cost(at) + 1e-12 and length > 1e-3:
             length /= 2
@@ -282,39 +286,39 @@ def _find_posterior(state: SteadyState) -> None:
             break
     y = np.exp(state.prior_logs - at)
     state.logs = at
-    state.log_p = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
+    state.log_covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
 
 
 def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:
-    """(rank, condition) of what the data, without the prior, say of the three logarithms.
+    """(rank, condition) of the data's information, without the prior, on the three logarithms.
 
-    A direction counts where its sd is below that share of the prior's.
+    A direction counts in the rank if its sd is below the share `supported` of the prior's.
     """
-    scale = np.outer(state.prior[:3], state.prior[:3])
-    values = np.linalg.eigvalsh(advice.information_of(state.log_p, state.prior[:3]) * scale)
+    scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
+    values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
     rank = int(np.sum(values > supported**-2 - 1.0))
     if values[0] <= 0:
         return rank, None
     return rank, float(values[-1] / values[0])
 
 
-def _support(state: SteadyState) -> None:
-    """Which stiffnesses the data support: each comes at SUPPORTED and goes at LOST."""
-    for k, was in enumerate(state.supported):
-        limit = LOST if was else SUPPORTED
+def _update_supported(state: SteadyState) -> None:
+    """Update which stiffnesses the data support: begins at SUPPORTED, ends at WITHDRAWN."""
+    for k, was_supported in enumerate(state.supported):
+        limit = WITHDRAWN if was_supported else SUPPORTED
         rank, _ = identifiability(state, limit)
-        state.supported[k] = rank == 3 and math.sqrt(state.log_p[k, k]) <= limit * state.prior[k]
+        state.supported[k] = rank == 3 and math.sqrt(state.log_covariance[k, k]) <= limit * state.prior_sd[k]
 
 
 def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
-    """What can be said now."""
+    """The estimate at t_ns."""
     rank, condition = identifiability(state)
-    information = advice.information_of(state.log_p, state.prior[:3])
-    bounds = advice.bound(information, state.prior[:3])
+    information = advice.information_of(state.log_covariance, state.prior_sd[:3])
+    bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
     covariance = np.diag(unknowns.prior(machine)[1][unknowns.SIX] ** 2)
-    covariance[:3, :3] = state.log_p
+    covariance[:3, :3] = state.log_covariance
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
@@ -323,14 +327,16 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=per_mass(machine, parameters),
         nuisances={
-            name: (float(state.x[AT[name]]), math.sqrt(max(state.p[AT[name], AT[name]], 0.0)))
+            name: (float(state.x[AT[name]]), math.sqrt(max(state.P[AT[name], AT[name]], 0.0)))
             for name in PUBLISHED
         },
         rank=rank,
         condition=condition,
         excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
-        determined=advice.determined(information, state.prior[:3], PARAMETERS[:3]) if age is not None else (),
+        determined=advice.determined(information, state.prior_sd[:3], PARAMETERS[:3])
+        if age is not None
+        else (),
         bound=(*(math.inf if sd is None else sd for sd in bounds), *[math.inf] * 3)
         if age is not None
         else (),
@@ -338,13 +344,13 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 
 
 def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
-    """One stiffness: a number only where the data support it."""
-    lacks = nothing_yet("no steady turn", state.reason) if age is None else _what_lacks(state, rank)
-    sd_log = math.sqrt(state.log_p[k, k])
-    return parameter(state.logs[k], sd_log, state.supported[k], age, lacks, "no steady driving")
+    """One stiffness, with a number only if the data support it."""
+    missing = reason_without_data("no steady turn", state.reason) if age is None else _missing(state, rank)
+    sd_log = math.sqrt(state.log_covariance[k, k])
+    return parameter(state.logs[k], sd_log, state.supported[k], age, missing, "no steady driving")
 
 
-def _what_lacks(state: SteadyState, rank: int) -> str:
+def _missing(state: SteadyState, rank: int) -> str:
     if rank < 3 and state.sideslip_s == 0:
         return f"rank {rank} of 3: without sideslip three stiffnesses cannot be told apart"
     return f"rank {rank} of 3: more steady turns to both sides are needed"

@@ -1,13 +1,13 @@
 """The state of each method in the snapshot: one function writes it, one reads it back.
 
-Names of the parts are those of the log. They stay when an attribute is renamed. Where a part is added or gets
-another meaning, `VERSION` of estimator/snapshot.py changes too. Reading raises ValueError where a part is
-missing, of another type or shape, or not known.
+The names of the parts are those in the log; they stay when an attribute is renamed. If a part is added or
+gets another meaning, raise `VERSION` of estimator/snapshot.py too. Reading raises ValueError if a part is
+missing, has another type or shape, or is unknown.
 """
 
 from typing import Any, Final
 
-from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import N_TRACKER
 from tilth.estimator.filters.unknowns import NAMES
 from tilth.estimator.methods import pem, two_step
@@ -18,10 +18,10 @@ from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.methods.two_step import TwoStepState
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.record.record import INPUTS, Record, Stretch
+from tilth.estimator.record.record import INPUTS, Record, Segment
 from tilth.estimator.record.steady_driving import Steadiness
 from tilth.estimator.results.advice import Advisor
-from tilth.estimator.state_json import Stored, to_plain
+from tilth.estimator.state_json import Stored, to_json_data
 
 Json = dict[str, Any]
 
@@ -29,46 +29,46 @@ N: Final = len(NAMES)
 
 
 def steady_state_json(state: SteadyState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
-        "mean": to_plain(state.x),
-        "covariance": to_plain(state.p),
-        "prior_sd": to_plain(state.prior),
-        "prior_logs": to_plain(state.prior_logs),
-        "logs": to_plain(state.logs),
-        "log_covariance": to_plain(state.log_p),
-        "steadiness": to_plain(state.steadiness),
-        "seen_ns": state.seen_ns,
+        "mean": to_json_data(state.x),
+        "covariance": to_json_data(state.P),
+        "prior_sd": to_json_data(state.prior_sd),
+        "prior_logs": to_json_data(state.prior_logs),
+        "logs": to_json_data(state.logs),
+        "log_covariance": to_json_data(state.log_covariance),
+        "steadiness": to_json_data(state.steadiness),
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
-        "steady_s": to_plain(state.steady_s),
-        "sideslip_s": to_plain(state.sideslip_s),
-        "surprise": to_plain(state.surprise),
+        "steady_s": to_json_data(state.steady_s),
+        "sideslip_s": to_json_data(state.sideslip_s),
+        "surprise": to_json_data(state.mean_nis),
         "forgotten": state.forgotten,
         "refused": dict(state.refused),
         "reason": state.reason,
-        "supported": to_plain(state.supported),
-        "events": to_plain(state.events),
+        "supported": to_json_data(state.supported),
+        "events": to_json_data(state.events),
     }
 
 
-def steady_state_of(plain: Any) -> SteadyState:
-    """What `steady_state_json` gave."""
-    stored, n = Stored(plain, "the state of steady_state"), len(STATES)
+def steady_state_of(raw: Any) -> SteadyState:
+    """The state that `steady_state_json` wrote. Raises ValueError."""
+    stored, n = Stored(raw, "the state of steady_state"), len(STATES)
     state = SteadyState(
         x=stored.array("mean", n),
-        p=stored.array("covariance", n, n),
-        prior=stored.array("prior_sd", n),
+        P=stored.array("covariance", n, n),
+        prior_sd=stored.array("prior_sd", n),
         prior_logs=stored.array("prior_logs", 3),
         logs=stored.array("logs", 3),
-        log_p=stored.array("log_covariance", 3, 3),
+        log_covariance=stored.array("log_covariance", 3, 3),
         steadiness=stored.value(Steadiness, "steadiness"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         steady_s=stored.value(float, "steady_s"),
         sideslip_s=stored.value(float, "sideslip_s"),
-        surprise=stored.value(float, "surprise"),
+        mean_nis=stored.value(float, "surprise"),
         forgotten=stored.value(int, "forgotten"),
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
@@ -80,45 +80,45 @@ def steady_state_of(plain: Any) -> SteadyState:
 
 
 def tracker_json(state: TrackerState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
-        "mean": to_plain(state.mean),
-        "covariance": to_plain(state.covariance),
-        "prior_mean": to_plain(state.prior_mean),
-        "prior_sd": to_plain(state.prior_sd),
-        "motion": to_plain(state.x),
-        "motion_covariance": to_plain(state.P_xx),
-        "cross_covariance": to_plain(state.P_xtheta),
-        "noise_ratios": to_plain(state.residual_ratio),
-        "push_variances": to_plain(state.push),
-        "running": to_plain(state.running),
-        "since": state.since,
-        "waiting": to_plain(state.waiting),
-        "ticks_before": to_plain(state.before),
-        "steering": to_plain(state.steering),
-        "marks": to_plain(state.marks),
-        "marks_after": state.marks_after,
-        "counts": to_plain(state.counts),
-        "distance": to_plain(state.distance),
-        "window_s": to_plain(state.window_s),
-        "seen_ns": state.seen_ns,
+        "mean": to_json_data(state.mean),
+        "covariance": to_json_data(state.covariance),
+        "prior_mean": to_json_data(state.prior_mean),
+        "prior_sd": to_json_data(state.prior_sd),
+        "motion": to_json_data(state.x),
+        "motion_covariance": to_json_data(state.P_xx),
+        "cross_covariance": to_json_data(state.P_xtheta),
+        "noise_ratios": to_json_data(state.residual_ratio),
+        "push_variances": to_json_data(state.push),
+        "running": to_json_data(state.running),
+        "since": state.segments_since_start,
+        "waiting": to_json_data(state.pending),
+        "ticks_before": to_json_data(state.ticks_before),
+        "steering": to_json_data(state.steering),
+        "marks": to_json_data(state.checkpoints),
+        "marks_after": state.segments_since_checkpoint,
+        "counts": to_json_data(state.counts),
+        "distance": to_json_data(state.distance),
+        "window_s": to_json_data(state.window_s),
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "changed_ns": state.changed_ns,
         "changes": state.changes,
         "restarts": state.restarts,
         "refused": dict(state.refused),
-        "supported": to_plain(state.given),
-        "advisor": to_plain(state.advisor),
+        "supported": to_json_data(state.has_number),
+        "advisor": to_json_data(state.advisor),
         "reason": state.reason,
-        "events": to_plain(state.events),
-        "steered": to_plain(state.steered),
+        "events": to_json_data(state.events),
+        "steered": to_json_data(state.needs_steering),
     }
 
 
-def tracker_of(plain: Any) -> TrackerState:
-    """What `tracker_json` gave."""
-    stored = Stored(plain, "the state of tracker")
+def tracker_of(raw: Any) -> TrackerState:
+    """The state that `tracker_json` wrote. Raises ValueError."""
+    stored = Stored(raw, "the state of tracker")
     state = TrackerState(
         mean=stored.array("mean", N),
         covariance=stored.array("covariance", N, N),
@@ -130,75 +130,75 @@ def tracker_of(plain: Any) -> TrackerState:
         residual_ratio=stored.array("noise_ratios", 3),
         push=stored.array("push_variances", 3),
         running=stored.value(bool, "running"),
-        since=stored.value(int, "since"),
-        waiting=stored.maybe(Record, "waiting"),
-        before=stored.array("ticks_before", -1, len(INPUTS)),
+        segments_since_start=stored.value(int, "since"),
+        pending=stored.optional(Record, "waiting"),
+        ticks_before=stored.array("ticks_before", -1, len(INPUTS)),
         steering=stored.value(float, "steering"),
-        marks=stored.value(list[Mark], "marks"),
-        marks_after=stored.value(int, "marks_after"),
+        checkpoints=stored.value(list[Checkpoint], "marks"),
+        segments_since_checkpoint=stored.value(int, "marks_after"),
         counts=stored.array("counts", 3),
         distance=stored.value(float, "distance"),
         window_s=stored.value(float, "window_s"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         changed_ns=stored.value(int, "changed_ns"),
         changes=stored.value(int, "changes"),
         restarts=stored.value(int, "restarts"),
         refused=stored.value(dict[str, int], "refused"),
-        given=stored.value(list[bool], "supported"),
+        has_number=stored.value(list[bool], "supported"),
         advisor=stored.value(Advisor, "advisor"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
-        steered=stored.value(list[int], "steered"),
+        needs_steering=stored.value(list[int], "steered"),
     )
     stored.end()
     return state
 
 
 def pem_json(state: PemState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
-        "mean": to_plain(state.mean),
-        "covariance": to_plain(state.covariance),
-        "prior_mean": to_plain(state.prior_mean),
-        "prior_sd": to_plain(state.prior_sd),
-        "window": to_plain(state.window),
-        "closed": to_plain(state.closed),
-        "job": to_plain(state.job),
-        "decided": to_plain(state.decided),
+        "mean": to_json_data(state.mean),
+        "covariance": to_json_data(state.covariance),
+        "prior_mean": to_json_data(state.prior_mean),
+        "prior_sd": to_json_data(state.prior_sd),
+        "window": to_json_data(state.window),
+        "closed": to_json_data(state.closed),
+        "job": to_json_data(state.job),
+        "decided": to_json_data(state.decided),
         "late_ns": state.late_ns,
-        "distance": to_plain(state.distance),
-        "seen_ns": state.seen_ns,
+        "distance": to_json_data(state.distance),
+        "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
-        "window_s": to_plain(state.window_s),
+        "window_s": to_json_data(state.window_s),
         "fits": state.fits,
         "late": state.late,
         "changes": state.changes,
         "refused": dict(state.refused),
-        "supported": to_plain(state.given),
-        "last": to_plain(state.last),
+        "supported": to_json_data(state.has_number),
+        "last": to_json_data(state.last),
         "reason": state.reason,
-        "events": to_plain(state.events),
+        "events": to_json_data(state.events),
     }
 
 
-def pem_of(plain: Any) -> PemState:
-    """What `pem_json` gave."""
-    stored = Stored(plain, "the state of pem")
+def pem_of(raw: Any) -> PemState:
+    """The state that `pem_json` wrote. Raises ValueError."""
+    stored = Stored(raw, "the state of pem")
     state = PemState(
         mean=stored.array("mean", N),
         covariance=stored.array("covariance", N, N),
         prior_mean=stored.array("prior_mean", N),
         prior_sd=stored.array("prior_sd", N),
-        window=stored.value(list[Stretch], "window"),
-        closed=stored.maybe(Record, "closed"),
-        job=stored.maybe(pem.Job, "job"),
+        window=stored.value(list[Segment], "window"),
+        closed=stored.optional(Record, "closed"),
+        job=stored.optional(pem.Job, "job"),
         decided=stored.value(int, "decided"),
         late_ns=stored.value(int, "late_ns"),
         distance=stored.value(float, "distance"),
-        seen_ns=stored.value(int, "seen_ns"),
+        last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),
         window_s=stored.value(float, "window_s"),
@@ -206,8 +206,8 @@ def pem_of(plain: Any) -> PemState:
         late=stored.value(int, "late"),
         changes=stored.value(int, "changes"),
         refused=stored.value(dict[str, int], "refused"),
-        given=stored.value(list[bool], "supported"),
-        last=stored.maybe(pem.Fit, "last"),
+        has_number=stored.value(list[bool], "supported"),
+        last=stored.optional(pem.Fit, "last"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
     )
@@ -216,35 +216,35 @@ def pem_of(plain: Any) -> PemState:
 
 
 def two_step_json(state: TwoStepState) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
-        "window": to_plain(state.window),
-        "closed": to_plain(state.closed),
-        "job": to_plain(state.job),
-        "decided": to_plain(state.decided),
+        "window": to_json_data(state.window),
+        "closed": to_json_data(state.closed),
+        "job": to_json_data(state.job),
+        "decided": to_json_data(state.decided),
         "late_ns": state.late_ns,
-        "values": to_plain(state.values),
-        "sds": to_plain(state.sds),
-        "runs": to_plain(state.runs),
-        "rank": to_plain(state.rank),
-        "window_s": to_plain(state.window_s),
+        "values": to_json_data(state.values),
+        "sds": to_json_data(state.sds),
+        "runs": to_json_data(state.runs),
+        "rank": to_json_data(state.rank),
+        "window_s": to_json_data(state.window_s),
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
         "late": state.late,
         "refused": dict(state.refused),
         "reason": state.reason,
-        "nothing": state.nothing,
-        "events": to_plain(state.events),
+        "nothing": state.failure,
+        "events": to_json_data(state.events),
     }
 
 
-def two_step_of(plain: Any) -> TwoStepState:
-    """What `two_step_json` gave."""
-    stored = Stored(plain, "the state of pem_two_step")
+def two_step_of(raw: Any) -> TwoStepState:
+    """The state that `two_step_json` wrote. Raises ValueError."""
+    stored = Stored(raw, "the state of pem_two_step")
     state = TwoStepState(
-        window=stored.value(list[Stretch], "window"),
-        closed=stored.maybe(Record, "closed"),
-        job=stored.maybe(two_step.Job, "job"),
+        window=stored.value(list[Segment], "window"),
+        closed=stored.optional(Record, "closed"),
+        job=stored.optional(two_step.Job, "job"),
         decided=stored.value(int, "decided"),
         late_ns=stored.value(int, "late_ns"),
         values=stored.array("values", 6),
@@ -257,7 +257,7 @@ def two_step_of(plain: Any) -> TwoStepState:
         late=stored.value(int, "late"),
         refused=stored.value(dict[str, int], "refused"),
         reason=stored.value(str, "reason"),
-        nothing=stored.value(str, "nothing"),
+        failure=stored.value(str, "nothing"),
         events=stored.value(list[tuple[str, str]], "events"),
     )
     stored.end()
@@ -265,39 +265,39 @@ def two_step_of(plain: Any) -> TwoStepState:
 
 
 def consistency_json(state: Consistency) -> Json:
-    """Ready for JSON."""
+    """The state as JSON data."""
     return {
         "open_tracker": tracker_json(state.open),
-        "wheel": to_plain(state.wheel),
-        "motion": to_plain(state.motion),
-        "findings": to_plain(state.findings),
-        "confirmed": to_plain(state.confirmed),
-        "lacks": state.lacks,
+        "wheel": to_json_data(state.wheel),
+        "motion": to_json_data(state.motion),
+        "findings": to_json_data(state.findings),
+        "confirmed": to_json_data(state.confirmed),
+        "lacks": state.missing,
         "agreed": state.agreed,
-        "rates_known": to_plain(state.rates_known),
-        "rows": to_plain(state.rows),
-        "methods": to_plain(state.methods),
-        "accused": to_plain(state.accused),
-        "forgets": to_plain(state.forgets),
+        "rates_known": to_json_data(state.rates_known),
+        "rows": to_json_data(state.rows),
+        "methods": to_json_data(state.methods),
+        "accused": to_json_data(state.open_restarted),
+        "forgets": to_json_data(state.must_forget),
     }
 
 
-def consistency_of(plain: Any) -> Consistency:
-    """What `consistency_json` gave."""
-    stored = Stored(plain, "the state of consistency")
+def consistency_of(raw: Any) -> Consistency:
+    """The state that `consistency_json` wrote. Raises ValueError."""
+    stored = Stored(raw, "the state of consistency")
     state = Consistency(
-        open=tracker_of(stored.plain("open_tracker")),
+        open=tracker_of(stored.raw("open_tracker")),
         wheel=stored.value(WheelCheck, "wheel"),
         motion=stored.value(MotionCheck, "motion"),
         findings=stored.value(dict[str, Finding], "findings"),
         confirmed=stored.value(bool, "confirmed"),
-        lacks=stored.value(str, "lacks"),
+        missing=stored.value(str, "lacks"),
         agreed=stored.value(int, "agreed"),
         rates_known=stored.value(bool, "rates_known"),
         rows=stored.value(list[tuple[float, float]], "rows"),
         methods=stored.value(dict[str, dict[str, str]], "methods"),
-        accused=stored.value(bool, "accused"),
-        forgets=stored.value(bool, "forgets"),
+        open_restarted=stored.value(bool, "accused"),
+        must_forget=stored.value(bool, "forgets"),
     )
     stored.end()
     return state

@@ -1,8 +1,8 @@
 """All six parameters, recursively: an extended Kalman filter that takes every sample once, in order.
 
-Its states and equations stand in tracker_kernel.py, how another soil is noticed in soil_change.py. Here: what
-may teach, how the noise of ground and sensors is followed, and what is said. A stretch is taken when the one
-after it is there, because a latency smaller than the machine file's asks for wheel angles that come later.
+Its states and equations are in tracker_kernel.py, the detection of other soil in soil_change.py. This module
+decides what may be learned, adapts the noise of ground and sensors, and reports. A segment is processed when
+the next one is there: if the latency is smaller than that of the machine file, later wheel angles are needed.
 """
 
 import math
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, soil_change, unknowns
-from tilth.estimator.filters.drift import added_covariance, drift, kept_over
+from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import innovations
 from tilth.estimator.filters.rig_setup import SLOW_SHARE, RigSetup, rig_setup
-from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_STATES, N_TRACKER, SLOPE_SD, START, START_PLACE, UNEVEN_SD
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
@@ -25,15 +25,15 @@ from tilth.estimator.filters.tracker_kernel import (
     JointEstimate,
     ProcessNoise,
     RowTally,
-    Segment,
-    tracked,
+    SegmentArrays,
+    track_segment,
 )
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
-from tilth.estimator.record.record import Record, Stretch
+from tilth.estimator.record.record import Record, Segment
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import SINCE_CHANGE
-from tilth.estimator.results.reporting import PUBLISH_NS, WORST, of_six
+from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -41,26 +41,26 @@ Array = NDArray[np.float64]
 
 METHOD = "tracker"
 
-WIDER: Final = 1.25
-"""By which what data told counts for less, as an sd, when it is said. The ground's waves and the receivers'
-slow errors last longer than the filter's model of them; the factor is from Monte Carlo over uneven ground."""
-SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # what only steering teaches
+SD_FACTOR: Final = 1.25
+"""Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
+errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
+SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # learned only with steering
 STEERING: Final = math.radians(1.5)
-"""Root mean square of the wheel angle lately, below which soil and tyres are not learned: what looks like
-information there is mostly the ground's own forces."""
-STEERING_MEMORY: Final = 6.0  # stretches, 1.2 s
+"""Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
+information comes mostly from the ground's forces."""
+STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
-"""Stretches (1 s) after x began anew in which soil and tyres are not learned either: slip angles that are
-not known yet would be taken for stiffness."""
+"""Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
+slip angles would be taken for stiffness."""
 
 PUSH_MEMORY_S: Final = 0.25
-FOLLOWED: Final = 30.0  # stretches (6 s) over which the noise of the sensors is averaged
-PUSH_FOLLOWED: Final = 50.0  # stretches (10 s), of the ground
-PUSH_BELIEVED: Final = 1000.0  # stretches in which the ground is forgotten
-LARGEST_PUSH: Final = 5.0  # over what was expected, that one stretch may show
-LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # of a stated sd
-FARTHEST: Final = 10.0  # of a logarithm, that is said
-LARGEST_CHANGE: Final = 0.7  # of a logarithm, that the first guess after a change of soil may be
+SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
+PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
+PUSH_FORGETTING: Final = 1000.0  # segments over which these return to their prior
+LARGEST_PUSH: Final = 5.0  # largest ratio of observed to expected variance that one segment contributes
+LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
+LARGEST_REPORTED_LOG: Final = 10.0  # limit of a change of a logarithm in an event
+LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applied at a change of soil
 
 
 @dataclass(slots=True)
@@ -75,38 +75,40 @@ class TrackerState:
     P_xx: Array = field(default_factory=lambda: np.zeros((N_TRACKER, N_TRACKER)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_TRACKER, len(NAMES))))
     residual_ratio: Array = field(default_factory=lambda: np.ones(3))
-    """Variances of yaw rates, velocities, positions over the stated ones, running means."""
+    """Variances of yaw rates, velocities and positions over the stated ones, running means."""
     push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
     """Variances of the ground's pushes."""
-    running: bool = False  # x goes on where the next stretch begins
-    since: int = 0  # stretches since x began anew
-    waiting: Record | None = None
-    before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
+    running: bool = False  # x is the state at the start of the next segment
+    segments_since_start: int = 0  # segments since the last restart of x
+    pending: Record | None = None
+    ticks_before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
     steering: float = 0.0  # recent mean square of the wheel angle, rad^2
-    marks: list[Mark] = field(default_factory=list)
-    marks_after: int = 0  # stretches since the last mark
-    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows: used, beyond belief, no numbers
-    distance: float = 0.0  # taught over
-    window_s: float = 0.0
-    seen_ns: int = 0
+    checkpoints: list[Checkpoint] = field(default_factory=list)
+    segments_since_checkpoint: int = 0
+    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
+    distance: float = 0.0  # m, over which it has run
+    window_s: float = 0.0  # duration of what was learned from since the last change of soil
+    last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
     changed_ns: int = 0
     changes: int = 0
     restarts: int = 0
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
-    given: list[bool] = field(default_factory=lambda: [False] * 6)
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
+    has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    reason: str = ""  # why the latest stretch taught nothing of the soil
+    reason: str = ""  # why soil and tyres were not learned from the latest segment
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
-    steered: list[int] = field(default_factory=lambda: list(SOIL))  # what only steering teaches
+    needs_steering: list[int] = field(
+        default_factory=lambda: list(SOIL)
+    )  # unknowns learned only with steering
 
 
-KERNELS: Final = (tracked, innovations)  # that `take` calls
+KERNELS: Final = (track_segment, innovations)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:
-    """At the machine file's priors."""
+    """The state before any data, at the priors of the machine file."""
     mean, sd = unknowns.prior(machine)
     covariance = np.diag(sd**2)
     covariance[NOISE, NOISE] = 0.0
@@ -114,7 +116,7 @@ def initial(machine: Machine) -> TrackerState:
 
 
 def prepare(machine: Machine) -> None:
-    """Compile what `take` needs: a stretch of straight driving, and advice upon it."""
+    """Compile what `take` needs: run a segment of straight driving, and the advice after it."""
     ticks = np.tile([0.0, 4.0, *[0.0] * 6], (10, 1))
     rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(10)], dtype=np.float64)
     state = initial(machine)
@@ -122,11 +124,11 @@ def prepare(machine: Machine) -> None:
     advice.renew(state.advisor, machine, state.mean, state.covariance, 4.0, 0)
 
 
-def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
-    """Take one stretch; an estimate each PUBLISH_NS."""
-    state.seen_ns = pose.t_ns
-    if stretch is not None:
-        take_stretch(state, machine, stretch)
+def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
+    """Take one segment; an estimate each PUBLISH_NS."""
+    state.last_pose_ns = pose.t_ns
+    if segment is not None:
+        take_segment(state, machine, segment)
     if pose.t_ns - state.published_ns < PUBLISH_NS:
         return None
     state.published_ns = pose.t_ns
@@ -135,20 +137,22 @@ def take(state: TrackerState, machine: Machine, pose: Pose, stretch: Stretch | N
     return estimate(state, machine, pose.t_ns)
 
 
-def take_stretch(state: TrackerState, machine: Machine, stretch: Stretch) -> None:
-    """One stretch into the filter, as soon as the one after it is there."""
+def take_segment(state: TrackerState, machine: Machine, segment: Segment) -> None:
+    """Store a segment and process the one before it."""
     state.reason = ""
-    if state.waiting is not None:
-        _learn(state, machine, state.waiting, stretch.record.ticks if stretch.follows else None)
-        state.before = np.concatenate([state.before, state.waiting.ticks])[-2 * len(state.waiting.ticks) :]
-        state.waiting = None
-    if not stretch.follows:
+    if state.pending is not None:
+        _learn(state, machine, state.pending, segment.record.ticks if segment.follows else None)
+        state.ticks_before = np.concatenate([state.ticks_before, state.pending.ticks])[
+            -2 * len(state.pending.ticks) :
+        ]
+        state.pending = None
+    if not segment.follows:
         state.running = False
-        state.before = np.zeros((0, 8))
-    if stretch.reason:
-        _refuse(state, stretch.reason)
+        state.ticks_before = np.zeros((0, 8))
+    if segment.reason:
+        _refuse(state, segment.reason)
     else:
-        state.waiting = stretch.record
+        state.pending = segment.record
 
 
 def _refuse(state: TrackerState, reason: str) -> None:
@@ -157,7 +161,7 @@ def _refuse(state: TrackerState, reason: str) -> None:
 
 
 def _learn(state: TrackerState, machine: Machine, record: Record, after: Array | None) -> None:
-    """One stretch through the filter. after: the ticks that follow it, shape (n, 8)."""
+    """Run the filter over one segment. after: the ticks that follow it, shape (n, 8), if there are any."""
     if not np.isfinite(record.ticks).all():
         _refuse(state, "inputs are no numbers")
         state.running = False
@@ -166,24 +170,24 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     slow = SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver]))
     if not state.running:
         _restart(state, record, setup, slow)
-    teaches = _teaches(state, record)
+    learnable = _check_learnable(state, record)
     _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
-    first, count = len(state.before), len(record.ticks)
-    ticks = np.concatenate([state.before, record.ticks, record.ticks[:0] if after is None else after])
+    first, count = len(state.ticks_before), len(record.ticks)
+    ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     considered = np.concatenate(
-        [np.zeros(N_TRACKER), np.isin(active, [] if teaches else state.steered).astype(np.float64)]
+        [np.zeros(N_TRACKER), np.isin(active, [] if learnable else state.needs_steering).astype(np.float64)]
     )
     tally = RowTally(np.zeros(3), np.zeros((6, 2)))
-    before = (state.mean.copy(), state.covariance.copy())
-    tracked(
-        Segment(ticks, first, count, np.ascontiguousarray(record.rows)),
+    prior_estimate = (state.mean.copy(), state.covariance.copy())
+    track_segment(
+        SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance),
         setup, active, considered, ProcessNoise(np.sqrt(state.push), PUSH_MEMORY_S, slow), tally,
     )  # fmt: skip
     state.counts += tally.counts
-    if not _sound(state):
-        state.mean, state.covariance = before
+    if not _is_sound(state):
+        state.mean, state.covariance = prior_estimate
         state.running = False
         _refuse(state, "filter left its bounds")
         return
@@ -191,121 +195,122 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if tally.counts[GATED] + tally.counts[BAD] > tally.counts[USED]:
         state.running = False
         _refuse(state, "most samples are beyond belief")
-    if teaches:
+    if learnable:
         _detect_soil_change(state)
         state.informed_ns = record.end_ns
         state.window_s += count * DT
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) -> None:
-    """x from the ticks, with what is not known of it, and not correlated with anything."""
+    """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = np.zeros(N_TRACKER)
     state.x[:N_STATES] = likelihood.first_state(record, setup)
     pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
     state.P_xx = np.diag([*np.square(START), *state.push, SLOPE_SD**2, SLOPE_SD**2, UNEVEN_SD**2, UNEVEN_SD**2, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
     state.P_xtheta = np.zeros((N_TRACKER, len(NAMES)))
-    state.running, state.since, state.steering = True, 0, 0.0
+    state.running, state.segments_since_start, state.steering = True, 0, 0.0
     state.restarts += 1
 
 
-def _teaches(state: TrackerState, record: Record) -> bool:
-    """Whether soil and tyres may be learned of a stretch; why not is counted."""
+def _check_learnable(state: TrackerState, record: Record) -> bool:
+    """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
     wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
     state.steering += (float(np.mean(wheel**2)) - state.steering) / STEERING_MEMORY
-    state.since += 1
-    if state.since <= SETTLES:
+    state.segments_since_start += 1
+    if state.segments_since_start <= SETTLES:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
     return not state.reason
 
 
-def _sound(state: TrackerState) -> bool:
+def _is_sound(state: TrackerState) -> bool:
     values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
-    near = np.abs(state.mean - state.prior_mean)[SIX] < WORST * state.prior_sd[SIX]
+    plausible = np.abs(state.mean - state.prior_mean)[SIX] < LARGEST_DEVIATION * state.prior_sd[SIX]
     return bool(
-        np.all(near) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.P_xx) > 0.0)
+        np.all(plausible) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.P_xx) > 0.0)
     )
 
 
 def _drift(state: TrackerState, metres: float) -> None:
-    """The six forget over distance: the law of the drift has the prior's covariance as its own."""
+    """Propagate the six over distance: a drift whose stationary covariance is the prior's."""
     state.distance += metres
-    kept = kept_over(metres)
-    drift(state.covariance, np.arange(6), kept, state.prior_sd)
-    state.P_xtheta[:, SIX] *= kept
-    added = added_covariance(kept, state.prior_sd[SIX])
-    for mark in state.marks:
-        mark.covariance = kept**2 * mark.covariance + added
+    share = retained_share(metres)
+    drift(state.covariance, np.arange(6), share, state.prior_sd)
+    state.P_xtheta[:, SIX] *= share
+    added = added_covariance(share, state.prior_sd[SIX])
+    for checkpoint in state.checkpoints:
+        checkpoint.covariance = share**2 * checkpoint.covariance + added
 
 
 def _adapt_noise(state: TrackerState, sums: Array) -> None:
-    """Noise of the sensors by what is left after correction, of the ground by how far it is seen to push."""
+    """Adapt the noise of the sensors to the residuals, and that of the ground to the estimated pushes."""
     measured = sums[:3, 1] > 0.0
     state.residual_ratio[measured] += (
         sums[:3][measured, 0] / sums[:3][measured, 1] - state.residual_ratio[measured]
-    ) / FOLLOWED
+    ) / SENSOR_NOISE_MEMORY
     stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
     state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
     ratio = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
-    # Of a push that is hard to see, what is seen goes with the square of its variance: hence the half.
-    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_FOLLOWED
-    state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_BELIEVED)
+    # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
+    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_VARIANCE_MEMORY
+    state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_FORGETTING)
 
 
 def _detect_soil_change(state: TrackerState) -> None:
-    """Has the soil changed since one of the marks? Then what was known of it is given up."""
-    change = soil_change.likeliest(state.marks, state.mean[SIX], state.covariance[SIX, SIX])
+    """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
+    change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
     if change is not None and change.ratio > soil_change.CHANGED:
         _forget_soil(state, change.logs)
         return
-    state.marks_after += 1
-    if state.marks_after >= soil_change.EVERY:
-        state.marks_after = 0
-        state.marks.append(Mark(state.mean[SIX].copy(), state.covariance[SIX, SIX].copy()))
-        del state.marks[: -soil_change.MARKS]
+    state.segments_since_checkpoint += 1
+    if state.segments_since_checkpoint >= soil_change.CHECKPOINT_SEGMENTS:
+        state.segments_since_checkpoint = 0
+        state.checkpoints.append(Checkpoint(state.mean[SIX].copy(), state.covariance[SIX, SIX].copy()))
+        del state.checkpoints[: -soil_change.MOST_CHECKPOINTS]
 
 
 def _forget_soil(state: TrackerState, logs: Array) -> None:
-    """The six from the prior's covariance on, about where the change seems to have led; nuisances stay."""
+    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
-    factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -FARTHEST, FARTHEST))
+    factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -LARGEST_REPORTED_LOG, LARGEST_REPORTED_LOG))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
     state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
     state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     state.P_xtheta[:, SIX] = 0.0
-    state.marks.clear()
+    state.checkpoints.clear()
     state.changes += 1
-    state.changed_ns = state.seen_ns
+    state.changed_ns = state.last_pose_ns
     state.window_s = 0.0
-    how = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
-    state.events.append(("soil_change", f"{how}; what was learned of it before is given up"))
+    text = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
+    state.events.append(("soil_change", f"{text}; what was learned of it before is given up"))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:
-    """Time ran back: forget where the rig was, keep what was learned and how old it is."""
-    state.waiting, state.running = None, False
-    state.before = np.zeros((0, 8))
-    state.seen_ns = state.published_ns = 0
+    """The log's clock stepped back: discard the motion state, keep the posterior and its age."""
+    state.pending, state.running = None, False
+    state.ticks_before = np.zeros((0, 8))
+    state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
     state.changed_ns += by_ns if state.changed_ns else 0
 
 
-def published(state: TrackerState) -> Array:
-    """Covariance of the six logarithms as it is said, (6, 6): what data told counts for less."""
+def reported_covariance(state: TrackerState) -> Array:
+    """Reported covariance of the six logarithms, (6, 6): the information of the data over SD_FACTOR
+    squared."""
     prior_sd = state.prior_sd[SIX]
-    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / WIDER**2
+    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     return (covariance + covariance.T) / 2.0
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
-    """What can be said now."""
-    return of_six(
-        state, machine, t_ns, METHOD, published(state), "nothing has been learned", _excitation(state, t_ns),
-        state.advisor.text,
+    """The estimate at t_ns."""
+    return six_parameter_estimate(
+        state, machine, t_ns, METHOD, reported_covariance(state), "nothing has been learned",
+        _excitation(state, t_ns), state.advisor.text,
     )  # fmt: skip
 
 

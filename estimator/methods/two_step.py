@@ -1,6 +1,7 @@
-"""The dissertation's two steps as an estimator: the windows of pem, each fitted alone, merged by number.
+"""The dissertation's two-step identification as an estimator: it fits the windows of pem one by one and
+merges them.
 
-What the method is, and why none of its numbers is published as one to use: two_step_fit.
+two_step_fit describes the method, and why none of its numbers is published as usable.
 """
 
 import math
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merge_scalar
-from tilth.estimator.record.record import TICK_NS, Record, Stretch
+from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 
 METHOD: Final = "pem_two_step"
 PUBLISH_NS: Final = 10_000_000_000
-LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the one worker makes that fit first
-_WHY_NOT: Final = (
+LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the worker computes pem's fit first
+_REASONS: Final = (
     "rank {rank} of 3: yaw rate and articulation do not tell three stiffnesses apart",
     "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow",
 )
@@ -31,33 +32,33 @@ _WHY_NOT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A fit to be made."""
+    """A fit to compute."""
 
-    asked_ns: int  # of the frame at which the window closed
+    asked_ns: int  # t_ns of the frame at which it was requested
     closed_ns: int  # instant of its last tick
     record: Record
 
 
 @dataclass(slots=True)
 class TwoStepState:
-    """The window being driven, and what those before gave. Plain data; times ns."""
+    """The present window, and the merged results of those before. Times ns."""
 
-    window: list[Stretch] = field(default_factory=list)
-    closed: Record | None = None  # waits to be asked for
-    job: Job | None = None  # asked for, not taken yet
-    decided: int = OPEN  # of the job: see windows.OPEN
-    late_ns: int = 0  # by how much the fit was late that was decided last
+    window: list[Segment] = field(default_factory=list)
+    closed: Record | None = None  # a complete window whose fit is not requested yet
+    job: Job | None = None  # requested, not adopted yet
+    decided: int = OPEN  # state of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the last decided fit was late
     values: Array = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
     sds: Array = field(default_factory=lambda: np.zeros(6))
-    runs: Array = field(default_factory=lambda: np.zeros(6))  # merged into each
+    runs: Array = field(default_factory=lambda: np.zeros(6))  # number of windows merged into each
     rank: int = 0  # of the last window
     window_s: float = 0.0
     informed_ns: int = 0
     published_ns: int = 0
     late: int = 0  # fits that came too late
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches, or windows
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments, or windows
     reason: str = ""  # why nothing is collected now
-    nothing: str = ""  # why the last window gave nothing
+    failure: str = ""  # why the last window gave no result
     events: list[tuple[str, str]] = field(default_factory=list)  # none so far
 
 
@@ -66,13 +67,14 @@ def initial(machine: Machine) -> TwoStepState:
     return TwoStepState()
 
 
-def take(state: TwoStepState, machine: Machine, pose: Pose, stretch: Stretch | None) -> Estimate | None:
-    """Take one stretch; an estimate each PUBLISH_NS. The pose serves as the time."""
-    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, stretch, PUBLISH_NS) else None
+def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
+    """Take one segment. Returns an estimate each PUBLISH_NS. Of the pose only the time is used."""
+    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
 
 
-def wanted(state: TwoStepState, t_ns: int) -> Job | None:
-    """A fit to ask for at the frame of t_ns, once a window has closed."""
+def request_fit(state: TwoStepState, t_ns: int) -> Job | None:
+    """The fit to request at the frame of t_ns: of a complete window, if no other fit is pending; else
+    None."""
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
@@ -81,7 +83,8 @@ def wanted(state: TwoStepState, t_ns: int) -> Job | None:
 
 
 def fit(machine: Machine, job: Job) -> TwoStep:
-    """The result of a job: a function of its arguments alone. Sought from the machine file's tyres on."""
+    """The result of a job, a pure function of its arguments. The search starts at the tyres of the machine
+    file."""
     mean, _ = unknowns.prior(machine)
     start: Array = np.exp(mean[unknowns.SIX])
     return identify(Window(job.record, unknowns.base_geometry(machine), start, unknowns.levers(machine)))
@@ -92,13 +95,13 @@ def rehearse(machine: Machine) -> None:
 
 
 def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int) -> Estimate:
-    """Merge what a window gave, each number by itself (7.20, 7.21); None: there is none."""
+    """Merge the result of a window, each number by itself (7.20, 7.21); made: None if there is none."""
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
         return estimate(state, machine, t_ns)
     state.late += state.late_ns > 0
-    state.rank, state.nothing = made.rank, made.reason
+    state.rank, state.failure = made.rank, made.reason
     if made.reason:
         refuse(state, made.reason)
     for k in range(len(PARAMETERS)):
@@ -116,11 +119,11 @@ def adopt(state: TwoStepState, machine: Machine, made: TwoStep | None, t_ns: int
 
 
 def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
-    """What the method says now, with why it is not to be used."""
+    """The estimate at t_ns; each number has the reason why it must not be used."""
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, age) for k in range(len(PARAMETERS)))
     _, prior_sd = unknowns.prior(machine)
-    shares = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
+    log_sds = np.where(state.runs > 0, state.sds / np.maximum(state.values, 1e-9), prior_sd[unknowns.SIX])
     excitation = {"runs": float(state.runs.max()), "late": float(state.late)}
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
@@ -129,7 +132,7 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
         method=METHOD,
         model=MODEL,
         parameters=parameters,
-        log_covariance=tuple(np.diag(shares**2).ravel().tolist()),  # the method knows of no correlations
+        log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method has no correlations
         per_mass=per_mass(machine, parameters),
         rank=state.rank,
         excitation=excitation,
@@ -140,14 +143,14 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
 def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstimate:
     if not state.runs[k]:
         return ParameterEstimate(
-            None, None, Status.UNESTIMATED, state.nothing or "no window has been fitted yet"
+            None, None, Status.UNESTIMATED, state.failure or "no window has been fitted yet"
         )
-    why_not = _WHY_NOT[k // 3].format(rank=state.rank)
-    return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, why_not, age)
+    reason = _REASONS[k // 3].format(rank=state.rank)
+    return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, reason, age)
 
 
 def clock_stepped(state: TwoStepState, by_ns: int) -> None:
-    """Time ran back: the window and the fit under way are given up; what was learned stays."""
+    """The log's clock stepped back: discard the window and the pending fit; merged values stay."""
     state.window.clear()
     state.closed = state.job = None
     state.decided = OPEN

@@ -1,10 +1,10 @@
 """Steering actuator: delta'' = -(d/I) delta' + (K/I) u_c.
 
-Source: Karkee (2009), eqs. 3.122 and 5.33 with the sign of the damping put right (the printed one diverges).
-States: wheel angle delta (rad) and its rate (rad/s), appended to a model's own. Input: the command u_c takes
-the place of delta. The command sets the *rate* of steering: held constant, the wheels go on turning at
-(K/d) u_c with the time constant I/d. Whoever feeds a wanted wheel angle into it closes no loop that is meant.
-Valid within the steering stop, which it does not know, and for a valve that is not saturated.
+Source: Karkee (2009), eqs. 3.122 and 5.33, with the sign of the damping corrected (the printed one diverges).
+States: wheel angle delta (rad) and its rate (rad/s), appended to those of a model. Input: the command u_c, in
+the place of delta. The command sets the *rate* of steering: with a constant one the wheels turn on at (K/d)
+u_c, after a transient with the time constant I/d. So u_c must not be a desired wheel angle. Valid within the
+steering stops, which are not modelled, and for a valve that is not saturated.
 """
 
 from typing import Final, NamedTuple
@@ -31,7 +31,7 @@ BOSSERD: Final = Actuator()
 
 
 def with_actuator(a: Array, b: Array, actuator: Actuator = BOSSERD) -> tuple[Array, Array]:
-    """(A, B) of a model behind the actuator.
+    """(A, B) of a model whose wheel angle is driven by the actuator.
 
     a: (n, n). b: (n, m), first column delta. Returns (n+2, n+2) and (n+2, m), first column the command.
     """

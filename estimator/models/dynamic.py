@@ -1,13 +1,13 @@
-"""Tractor and towed single-axle implement on tyres whose force follows the slip at once: M x' = N x + P w.
+"""Tractor and towed single-axle implement on tyres without relaxation length: M x' = N x + P w.
 
 Source: Karkee (2009), eqs. 3.99-3.106, with gravity along a side slope as two more inputs. Derived here by
-putting the slip angles of 3.86, 3.89 and 3.93 into 3.115-3.117.
-States: lateral velocity v of the tractor's CG (m/s), yaw rates r_t, r_i (rad/s), lateral position y_t (m),
-headings psi_t, psi_i (rad), the last three from a line that the tractor nearly follows.
+inserting the slip angles of 3.86, 3.89 and 3.93 into 3.115-3.117.
+States: lateral velocity v of the tractor's CG (m/s), yaw rates r_t, r_i (rad/s), lateral position y_t (m) and
+headings psi_t, psi_i (rad), both relative to a line that the tractor nearly follows.
 Form: x' = A(u) x + B(u) w, u the forward speed (m/s), w as INPUTS. Force -C alpha of each axle.
 Valid for small angles of steering, articulation and slip (to about 10°) at constant or slowly changing speed,
 not at standstill. In reverse the slip angle counts from the wheel's backward direction, so that the force
-still opposes the slip; both yaw motions are then unstable, as they are in truth.
+still opposes the slip; both yaw motions are then unstable, as on the real machine.
 """
 
 from typing import Final
@@ -36,9 +36,10 @@ def inertia(geometry: Array) -> Array:
 
 
 def axle_arms(geometry: Array) -> Array:
-    """What each axle's force does to v, r_t and r_i, shape (3, 3): columns front, rear, implement.
+    """Generalised forces on v, r_t and r_i per unit force of each axle, (3, 3): columns front, rear,
+    implement.
 
-    Transposed, it is each axle's lateral velocity from v, r_t and r_i.
+    Its transpose gives each axle's lateral velocity from v, r_t and r_i.
     """
     a, b, c, d, e, _, _, _, _ = geometry
     return np.array([[1.0, 1.0, 1.0], [a, -b, -c], [0.0, 0.0, -(d + e)]])
@@ -51,7 +52,7 @@ def turning(u: float, geometry: Array) -> Array:
 
 
 def gravity_arms(geometry: Array) -> Array:
-    """Forces on v, r_t and r_i for 1 m/s^2 along the slope on the tractor and on the implement, shape (3, 2).
+    """Generalised forces on v, r_t and r_i per m/s^2 of gravity along the slope on either body, (3, 2).
 
     The implement's CG moves to the right by dy - c dpsi_t - d dpsi_i, which gives the arms of its weight.
     """

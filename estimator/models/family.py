@@ -1,4 +1,4 @@
-"""The models, one row each: what analysis, estimators, reports and the command line choose from."""
+"""The models, one row each, for analysis, estimators, reports and the command line."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from tilth.estimator.models.parameters import Rig
 Array = NDArray[np.float64]
 
 LATERAL = relaxation.STATES
-"""The states of the nonlinear model that small motions about straight running concern, in this order."""
+"""The states of the nonlinear model that change in small motions about straight running, in this order."""
 
 
 class Model(NamedTuple):

@@ -1,8 +1,8 @@
-"""What a manoeuvre and a set of sensors can tell about the parameters: rank, condition and Cramér-Rao bound.
+"""Identifiability of the parameters from a manoeuvre and a set of sensors: rank, condition, Cramér-Rao bound.
 
 The information of a record is that of its innovations: sensitivities of the outputs, whitened by the Kalman
-filter of the disturbances. It counts what the *known steering* tells, not what the disturbances' own colour
-tells on top. Parameters are logarithms, so that a bound is a share of the value.
+filter of the disturbances. Only the information from the *known steering* counts, not that from the spectrum
+of the disturbances. Parameters are logarithms, so a bound is relative to the value.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,10 @@ from tilth.schemas.flow import PARAMETERS
 Array = NDArray[np.float64]
 
 STEP = 1e-4  # of the central differences: of a logarithm, rad or s
-NULL_SHARE = 1e-6  # sensitivities below this share of the largest are rounding
+NULL_SHARE = 1e-6  # sensitivities below this share of the largest are rounding errors
 NUISANCES = ("wheel_zero", "wheel_gain", "latency", "speed")
-"""rad, added to the wheel angle; logarithm of its scale; s, by which all outputs are late; logarithm of the
-scale of speed."""
+"""Offset of the wheel angle, rad; logarithm of its scale; delay of all outputs, s; logarithm of the scale of
+speed."""
 
 
 class Sensor(NamedTuple):
@@ -31,14 +31,14 @@ class Sensor(NamedTuple):
 
     output: str
     sd: float  # SI
-    every: int = 1  # it speaks at every so many samples
+    every: int = 1  # it measures at each `every`-th sample
 
 
 class Bound(NamedTuple):
-    """What can be known of `names`. No unbiased estimator has a smaller covariance."""
+    """Cramér-Rao bound of `names`: no unbiased estimator has a smaller covariance."""
 
     names: tuple[str, ...]
-    sd: Array  # (q,) of logarithms (or rad, s); infinite where the data leave a parameter open
+    sd: Array  # (q,) of logarithms (or rad, s); infinite for a parameter that the data do not determine
     information: Array  # (q, q)
     rank: int
     condition: float  # best over worst known direction; infinite below full rank
@@ -121,9 +121,9 @@ def cramer_rao(
     names: Sequence[str] = PARAMETERS,
     disturbances: Mapping[str, float] | None = None,
 ) -> Bound:
-    """The bound of a manoeuvre that starts from known straight running.
+    """The bound of a manoeuvre that starts from straight running, with known initial state.
 
-    disturbances: state -> sd of the white disturbance of its rate, held for dt; none: only sensors are noisy.
+    disturbances: state -> sd of the white disturbance of its rate, held for dt; None: only sensors are noisy.
     """
     slopes = sensitivities(model, rig, speed, wheel_angle, dt, [s.output for s in sensors], names)
     white = whitened(model, rig, speed, dt, sensors, slopes, disturbances or {})

@@ -1,11 +1,11 @@
 """Tractor and towed single-axle implement whose wheels move where they point: no slip.
 
-Source: Karkee (2009), eqs. 5.1-5.3, which are 3.9-3.13 without v = b r in the first line.
-States: lateral position y_t (m) and headings psi_t, psi_i (rad), from a line that the tractor nearly follows.
-Form: x' = A(u) x + B(u) w, u the forward speed (m/s), w as INPUTS.
-Valid for small angles and without slip: slowly, on firm soil, below about 0.2 Hz. Since 5.1 leaves out b r,
-y_t is where the rear axle goes; the CG's own lateral velocity is b r_t. Gravity along a slope has no effect:
-nothing slips here. In reverse it holds as it stands, and the implement's heading is unstable: it folds up.
+Source: Karkee (2009), eqs. 5.1-5.3, which are 3.9-3.13 without v = b r in the first line. States: lateral
+position y_t (m) and headings psi_t, psi_i (rad), relative to a line that the tractor nearly follows. Form: x'
+= A(u) x + B(u) w, u the forward speed (m/s), w as INPUTS. Valid for small angles and without slip: slowly, on
+firm soil, below about 0.2 Hz. Since 5.1 leaves out b r, y_t is the position of the rear axle; the lateral
+velocity of the CG is b r_t. Gravity along a slope has no effect, since nothing slips. It also holds in
+reverse, where the implement's heading is unstable: the rig jackknifes.
 """
 
 from typing import Final

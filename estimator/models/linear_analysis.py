@@ -1,6 +1,6 @@
-"""What the linear models say of a rig at a speed: motion, poles, frequency response, what can be known of it.
+"""Analysis of the linear models of a rig at a speed: simulation, poles, frequency response, observability.
 
-Plain functions of a `System`; every model, with or without the steering actuator, becomes one.
+All are functions of a `System`; each model, with or without the steering actuator, can be made one.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,8 @@ from tilth.estimator.models.steady_turn import steady_turn
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-SPEED_GRID = 0.02  # m/s: transition matrices are exact at speeds this far apart, interpolated between
-AT_ORIGIN = 1e-6  # 1/s: eigenvalues nearer to zero count as integrators; a double one is found this badly
+SPEED_GRID = 0.02  # m/s: transition matrices are exact at multiples of this speed, interpolated between them
+AT_ORIGIN = 1e-6  # 1/s: smaller eigenvalues count as integrators; a double one has an error of this size
 RANK_TOLERANCE = 1e-9
 
 
@@ -94,7 +94,7 @@ def output_row(
         )
 
     psi_t, psi_i, r_t, r_i = state("psi_t"), state("psi_i"), rate("psi_t"), rate("psi_i")
-    # The kinematic model's y_t is where the rear axle goes: its CG lies b psi further and moves b r faster.
+    # The kinematic model's y_t is that of the rear axle: its CG is b psi further right and moves b r faster.
     slipless = "v" not in states
     v = total((rig.b, r_t)) if slipless else state("v")
     y = total((1.0, state("y_t")), (rig.b if slipless else 0.0, psi_t)) if "y_t" in states else None
@@ -114,8 +114,8 @@ def output_row(
 def without(whole: System, name: str) -> System:
     """The system without one state that no other state depends on."""
     keep = [i for i, state in enumerate(whole.states) if state != name]
-    left = whole.states.index(name)
-    if np.any(whole.a[keep, left]) or np.any(whole.c[:, left]):
+    dropped = whole.states.index(name)
+    if np.any(whole.a[keep, dropped]) or np.any(whole.c[:, dropped]):
         raise ValueError(f"{name} cannot be left out: another state or an output depends on it")
     return whole._replace(
         states=tuple(whole.states[i] for i in keep),
@@ -135,7 +135,7 @@ def discretise(a: Array, b: Array, dt: float) -> tuple[Array, Array, Array]:
     block = np.zeros((*a.shape[:-2], n + 2 * m, n + 2 * m))
     block[..., :n, :n], block[..., :n, n : n + m] = a * dt, b * dt
     block[..., n : n + m, n + m :] = np.eye(m)  # the input's slope, per step
-    from scipy.linalg import expm  # takes half a second: only who discretises pays for it
+    from scipy.linalg import expm  # importing it takes half a second, so only where it is needed
 
     whole = np.asarray(expm(block), dtype=np.float64)
     slope = whole[..., :n, n + m :]
@@ -144,10 +144,10 @@ def discretise(a: Array, b: Array, dt: float) -> tuple[Array, Array, Array]:
 
 @kernel
 def scan(f: Array, g: Array, which: NDArray[np.int64], share: Array, forcing: Array, states: Array) -> None:
-    """Fill states[1:], shape (n+1, s): x+ = F x + G w with F and G between two neighbouring maps.
+    """Fill states[1:], shape (n+1, s): x+ = F x + G w, with F and G interpolated between two nodes of speed.
 
-    f: (q, s, s), g: (q, s, m). which: (n,), the lower map of each step; share: (n,), of the upper one.
-    forcing: (n, m).
+    f: (q, s, s), g: (q, s, m), at the nodes. which: (n,), lower node of each step; share: (n,), weight of the
+    upper one. forcing: (n, m), w.
     """
     for k in range(len(which)):
         j, upper = which[k], share[k]
@@ -220,7 +220,8 @@ def outputs_of(sys: System, states: Array, inputs: Array) -> Array:
 
 
 def eigenvalues(a: Array) -> Complex:
-    """Of a square matrix, sorted by real, then by imaginary part; integrators exactly zero. Shape (n,)."""
+    """Eigenvalues of a square matrix, (n,), sorted by real, then by imaginary part; integrators exactly
+    zero."""
     found = np.linalg.eigvals(a).astype(np.complex128)
     found[np.abs(found) < AT_ORIGIN] = 0.0
     order = sorted(found, key=lambda z: (round(z.real, 6), z.imag))

@@ -1,4 +1,4 @@
-"""Ways to steer that tell something about a rig: wheel angle over time, rad, from a table."""
+"""Manoeuvres that are informative about a rig: a table of wheel angles over time, rad."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +15,8 @@ START_S = 1.0  # straight before it begins
 class Manoeuvre(NamedTuple):
     """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0.
 
-    called, driven: of what can be advised, its amplitude in degrees in the one, to a driver in the other.
+    Only for manoeuvres that can be advised: called, its name with a place for the amplitude in degrees;
+    driven, the instruction to a driver.
     """
 
     name: str

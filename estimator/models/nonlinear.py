@@ -69,7 +69,7 @@ def tyre_force(alpha: float, stiffness: float, limit: float) -> float:
 
 @kernel
 def wheel(alpha: float, load: float, still: float, stiffness: float, grip: float, exponent: float) -> float:
-    """Lateral force of one of an axle's wheels, N, under `load`; `still`: the same at rest, level."""
+    """Lateral force of one of an axle's wheels, N. load: N; still: its load at rest on level ground, N."""
     if load <= 0.0:
         return 0.0
     return tyre_force(alpha, 0.5 * stiffness * (load / still) ** exponent, grip * load)
@@ -79,8 +79,8 @@ def wheel(alpha: float, load: float, still: float, stiffness: float, grip: float
 def side_loads(static: float, level: float, shift: float) -> tuple[float, float]:
     """Loads of an axle's left and right wheel, N. level: cosine of the roll. shift: N moved to the left."""
     half = 0.5 * static * level
-    moved = min(max(shift, -half), half)
-    return half + moved, half - moved
+    limited = min(max(shift, -half), half)
+    return half + limited, half - limited
 
 
 @kernel
@@ -101,7 +101,7 @@ def axle_velocities(x: Array, delta: float, rig: Rig) -> Six:
 
 @kernel
 def drive_force(x: Array, w: Array, rig: Rig) -> float:
-    """Force of the driven wheels, N: what is asked for, what the speed to hold needs, within the limit."""
+    """Force of the driven wheels, N: the input `drive` plus that of the speed control, within the limit."""
     force: float = w[4]
     if rig.drive_gain > 0.0:
         front, rear, implement = static_loads(rig)
@@ -216,8 +216,8 @@ def slip_rate(alpha: float, along: float, across: float, length: float) -> float
 def rates(x: Array, w: Array, theta: Array, rig: Rig, act: Pair, forces: Array, out: Array) -> None:
     """Fill out, shape (13,), with x', and forces, shape (6, 3), as `wheel_forces`.
 
-    theta: shape (6,), as schemas.flow.PARAMETERS: what the soil is here, instead of the rig's. act: K/I and
-    d/I of the actuator, or zeros.
+    theta: (6,), as schemas.flow.PARAMETERS, of the soil at this place, instead of the rig's. act: K/I and d/I
+    of the actuator, or zeros.
     """
     delta = x[11] if act[0] > 0.0 else w[0]
     shifts = np.zeros(3)
@@ -321,7 +321,7 @@ def simulate(
     return states
 
 
-_interpreted = rates.plain()
+_interpreted = rates.interpreted()
 
 
 def derivative(rig: Rig, x: Array, w: Array) -> Array:

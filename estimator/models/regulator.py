@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Regulator(NamedTuple):
-    """Gain of the first input on each state at one speed, and where it puts the poles of its own model."""
+    """Gain of the first input on each state at one speed, with the closed-loop poles of its model."""
 
     speed: float
     states: tuple[str, ...]

@@ -11,8 +11,7 @@ a constant relaxation length is doubtful below about 1 m/s. At standstill tyres 
 slip angle counts from the wheel's backward direction, so that the force still opposes the slip; the rig is
 then unstable, as it is in truth: it folds up.
 
-Plain arrays and numpy only, so that a compiler of numeric kernels can take these functions as they are (it
-needs geometry and theta as tuples).
+It uses only arrays and numpy, so kernels can call these functions.
 """
 
 from typing import Final
@@ -87,7 +86,7 @@ def _rolling(
 ) -> tuple[tuple[float, float], Array]:
     """((drag of the front axle and of the implement's, N), moments per lateral acceleration on v, r_t, r_i).
 
-    The wheels on the outside of a bend carry more and so resist more, which turns the body outwards.
+    The wheels on the outside of a turn carry more load and so resist more; this is a yaw moment outwards.
     """
     a, b, c, d, e, m_t, m_i, _, _ = geometry
     tongue = m_i * GRAVITY * e / (d + e)

@@ -1,4 +1,4 @@
-"""How much a response changes when one parameter is a little off: the dissertation's local sensitivities.
+"""Local sensitivities of the dissertation: the change of a response when one parameter changes by 1 %.
 
 Source: Karkee (2009), section 6.2.2.1, eqs. 6.16 and 6.17. A step of the wheels at one speed, each parameter
 raised by 1 % in turn, and the change of each response in per cent: of velocities its root mean square over

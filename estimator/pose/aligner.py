@@ -1,7 +1,7 @@
-"""Measurements in their places: one track per receiver, the wheel angle, and when a pose is due.
+"""Stores measurements until the pose: one track per receiver, the wheel angle; decides when a pose is due.
 
-A pose stands on a grid of POSE_NS of the log's clock. It is due when every receiver that is alive has a
-position at or after that instant, at the latest DEADLINE_NS after it.
+Pose instants are multiples of POSE_NS on the log's clock. A pose is due when every active receiver has a
+position at or after its instant, at the latest DEADLINE_NS after it.
 """
 
 import math
@@ -32,35 +32,36 @@ from tilth.schemas.machine import Machine
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
 LOST_NS = 1_000_000_000  # no usable position for this long
-FARTHEST = 5_000.0  # m from the origin: beyond, grid north leaves true north by more than a milliradian
-AGREEING = 100.0  # m: two positions that may both be true
+FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
+ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 MOUNTS = tuple(Mount)
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
-_USED = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
+_RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
 
 @dataclass(slots=True)
 class Aligner:
-    """What the poses are made from. Times in ns on the clock of Frame.rx_ns."""
+    """The measurements that poses are computed from. Times in ns on the clock of Frame.rx_ns."""
 
     machine: Machine
     tracks: dict[str, Track]  # by mount, in the order of flow.Mount
     latency: Latency
     wheel: deque[Sample] = field(default_factory=lambda: deque(maxlen=256))
     wheel_ns: int = 0
-    direction: int = 0  # told by the vehicle: +1, -1; 0 where it does not tell
+    direction: int = 0  # as the vehicle reports it: +1 forward, -1 reverse; 0 if it does not report it
     direction_ns: int = 0
     origin_deg: tuple[float, float] | None = None
-    candidate_deg: tuple[float, float] | None = None  # for an origin
+    origin_candidate_deg: tuple[float, float] | None = None
     due_ns: int = 0  # instant of the next pose; 0 before the first position
-    posed_ns: int = 0
+    last_pose_ns: int = 0
     last_heading: list[tuple[int, float, float] | None] = field(default_factory=lambda: [None, None])
+    """Of tractor and implement: instant, heading and its sd (rad) at the last pose with both receivers."""
     suspicion: plausibility.Suspicion = field(default_factory=plausibility.Suspicion)
-    lasting: plausibility.Lasting = field(default_factory=plausibility.Lasting)
+    long_term: plausibility.LongTermMeans = field(default_factory=plausibility.LongTermMeans)
 
 
 def initial(machine: Machine) -> Aligner:
-    """Before the first measurement."""
+    """The state before the first measurement."""
     by_mount = {r.mount: r for r in machine.receiver}
     present = [by_mount[m] for m in MOUNTS if m in by_mount]
     sds = [by_mount[m].latency.sd if m in by_mount else 0.0 for m in MOUNTS]
@@ -72,13 +73,13 @@ def initial(machine: Machine) -> Aligner:
 
 
 def is_number(measurement: Measurement) -> bool:
-    """Whether all its values are: one that is not would be in every pose for a while."""
+    """Whether all its values are finite: one that is not would spoil every pose for a while."""
     values = (getattr(measurement, name) for name in _NUMBERS[type(measurement)])
     return all(value is None or math.isfinite(value) for value in values)
 
 
 def take(state: Aligner, measurement: Measurement) -> None:
-    """Keep one measurement."""
+    """Store one measurement."""
     if isinstance(measurement, WheelAngle):
         delay_ns = round(state.machine.wheel_angle.delay * 1e9)
         state.wheel.append((measurement.rx_ns - delay_ns, measurement.angle, measurement.sd))
@@ -95,15 +96,15 @@ def take(state: Aligner, measurement: Measurement) -> None:
     track = state.tracks[mount.value]
     if isinstance(measurement, Position):
         _take_position(state, track, measurement)
-    elif isinstance(measurement, _USED):
+    elif isinstance(measurement, _RECEIVER_KINDS):
         track.take(measurement)
 
 
 def _take_position(state: Aligner, track: Track, position: Position) -> None:
     if position.pgn != track.position_pgn:
-        # A receiver may tell one position twice, as 129025 and as 129029: the one that came last is used
-        # only where the other has fallen silent, so that nothing is counted twice.
-        silent = not track.positions or position.rx_ns - track.placed_ns > LOST_NS
+        # A receiver may send each position twice, as PGN 129025 and as 129029. The higher PGN is used only
+        # when the lower one has stopped, so that no position counts twice.
+        silent = not track.positions or position.rx_ns - track.last_position_ns > LOST_NS
         if not silent and position.pgn > track.position_pgn:
             return
         track.position_pgn = position.pgn
@@ -114,17 +115,20 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
         return
     assert state.origin_deg is not None
     at = to_plane(state.origin_deg, *here)
-    if math.hypot(*at) > FARTHEST and _set_origin(state, here, position.rx_ns):
+    if math.hypot(*at) > FARTHEST_FROM_ORIGIN and _set_origin(state, here, position.rx_ns):
         at = (0.0, 0.0)
-    track.place(position.rx_ns, at, position.sd, position.repeat)
+    track.take_position(position.rx_ns, at, position.sd, position.repeat)
 
 
 def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
-    """Put the plane's origin here once a second position agrees: one may be a receiver's first guess."""
-    candidate, state.candidate_deg = state.candidate_deg, here
-    if candidate is None or math.hypot(*to_plane(candidate, *here)) > AGREEING:
+    """Set the origin of the plane here if the position before agrees: a single one may be a first guess.
+
+    Returns whether the origin was set.
+    """
+    candidate, state.origin_candidate_deg = state.origin_candidate_deg, here
+    if candidate is None or math.hypot(*to_plane(candidate, *here)) > ORIGIN_AGREEMENT:
         return False
-    state.origin_deg, state.candidate_deg = here, None
+    state.origin_deg, state.origin_candidate_deg = here, None
     state.due_ns = state.due_ns or (rx_ns // POSE_NS + 1) * POSE_NS
     for track in state.tracks.values():
         track.positions.clear()
@@ -132,34 +136,34 @@ def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
 
 
 def due(state: Aligner, now_ns: int) -> int | None:
-    """The instant of a pose that is due at now_ns (Frame.rx_ns of the latest frame), or None."""
+    """The instant of the pose that is due at now_ns (Frame.rx_ns of the latest frame), or None."""
     if state.due_ns == 0 or now_ns < state.due_ns:
         return None
     if now_ns - state.due_ns > SILENCE_NS:
         state.due_ns = (now_ns - DEADLINE_NS) // POSE_NS * POSE_NS
-    if not _ready(state, now_ns):
+    if not _positions_are_in(state, now_ns):
         return None
     instant = state.due_ns
     state.due_ns += POSE_NS
     return instant
 
 
-def _ready(state: Aligner, now_ns: int) -> bool:
+def _positions_are_in(state: Aligner, now_ns: int) -> bool:
     if now_ns >= state.due_ns + DEADLINE_NS:
         return True
     return all(
         track.positions[-1][0] - state.latency.excess_ns(index) >= state.due_ns - NEAR_NS
-        for index, track in _alive(state, now_ns)
+        for index, track in _active_receivers(state, now_ns)
     )
 
 
-def _alive(state: Aligner, now_ns: int) -> list[tuple[int, Track]]:
-    """(index into MOUNTS, track) of the receivers with a usable position lately."""
+def _active_receivers(state: Aligner, now_ns: int) -> list[tuple[int, Track]]:
+    """(index into MOUNTS, track) of the receivers that had a usable position in the last LOST_NS."""
     return [
         (index, track)
         for index, mount in enumerate(MOUNTS)
         if (track := state.tracks.get(mount.value)) is not None
         and track.positions
         and track.usable()
-        and now_ns - track.placed_ns <= LOST_NS
+        and now_ns - track.last_position_ns <= LOST_NS
     ]

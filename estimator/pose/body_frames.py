@@ -1,13 +1,13 @@
-"""Both bodies as viewers of 3D scenes want them: where their frames stand, and of what they are drawn.
+"""Both bodies for viewers of 3D scenes: the transforms of their frames, and the solids to draw.
 
-Here W is x north, y east and bodies are x forward, y right, z down. Viewers take x east, y north, z up and
-x forward, y left, z up, so that a heading is counted from the east, anticlockwise:
+In this project the world W has x north, y east, and bodies have x forward, y right, z down. Viewers use x
+east, y north, z up, and x forward, y left, z up, so a heading counts anticlockwise from the east:
 
-    world ─► tractor ─► tractor_front_left, tractor_front_right (turned by the wheel angle)
+    world ─► tractor ─► tractor_front_left, tractor_front_right (rotated by the wheel angle)
           └► implement
 
-The frame of a body is at its CG. The ground is where z = 0 in the world: it has no heights, and a body that
-leans does so about the point of it below its CG.
+The frame of a body is at its CG. The ground is the plane z = 0 of the world; a body rolls about the point of
+the ground below its CG.
 """
 
 import math
@@ -18,8 +18,8 @@ from tilth.schemas.flow import BodyFrames, BodyPose, Drawing, Mount, Pose, Solid
 from tilth.schemas.machine import Machine
 
 WORLD: Final = "world"
-_BODY: Final = {mount: mount.value.partition("_")[0] for mount in Mount}  # which a receiver sits on
-# Of wheels, m: diameter and width. The machine file tells none: usual ones, as are heights and widths below.
+_BODY: Final = {mount: mount.value.partition("_")[0] for mount in Mount}  # the body that a receiver is on
+# Diameter and width of wheels, m. The machine file has none; these are usual ones, as are the sizes below.
 _FRONT: Final = (1.4, 0.45)
 _REAR: Final = (1.9, 0.6)
 _CART: Final = (1.7, 0.6)
@@ -33,7 +33,7 @@ _Vector = tuple[float, float, float]
 
 
 def body_frames(machine: Machine, pose: Pose) -> BodyFrames | None:
-    """The frames that a pose tells; None if it tells none."""
+    """The transforms of a pose's bodies; None if no body has a position and a heading."""
     tractor, implement = machine.tractor, machine.implement
     transforms = [
         *_body("tractor", pose.tractor, tractor.cg_height.value),
@@ -42,9 +42,9 @@ def body_frames(machine: Machine, pose: Pose) -> BodyFrames | None:
     if not transforms:
         return None
     if pose.wheel_angle is not None and transforms[0].child == "tractor":
-        turned = _turn(-pose.wheel_angle)
+        rotation = _yaw_quaternion(-pose.wheel_angle)
         transforms += [
-            Transform("tractor", f"tractor_front_{side}", (tractor.a.value, y, up), turned)
+            Transform("tractor", f"tractor_front_{side}", (tractor.a.value, y, up), rotation)
             for side, y in _sides(TABLE_5_1.w_f)
             for up in (_FRONT[0] / 2 - tractor.cg_height.value,)
         ]
@@ -55,15 +55,15 @@ def _body(name: str, body: BodyPose, cg_height: float) -> list[Transform]:
     if body.x is None or body.y is None or body.heading is None:
         return []
     roll = body.roll or 0.0
-    _, _, sin_yaw, cos_yaw = _turn(math.pi / 2 - body.heading)
+    _, _, sin_yaw, cos_yaw = _yaw_quaternion(math.pi / 2 - body.heading)
     sin_roll, cos_roll = math.sin(roll / 2), math.cos(roll / 2)
-    # Turned about z, then about the new x: right side down is the same sense about x forward in both systems.
-    turned = (cos_yaw * sin_roll, sin_yaw * sin_roll, sin_yaw * cos_roll, cos_yaw * cos_roll)
-    return [Transform(WORLD, name, (body.y, body.x, cg_height * math.cos(roll)), turned)]
+    # Rotation about z, then about the new x. Roll, right side down, has the same sign in both systems.
+    rotation = (cos_yaw * sin_roll, sin_yaw * sin_roll, sin_yaw * cos_roll, cos_yaw * cos_roll)
+    return [Transform(WORLD, name, (body.y, body.x, cg_height * math.cos(roll)), rotation)]
 
 
-def _turn(yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion of a turn about z, anticlockwise from above."""
+def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion (x, y, z, w) of a rotation about z, anticlockwise seen from above."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
@@ -72,7 +72,8 @@ def _sides(width: float) -> tuple[tuple[str, float], tuple[str, float]]:
 
 
 def drawing(machine: Machine, t_ns: int) -> Drawing:
-    """Of what both bodies are drawn. They reach from axle to axle and to the hitch, as the file says."""
+    """The solids of both bodies. Their lengths, axle to axle and to the hitch, are those of the machine
+    file."""
     return Drawing(t_ns, (*_tractor(machine), *_implement(machine), *_antennas(machine)))
 
 

@@ -1,28 +1,27 @@
-"""When was it measured? One clock model per receiver, from arrival stamps alone.
+"""When was it measured? A clock model of each receiver, from the arrival times of its messages.
 
-A receiver measures at regular epochs and sends a clump of messages after each. Frames queue on the bus, so
-a message can only be *late*: the epochs are the lower envelope of the arrivals of its positions, on a grid of
-its own period. Its other messages belong to the epoch they follow, or, sent by a timer of their own, to none;
-they never move the grid. The machine file's latency leads from the envelope back to the instant measured.
+A receiver measures at regular epochs and sends a burst of messages after each. Frames queue on the bus, so a
+message can only be *late*. The epochs are therefore the lower envelope of the arrival times of its positions,
+on a grid of its period. Its other messages belong to the epoch that they follow; if the receiver sends them
+by another timer, they belong to none. They never shift the grid. The instant of measurement is the epoch
+minus the latency of the machine file.
 
 Arrival times alone would put 10 to 30 ms of jitter (4 to 13 cm at 4.5 m/s) into every position.
 """
 
 from dataclasses import dataclass, field
 
-CLUMP_NS = 60_000_000  # other messages follow the epoch's position within this
-BEFORE_NS = 30_000_000  # or precede it within this
+BURST_NS = 60_000_000  # other messages of an epoch come within this time after its position
+EARLY_NS = 30_000_000  # or within this time before it
 SAME_SID_NS = 200_000_000
-LEAK = 300e-6  # the envelope rises by this share of time: above any quartz's skew (100 ppm)
-QUEUE_S = 0.03  # how late a message may queue: what the period's estimate may be off by, over its baseline
-FIRST_INTERVALS = 5  # their median is the first idea of the period
+ENVELOPE_RISE = 300e-6  # s/s by which the envelope may rise: above the skew of any quartz clock (100 ppm)
+QUEUE_S = 0.03  # longest delay in a queue: the error of a measured period, times the number of epochs
+FIRST_INTERVALS = 5  # their median is the first estimate of the period
 COMMON_PERIODS_NS = (50_000_000, 100_000_000, 200_000_000, 250_000_000, 500_000_000, 1_000_000_000)
-COMMON_SHARE = 0.01  # a period measured this close to a common one is that one, for now
-WHOLE_MS_AFTER = (
-    120  # epochs after which the mean interval tells the millisecond; looked at again after as many
-)
-OFF_GRID_LIMIT = 12  # reached in a dozen positions where every second one is between the epochs
-RESET_NS = 5_000_000_000  # a silence this long, or a step back in time, starts the grid anew
+COMMON_SHARE = 0.01  # a measured period that is within this share of a common one is set to it at first
+WHOLE_MS_AFTER = 120  # epochs after which the mean interval is rounded to 1 ms; repeated after as many
+OFF_GRID_LIMIT = 12  # a dozen positions reach it if every second one is between the epochs
+RESET_NS = 5_000_000_000  # a silence this long, or a step back in time, starts a new grid
 UTC_JUMP_NS = 2_000_000_000
 PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
 
@@ -31,18 +30,18 @@ PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
 class EpochClock:
     """Grid of one receiver's epochs. All times in ns on the clock of Frame.rx_ns."""
 
-    arrived_ns: int = 0  # the last position's arrival
+    arrived_ns: int = 0  # arrival of the last position
     epoch_ns: int = 0  # its epoch, on the lower envelope; 0 before the first
     period_ns: int = 0  # 0: not known yet
-    period_sure: bool = False  # measured to the millisecond
+    period_exact: bool = False  # measured to the millisecond
     first_intervals: list[int] = field(default_factory=list)
     anchor_ns: int = 0  # arrival from which the period is measured
-    anchor_epochs: int = 0  # epochs since
-    off_grid: int = 0  # twice the positions between epochs, less those on them
-    sid: int | None = None  # of the last message that had one
-    sid_pgns: list[int] = field(default_factory=list)  # heard with it
+    anchor_epochs: int = 0  # epochs since then
+    off_grid: int = 0  # counter: +2 for a position between epochs, -1 for one on an epoch
+    sid: int | None = None  # sequence identifier of the last message that had one
+    sid_pgns: list[int] = field(default_factory=list)  # messages received with it
     sid_ns: int = 0  # its instant
-    sid_changes: bool = False  # a device may send one SID for ever: that ties nothing
+    sid_changes: bool = False  # a device that always sends the same SID does not group its messages by it
     resets: int = 0
 
     def position(self, rx_ns: int) -> int:
@@ -50,28 +49,28 @@ class EpochClock:
         interval = rx_ns - self.arrived_ns
         self.arrived_ns = rx_ns
         if self.period_ns == 0:
-            self._first_idea(interval, rx_ns)
+            self._estimate_first_period(interval, rx_ns)
             self.epoch_ns = rx_ns
             return rx_ns
         since = rx_ns - self.epoch_ns
         epochs = round(since / self.period_ns)
-        late = since - epochs * self.period_ns
+        lateness = since - epochs * self.period_ns
         if since < -self.period_ns or since > RESET_NS:
-            self._restart(rx_ns)
-        elif self._off_grid(late):
-            self.period_ns, self.period_sure = 0, False
+            self._restart_grid(rx_ns)
+        elif self._off_grid(lateness):
+            self.period_ns, self.period_exact = 0, False
             self.first_intervals.clear()
-            self._restart(rx_ns)
+            self._restart_grid(rx_ns)
         elif epochs <= 0:
-            self.epoch_ns = min(self.epoch_ns, rx_ns)  # the same epoch, told twice
+            self.epoch_ns = min(self.epoch_ns, rx_ns)  # the same epoch, sent twice
         else:
             self._measure_period(rx_ns, epochs)
             elapsed = epochs * self.period_ns
-            self.epoch_ns += elapsed + min(since - elapsed, round(self._leak() * elapsed))
+            self.epoch_ns += elapsed + min(since - elapsed, round(self._envelope_rise() * elapsed))
         return self.epoch_ns
 
     def other(self, rx_ns: int, pgn: int, sid: int | None) -> int:
-        """Epoch of another message; its own arrival where it follows none."""
+        """Epoch of another message; its own arrival time if it follows no epoch."""
         instant = self._on_grid(rx_ns)
         if sid is None:
             return instant
@@ -88,30 +87,32 @@ class EpochClock:
     def _on_grid(self, rx_ns: int) -> int:
         if self.period_ns == 0:
             return rx_ns
-        late = (rx_ns - self.epoch_ns) % self.period_ns
-        if late <= CLUMP_NS:
-            return rx_ns - late
-        if self.period_ns - late <= min(BEFORE_NS, self.period_ns // 4):
-            return rx_ns + self.period_ns - late
+        lateness = (rx_ns - self.epoch_ns) % self.period_ns
+        if lateness <= BURST_NS:
+            return rx_ns - lateness
+        if self.period_ns - lateness <= min(EARLY_NS, self.period_ns // 4):
+            return rx_ns + self.period_ns - lateness
         return rx_ns
 
-    def _restart(self, rx_ns: int) -> None:
+    def _restart_grid(self, rx_ns: int) -> None:
         self.epoch_ns = self.anchor_ns = rx_ns
         self.anchor_epochs = self.off_grid = 0
         self.resets += 1
 
-    def _off_grid(self, late: int) -> bool:
-        """Whether so many positions came between the epochs that the device must have changed its period."""
-        self.off_grid = self.off_grid + 2 if abs(late) > self.period_ns // 4 else max(0, self.off_grid - 1)
+    def _off_grid(self, lateness: int) -> bool:
+        """Whether positions came between the epochs so often that the device must have changed its period."""
+        self.off_grid = (
+            self.off_grid + 2 if abs(lateness) > self.period_ns // 4 else max(0, self.off_grid - 1)
+        )
         return self.off_grid >= OFF_GRID_LIMIT
 
-    def _leak(self) -> float:
-        """By what share of time the envelope may rise: skew, and what the period may still be off by."""
-        if self.period_sure:
-            return LEAK
-        return LEAK + QUEUE_S * 1e9 / (self.period_ns * max(self.anchor_epochs, 1))
+    def _envelope_rise(self) -> float:
+        """Largest rise of the envelope, s/s: clock skew, plus the error that the period may still have."""
+        if self.period_exact:
+            return ENVELOPE_RISE
+        return ENVELOPE_RISE + QUEUE_S * 1e9 / (self.period_ns * max(self.anchor_epochs, 1))
 
-    def _first_idea(self, interval: int, rx_ns: int) -> None:
+    def _estimate_first_period(self, interval: int, rx_ns: int) -> None:
         if PERIOD_RANGE_NS[0] <= interval <= PERIOD_RANGE_NS[1]:
             self.first_intervals.append(interval)
         if len(self.first_intervals) == FIRST_INTERVALS:
@@ -123,31 +124,32 @@ class EpochClock:
         self.anchor_epochs += epochs
         mean = (rx_ns - self.anchor_ns) // self.anchor_epochs
         if self.anchor_epochs >= WHOLE_MS_AFTER:
-            self.period_ns, self.period_sure = round(mean / 1e6) * 1_000_000, True
+            self.period_ns, self.period_exact = round(mean / 1e6) * 1_000_000, True
             self.anchor_ns, self.anchor_epochs = rx_ns, 0
-        elif not self.period_sure:
+        elif not self.period_exact:
             near = min(COMMON_PERIODS_NS, key=lambda common: abs(mean - common))
             self.period_ns = near if abs(mean - near) <= COMMON_SHARE * near else mean
 
 
 @dataclass(slots=True)
 class UtcClock:
-    """UTC against the host's clock, from messages that carry a time: the lower envelope of host − UTC."""
+    """UTC relative to the host's clock, from messages that carry a time: the lower envelope of host − UTC."""
 
-    offset_ns: int | None = None  # host − UTC, at the earliest
+    offset_ns: int | None = None  # smallest host − UTC
     at_ns: int = 0
     resolution_s: float = 1.0
 
-    def measured(self, host_ns: int, utc_ns: int, resolution_s: float) -> None:
-        """Take an epoch's host time and UTC; a finer message replaces a coarser, a jump starts anew."""
+    def update(self, host_ns: int, utc_ns: int, resolution_s: float) -> None:
+        """Take an epoch's host time and UTC. A finer resolution replaces a coarser one; a jump starts
+        again."""
         offset = host_ns - utc_ns
         jumped = self.offset_ns is not None and abs(offset - self.offset_ns) > UTC_JUMP_NS
         if self.offset_ns is None or jumped or resolution_s < self.resolution_s:
             self.offset_ns, self.at_ns, self.resolution_s = offset, host_ns, resolution_s
         elif resolution_s == self.resolution_s:
-            risen = self.offset_ns + round(LEAK * (host_ns - self.at_ns))
+            risen = self.offset_ns + round(ENVELOPE_RISE * (host_ns - self.at_ns))
             self.offset_ns, self.at_ns = min(offset, risen), host_ns
 
     def utc_ns(self, host_ns: int) -> int | None:
-        """UTC at a host time, good to the resolution of the messages; None before the first."""
+        """UTC at a host time, accurate to the resolution of the messages; None before the first."""
         return None if self.offset_ns is None else host_ns - self.offset_ns

@@ -25,7 +25,7 @@ def to_plane(origin_deg: Vector, latitude_deg: float, longitude_deg: float) -> V
 
 
 def to_degrees(origin_deg: Vector, x: float, y: float) -> Vector:
-    """(latitude, longitude) of a place that `to_plane` gave."""
+    """(latitude, longitude), deg, of a point (x north, y east), m: the inverse of `to_plane`."""
     place = _transformer(*origin_deg).transform(y, x, direction=TransformDirection.INVERSE)
     return float(place[1]), float(place[0])
 
@@ -33,11 +33,11 @@ def to_degrees(origin_deg: Vector, x: float, y: float) -> Vector:
 def lever(
     position: tuple[float, float, float], cg_height: float, roll_corrected: bool, roll: float, pitch: float
 ) -> Vector:
-    """Horizontal offset (forward, right), m, of what a receiver reports from the body's CG.
+    """Horizontal offset (forward, right), m, from the body's CG to the point that a receiver reports.
 
-    position: antenna forward and right of the CG and above the ground, m, in the body's own axes; a
-    roll-corrected receiver reports the point on the ground below the antenna instead. Both count their height
-    from the ground, so the two kinds can be mixed on a slope. roll positive right side down, pitch positive
+    position: of the antenna: forward and right of the CG, and above the ground, m, in the body's axes. A
+    roll-corrected receiver reports the point on the ground below the antenna instead. Both kinds count their
+    height from the ground, so they can be mixed on a slope. roll: positive right side down; pitch: positive
     nose up, rad.
     """
     forward, right, height = position
@@ -50,11 +50,11 @@ def lever(
 
 
 def rotate(vector: Vector, heading: float) -> Vector:
-    """(forward, right) of a body at `heading` as (north, east)."""
+    """A vector (forward, right) of a body at `heading`, rad, as (north, east)."""
     cosine, sine = math.cos(heading), math.sin(heading)
     return vector[0] * cosine - vector[1] * sine, vector[0] * sine + vector[1] * cosine
 
 
 def wrap(angle: float) -> float:
-    """The angle in [−π, π)."""
+    """The angle, rad, in [−π, π)."""
     return (angle + math.pi) % math.tau - math.pi

@@ -1,9 +1,9 @@
 """How much later than the machine file says does each receiver report?
 
-Receivers on one rigid body keep their distance, and both bodies meet at the hitch. At speed u a timing
-error of δ moves a point by −u δ along its path, so the measured distance tells the *differences* of latency
-to a few milliseconds once the rig moves. What all four share cannot be seen here and stays as uncertain as
-the machine file says.
+Receivers on one rigid body have a fixed distance, and both bodies meet at the hitch. At speed u a timing
+error τ shifts a point by −u τ along its path. So measured distances show the *differences* of latency to a
+few milliseconds once the rig moves. A latency that all four share cannot be observed here; it stays as
+uncertain as the machine file says.
 """
 
 import math
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SLOWEST = 1.5  # m/s: below, distances say too little of time
-CORRELATED = 25.0  # poses (5 s) whose position errors count as one: multipath is not white
-DRIFT = 0.5e-3  # s per sqrt(s)
-SURVEY = 0.02  # m: error of a surveyed distance, never averaged away
+SLOWEST = 1.5  # m/s: at lower speeds distances contain too little information on time
+CORRELATED_POSES = 25.0  # poses (5 s) whose position errors count as one, since multipath is not white
+DRIFT_RATE = 0.5e-3  # s per sqrt(s)
+SURVEY_SD = 0.02  # m: error of a surveyed distance, never averaged away
 GATE = 5.0  # sd
-SHARED = 0.5  # correlation of what the machine file says of two receivers: often one guess for all
+PRIOR_CORRELATION = 0.5  # of two receivers' latencies in the machine file: often all come from one guess
 
 
 @dataclass(slots=True)
 class Latency:
-    """Excess latency over the machine file's, s, in the order of flow.Mount."""
+    """Latencies beyond those of the machine file, in the order of flow.Mount."""
 
     tau: Array = field(default_factory=lambda: np.zeros(4))  # [4] s
     covariance: Array = field(default_factory=lambda: np.zeros((4, 4)))  # [4, 4] s^2
@@ -33,30 +33,30 @@ class Latency:
         return round(float(self.tau[receiver]) * 1e9)
 
     def drift(self, seconds: float) -> None:
-        """Let the differences wander; what all share could not be learned again."""
-        self.covariance += (np.eye(4) - 0.25) * (DRIFT**2 * min(seconds, 10.0))
+        """Random walk of the differences; not of the common latency, which could not be learned again."""
+        self.covariance += (np.eye(4) - 0.25) * (DRIFT_RATE**2 * min(seconds, 10.0))
 
-    def observe(self, row: Array, ahead: float, sd: float, speed: float) -> None:
-        """Distances say that `row` · τ is off by −ahead / speed.
+    def update(self, row: Array, ahead: float, sd: float, speed: float) -> None:
+        """Scalar Kalman update of τ with the measurement `row` · τ = −ahead / speed.
 
-        row: [4]; ahead: how far the points of positive weight are ahead of where the geometry puts them, m;
-        sd of one such observation, m; speed along the path, m/s, negative in reverse.
+        row: (4,). ahead: how far the points of positive weight are ahead of their place by the geometry, m.
+        sd: of one such distance, m. speed: along the path, m/s, negative in reverse.
         """
         if abs(speed) < SLOWEST:
             return
         innovation = -ahead / speed
         cross = self.covariance @ row
-        variance = float(row @ cross) + (CORRELATED * sd**2 + SURVEY**2) / speed**2
+        variance = float(row @ cross) + (CORRELATED_POSES * sd**2 + SURVEY_SD**2) / speed**2
         if innovation**2 > GATE**2 * variance:
             return
         self.tau += cross * (innovation / variance)
         self.covariance -= np.outer(cross, cross) / variance
 
     def sd_difference(self, one: int, other: int, speed: float) -> float:
-        """Sd of τ_one − τ_other, s, with the survey's share."""
+        """Sd of τ_one − τ_other, s, including the error of the survey."""
         p = self.covariance
         variance = float(p[one, one] + p[other, other] - 2 * p[one, other])
-        return math.sqrt(max(variance, 0.0) + (SURVEY / max(abs(speed), SLOWEST)) ** 2)
+        return math.sqrt(max(variance, 0.0) + (SURVEY_SD / max(abs(speed), SLOWEST)) ** 2)
 
     def sd_mean(self, receivers: list[int]) -> float:
         """Sd of the mean τ of these receivers, s."""
@@ -64,6 +64,6 @@ class Latency:
 
 
 def prior(sds: list[float]) -> Latency:
-    """Before any motion: as the machine file says. sds: [4], s."""
-    correlation = SHARED + (1 - SHARED) * np.eye(4)
+    """The machine file's latencies, before any motion. sds: (4,), s."""
+    correlation = PRIOR_CORRELATION + (1 - PRIOR_CORRELATION) * np.eye(4)
     return Latency(covariance=correlation * np.outer(sds, sds))

@@ -1,9 +1,9 @@
-"""Does each body go as far as its speed says, and lean as a body on wheels does? Before any model of tyres.
+"""Does each body move as far as its speed says, and roll as a body on wheels does? Needs no tyre model.
 
-A receiver tells position and speed each on its own: over seconds the way and the speed's integral are equal.
-A body leans outward in a turn by a few hundredths of a radian per m/s^2 at the most; a roll that follows the
-lateral acceleration by a tenth is that of a level nobody corrected for acceleration (atan(a/g)). Tractor and
-implement drive over the same slope, so that over half a minute their rolls agree but for a furrow.
+A receiver measures position and speed independently: over seconds, the displacement equals the integral of
+the velocity. In a turn a body rolls outwards by a few hundredths of a radian per m/s^2 at most; a roll of a
+tenth per m/s^2 is that of an inclinometer which is not corrected for acceleration (atan(a/g)). Tractor and
+implement drive over the same slope, so over half a minute their rolls agree, except for a furrow.
 """
 
 import math
@@ -20,129 +20,146 @@ Array = NDArray[np.float64]
 
 NAMES: Final = ("tractor", "implement")
 STEP_NS: Final = 200_000_000  # from pose to pose
-INTERVAL: Final = 10  # poses (2 s): several metres, beside which the noise of positions is small
+INTERVAL: Final = 10  # poses (2 s): several metres, large against the noise of positions
 SLOWEST: Final = 1.5  # m/s
-WAYS: Final = 10.0  # intervals (20 s) of the mean
-ENOUGH: Final = 5.0
-TOO_FAR: Final = 0.1  # of the way: no slip, slope or latency at a nearly constant speed does as much
-MEMORY: Final = 300.0  # poses (60 s) of the moments of roll
-LONG: Final = 75.0  # poses (15 s) before rolls are believed
-PUSHED: Final = 0.3  # m/s^2, sd of the lateral acceleration from which on it tells
-FOLLOWS: Final = 0.8  # correlation
-GRADIENT: Final = 0.05  # rad/(m/s^2); a body on its tyres leans by 0.004 to 0.03
-APART: Final = math.radians(10.0)  # one wheel in a furrow leans a tractor by less
+INTERVAL_MEMORY: Final = 10.0  # intervals (20 s) over which the mean forgets
+LEAST_INTERVALS: Final = 5.0
+LARGEST_DISTANCE_ERROR: Final = 0.1  # share: slip, slope and latency at a nearly constant speed cause less
+ROLL_MEMORY: Final = 300.0  # poses (60 s) over which the moments of roll forget
+LEAST_ROLL_POSES: Final = 75.0  # poses (15 s) before rolls are judged
+LEAST_ACCELERATION_SD: Final = 0.3  # m/s^2: with less lateral acceleration, its effect on roll is not judged
+LEAST_CORRELATION: Final = 0.8  # of roll and lateral acceleration
+LARGEST_ROLL_GRADIENT: Final = 0.05  # rad/(m/s^2); a body on its tyres has 0.004 to 0.03
+LARGEST_ROLL_DIFFERENCE: Final = math.radians(10.0)  # one wheel in a furrow rolls a tractor by less
 
 
 @dataclass(slots=True)
-class Body:
-    """Plain data."""
+class BodyMotion:
+    """Sums of one body, with exponential forgetting."""
 
-    place: tuple[float, float] | None = None  # north, east, m, where the interval began
-    integral: tuple[float, float] = (0.0, 0.0)  # of the velocity since, m
+    place: tuple[float, float] | None = None  # position at the start of the interval: north, east, m
+    integral: tuple[float, float] = (0.0, 0.0)  # of the velocity since then: north, east, m
     velocity: tuple[float, float] = (0.0, 0.0)  # north, east, m/s, at the pose before
-    poses: int = 0
-    weight: float = 0.0  # intervals
-    way: float = 0.0  # sums over the last WAYS intervals, m^2: way times integral
-    square: float = 0.0  # and integral squared
-    rolled: float = 0.0  # poses of the moments
-    mean: Array = field(default_factory=lambda: np.zeros(2))  # lateral acceleration, roll
-    moments: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    poses: int = 0  # since the start of the interval
+    weight: float = 0.0  # number of intervals in the two sums that follow
+    displacement_integral: float = 0.0  # displacement times integral of the velocity, m^2
+    integral_squared: float = 0.0  # the integral squared, m^2
+    roll_weight: float = 0.0  # number of poses in the moments
+    mean: Array = field(default_factory=lambda: np.zeros(2))  # of lateral acceleration (m/s^2) and roll (rad)
+    moments: Array = field(default_factory=lambda: np.zeros((2, 2)))  # central, of the same two
 
 
 @dataclass(slots=True)
 class MotionCheck:
-    """Plain data."""
+    """State of the check; bodies: tractor, implement."""
 
-    bodies: list[Body] = field(default_factory=lambda: [Body(), Body()])
-    seen_ns: int = 0
+    bodies: list[BodyMotion] = field(default_factory=lambda: [BodyMotion(), BodyMotion()])
+    last_pose_ns: int = 0
 
 
 def observe(state: MotionCheck, pose: Pose) -> None:
     """Take one pose."""
-    follows = pose.t_ns - state.seen_ns == STEP_NS
-    state.seen_ns = pose.t_ns
-    for body, now in zip(state.bodies, (pose.tractor, pose.implement), strict=True):
+    follows = pose.t_ns - state.last_pose_ns == STEP_NS
+    state.last_pose_ns = pose.t_ns
+    for body, body_pose in zip(state.bodies, (pose.tractor, pose.implement), strict=True):
         if not follows:
             body.place = None
-        _go(body, now)
-        _lean(body, now)
+        _take_motion(body, body_pose)
+        _take_roll(body, body_pose)
 
 
 def found(state: MotionCheck) -> dict[str, str]:
-    """What contradicts itself: key of the machine file -> what is wrong."""
+    """What is contradictory now: key of the machine file -> message."""
     wrong = {}
     for name, body in zip(NAMES, state.bodies, strict=True):
-        if body.weight >= ENOUGH and abs(body.way / body.square - 1.0) > TOO_FAR:
+        ratio = body.displacement_integral / body.integral_squared if body.weight >= LEAST_INTERVALS else 1.0
+        if abs(ratio - 1.0) > LARGEST_DISTANCE_ERROR:
             key = f"receiver on the {name} (source, latency)"
-            ratio = f"{body.way / body.square:.2f} times as far as its receivers' speed says"
-            wrong[key] = f"the {name} goes {ratio}: {key}?"
+            size = f"{ratio:.2f} times as far as its receivers' speed says"
+            wrong[key] = f"the {name} goes {size}: {key}?"
         gradient = _gradient(body)
-        if abs(gradient) > GRADIENT:
+        if abs(gradient) > LARGEST_ROLL_GRADIENT:
             key = f"receiver on the {name} (roll)"
             size = f"{math.degrees(gradient):+.1f}° per m/s² of lateral acceleration"
             wrong[key] = (
                 f"the {name}'s measured roll follows its turns by {size}, as no tractor leans: {key}?"
             )
     tractor, implement = state.bodies
-    apart = float(tractor.mean[1] - implement.mean[1])
-    if min(tractor.rolled, implement.rolled) >= LONG and abs(apart) > APART:
+    difference = float(tractor.mean[1] - implement.mean[1])
+    if (
+        min(tractor.roll_weight, implement.roll_weight) >= LEAST_ROLL_POSES
+        and abs(difference) > LARGEST_ROLL_DIFFERENCE
+    ):
         key = "receiver (roll)"
-        size = f"{math.degrees(apart):+.0f}° on average"
+        size = f"{math.degrees(difference):+.0f}° on average"
         wrong[key] = f"tractor and implement lean apart by {size}, on the same ground: {key}?"
     return wrong
 
 
-def waits(state: MotionCheck) -> bool:
-    """Whether both bodies tell their roll, but not long enough to compare them."""
-    tractor, implement = (body.rolled for body in state.bodies)
-    return min(tractor, implement) > 0.0 and min(tractor, implement) < LONG
+def roll_check_pending(state: MotionCheck) -> bool:
+    """Whether rolls of both bodies are measured, but not yet for long enough to compare them."""
+    tractor, implement = (body.roll_weight for body in state.bodies)
+    return min(tractor, implement) > 0.0 and min(tractor, implement) < LEAST_ROLL_POSES
 
 
-def _go(body: Body, now: BodyPose) -> None:
-    """Carry on the interval; at its end its way is compared with the integral of its velocity."""
-    speed = now.forward_velocity
-    if now.x is None or now.y is None or speed is None or now.heading is None or abs(speed) < SLOWEST:
+def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
+    """Continue the interval. At its end its displacement and the integral of the velocity are added up."""
+    speed = body_pose.forward_velocity
+    if (
+        body_pose.x is None
+        or body_pose.y is None
+        or speed is None
+        or body_pose.heading is None
+        or abs(speed) < SLOWEST
+    ):
         body.place = None
         return
-    before, body.velocity = body.velocity, rotate((speed, now.lateral_velocity or 0.0), now.heading)
+    before = body.velocity
+    body.velocity = rotate((speed, body_pose.lateral_velocity or 0.0), body_pose.heading)
     if body.place is None:
-        body.place, body.integral, body.poses = (now.x, now.y), (0.0, 0.0), 0
+        body.place, body.integral, body.poses = (body_pose.x, body_pose.y), (0.0, 0.0), 0
         return
     half_s = STEP_NS * 1e-9 / 2
     north, east = ((one + other) * half_s for one, other in zip(before, body.velocity, strict=True))
     body.integral = (body.integral[0] + north, body.integral[1] + east)
     body.poses += 1
     if body.poses == INTERVAL:
-        _compare(body, (now.x - body.place[0], now.y - body.place[1]))
-        body.place, body.integral, body.poses = (now.x, now.y), (0.0, 0.0), 0
+        _add_interval(body, (body_pose.x - body.place[0], body_pose.y - body.place[1]))
+        body.place, body.integral, body.poses = (body_pose.x, body_pose.y), (0.0, 0.0), 0
 
 
-def _compare(body: Body, way: tuple[float, float]) -> None:
-    keep = 1.0 - 1.0 / WAYS
+def _add_interval(body: BodyMotion, displacement: tuple[float, float]) -> None:
+    keep = 1.0 - 1.0 / INTERVAL_MEMORY
     body.weight = keep * body.weight + 1.0
-    body.way = keep * body.way + way[0] * body.integral[0] + way[1] * body.integral[1]
-    body.square = keep * body.square + body.integral[0] ** 2 + body.integral[1] ** 2
+    body.displacement_integral = (
+        keep * body.displacement_integral
+        + displacement[0] * body.integral[0]
+        + displacement[1] * body.integral[1]
+    )
+    body.integral_squared = keep * body.integral_squared + body.integral[0] ** 2 + body.integral[1] ** 2
 
 
-def _lean(body: Body, now: BodyPose) -> None:
-    if now.roll is None or now.forward_velocity is None or now.yaw_rate is None:
+def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
+    if body_pose.roll is None or body_pose.forward_velocity is None or body_pose.yaw_rate is None:
         return
-    if abs(now.forward_velocity) < SLOWEST:
+    if abs(body_pose.forward_velocity) < SLOWEST:
         return
-    sample = np.array([now.forward_velocity * now.yaw_rate, now.roll])
-    keep = 1.0 - 1.0 / MEMORY
-    body.rolled = keep * body.rolled + 1.0
+    sample = np.array([body_pose.forward_velocity * body_pose.yaw_rate, body_pose.roll])
+    keep = 1.0 - 1.0 / ROLL_MEMORY
+    body.roll_weight = keep * body.roll_weight + 1.0
     off = sample - body.mean
-    body.mean += off / body.rolled
+    body.mean += off / body.roll_weight
     body.moments = keep * body.moments + np.outer(off, sample - body.mean)
 
 
-def _gradient(body: Body) -> float:
-    """Roll per lateral acceleration, rad/(m/s^2), where one follows the other; else 0."""
-    if body.rolled < LONG:
+def _gradient(body: BodyMotion) -> float:
+    """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0."""
+    if body.roll_weight < LEAST_ROLL_POSES:
         return 0.0
-    pushed, rolled = np.sqrt(np.diag(body.moments) / body.rolled)
-    together = body.moments[0, 1] / body.rolled
-    if pushed < PUSHED or abs(together) < FOLLOWS * pushed * max(rolled, 1e-9):
+    acceleration_sd, roll_sd = np.sqrt(np.diag(body.moments) / body.roll_weight)
+    covariance = body.moments[0, 1] / body.roll_weight
+    if acceleration_sd < LEAST_ACCELERATION_SD:
         return 0.0
-    return float(together / pushed**2)
+    if abs(covariance) < LEAST_CORRELATION * acceleration_sd * max(roll_sd, 1e-9):
+        return 0.0
+    return float(covariance / acceleration_sd**2)

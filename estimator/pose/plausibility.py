@@ -1,12 +1,12 @@
-"""Do the positions fit the surveyed rig? Catches receivers that were swapped or moved.
+"""Do the positions fit the surveyed rig? Finds receivers that were swapped or moved.
 
-Each arrangement of the receivers over the mounts is scored by how far the two baselines are off their
-surveyed lengths and how far the two bodies miss each other at the hitch. Lengths alone would not see a front
-and rear receiver exchanged on one body; the hitch does. A body with one receiver is scored by that one's
-distance to the hitch of the other.
+Each assignment of the receivers to the mounts has a score: the errors of the two baselines against their
+surveyed lengths, and the distance between the hitch as seen from either body. Lengths alone would not show a
+front and rear receiver exchanged on one body; the hitch does. For a body with one receiver, the score uses
+the distance of this receiver to the hitch of the other body.
 
-One instant shows gross errors only. Means over seconds show the small ones: baselines that stay too long or
-too short, and a body that seems to travel sideways while it goes straight.
+One instant shows gross errors only. Means over seconds show small ones: a baseline that stays too long or too
+short, and a body that seems to move sideways (to crab) while it goes straight.
 """
 
 import math
@@ -17,14 +17,14 @@ from itertools import permutations
 from tilth.estimator.pose.geometry import Vector, rotate
 from tilth.schemas.flow import Flag, FlagKind, Mount
 
-MISFIT = 0.6  # m: above, the arrangement is doubted
-SMEAR = 3.0  # and as many sd of what timing may still shift a point
-PERSISTENCE = 3  # poses in a row before anything is said
+MISFIT = 0.6  # m: largest score of a right assignment, at rest
+SMEAR = 3.0  # sds of the timing error of a point, as a distance, that are added to it
+PERSISTENCE = 3  # poses in a row before a flag is raised
 MEMORY = 40.0  # poses (8 s) of the means
-SETTLED = 60  # poses in a mean before it is believed
-SOON = 15  # poses at the least
-LASTING = 0.15  # m: a mean beyond is no survey's error
-SIDEWAYS = 0.07  # rad: no slope of 5 degrees makes a body crab as much
+POSES_TO_DECIDE = 60  # poses in a mean that is just above its limit before it counts; fewer if it is larger
+LEAST_POSES = 15  # but never fewer than these
+LARGEST_EXCESS = 0.15  # m: a larger mean is no error of a survey
+LARGEST_CRAB_ANGLE = 0.07  # rad: on a slope of 5 degrees a body crabs by less
 
 PAIRS = ((Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR), (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR))
 
@@ -40,44 +40,53 @@ class Mean:
         self.count += 1
         self.value += (value - self.value) / min(self.count, MEMORY)
 
-    def beyond(self, limit: float) -> bool:
-        """Whether it is, for sure: what is far beyond needs fewer poses."""
+    def exceeds(self, limit: float) -> bool:
+        """Whether its size is certainly above the limit; far above, fewer poses suffice."""
         size = abs(self.value)
-        return size > limit and self.count >= max(SOON, SETTLED * limit / size)
+        return size > limit and self.count >= max(LEAST_POSES, POSES_TO_DECIDE * limit / size)
 
 
 @dataclass(slots=True)
-class Lasting:
-    """What stays wrong by little: per body the baseline's excess (m) and the sideways course (rad)."""
+class LongTermMeans:
+    """Means that show small lasting errors: of each body the baseline's excess, m, and the crab angle,
+    rad."""
 
     excess: list[Mean] = field(default_factory=lambda: [Mean(), Mean()])
-    sideways: list[Mean] = field(default_factory=lambda: [Mean(), Mean()])
+    crab_angle: list[Mean] = field(default_factory=lambda: [Mean(), Mean()])
     parked: list[Mean] = field(default_factory=lambda: [Mean(), Mean(), Mean(), Mean()])
-    """While the rig stands or creeps: both bodies' excess, and how far the tractor's hitch is ahead of the
-    implement's and to its right, m."""
+    """While the rig stands or creeps, m: both bodies' excess, and how far the hitch as seen from the tractor
+    is ahead and to the right of the hitch as seen from the implement."""
 
     def bodies(self, sd_timing: float) -> list[int]:
         """Indices of the bodies whose receivers are not where the survey says."""
-        limit = LASTING + SMEAR * sd_timing
-        return [i for i in (0, 1) if self.excess[i].beyond(limit) or self.sideways[i].beyond(SIDEWAYS)]
+        limit = LARGEST_EXCESS + SMEAR * sd_timing
+        return [
+            i
+            for i in (0, 1)
+            if self.excess[i].exceeds(limit) or self.crab_angle[i].exceeds(LARGEST_CRAB_ANGLE)
+        ]
 
 
 @dataclass(slots=True)
 class Suspicion:
-    """What has looked wrong for how many poses in a row."""
+    """The latest finding, and for how many poses in a row it has been the same."""
 
     verdict: tuple[Flag, ...] = ()
     streak: int = 0
 
     def judge(self, found: tuple[Flag, ...]) -> tuple[Flag, ...]:
-        """The flags to raise, once the same finding has persisted."""
+        """Take the finding of one pose. Returns it if it has persisted, else ()."""
         self.streak = self.streak + 1 if found == self.verdict else 1
         self.verdict = found
         return found if self.streak >= PERSISTENCE else ()
 
 
 def misfit(points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: float, d: float) -> float:
-    """Root of the summed squares of baseline errors and hitch gap, m, of the mounts there are."""
+    """Score of an assignment, m: root of the sum of squares of baseline errors and hitch gap.
+
+    points: north, east, m, of the mounts with a receiver; levers: forward, right, m. c, d: tractor's CG to
+    the hitch, hitch to the implement's CG, m.
+    """
     total = 0.0
     hitches: list[Vector | None] = []
     for (front, rear), to_hitch in zip(PAIRS, (-c, d), strict=True):
@@ -107,10 +116,13 @@ def misfit(points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: fl
     return math.sqrt(total)
 
 
-def examine(
+def check_instant(
     points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: float, d: float, sd_timing: float
 ) -> tuple[Flag, ...]:
-    """Flags for one instant: none, all of kind SWAPPED, or all MOVED. sd_timing: of a point, m."""
+    """Flags of one instant: none, all SWAPPED, or all MOVED.
+
+    sd_timing: sd of a point from timing errors, m. Others: as `misfit`.
+    """
     tolerance = MISFIT + SMEAR * sd_timing
     if misfit(points, levers, c, d) < tolerance:
         return ()
@@ -124,15 +136,16 @@ def examine(
         return tuple(
             Flag(FlagKind.SWAPPED, m.value) for m, o in zip(mounts, arrangement, strict=True) if m != o
         )
-    return tuple(Flag(FlagKind.MOVED, m.value) for m in _culprits(points, levers, c, d, tolerance))
+    return tuple(Flag(FlagKind.MOVED, m.value) for m in _moved_mounts(points, levers, c, d, tolerance))
 
 
-def _culprits(
+def _moved_mounts(
     points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: float, d: float, tolerance: float
 ) -> list[Mount]:
-    """The mounts whose absence mends the fit; all of them where none does alone."""
-    mending = [
+    """The mounts of which each one, when left out, makes the rest fit; all mounts if there is no such one."""
+    sufficient = [
         m for m in points if misfit({k: v for k, v in points.items() if k != m}, levers, c, d) < tolerance
     ]
-    # Without one receiver its body gives no hitch, so the other one of a wrong pair mends it as well.
-    return mending or list(points)
+    # Without one receiver its body gives no hitch, so leaving out the other one of a wrong pair works as
+    # well.
+    return sufficient or list(points)

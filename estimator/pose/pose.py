@@ -1,11 +1,11 @@
-"""Poses: four receivers brought to one instant by motion, and both bodies solved there.
+"""Poses: the receivers' positions interpolated to one instant, and both bodies solved there.
 
-What is missing is named in the pose's flags. With fewer receivers it gives what can still be given:
+Flags of the pose name what is missing. What can be given depends on the receivers of a body:
 
-- both receivers of a body: everything of that body;
-- one of a body's: its heading from where the hitch is, if the other body is whole; else from a heading the
-  receiver reports; else carried on by the yaw rate for a few seconds;
-- none of a body's: nothing of that body.
+- both: everything of that body;
+- one: its heading comes from the position of the hitch, if the other body has both receivers; else from the
+  heading that the receiver reports; else from the last heading and the yaw rate, for a few seconds;
+- none: nothing of that body.
 """
 
 import math
@@ -15,24 +15,24 @@ import numpy as np
 
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
-from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, centre, centre_velocity
+from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 MOVING = 0.3  # m/s
-FIX_NS = 5_000_000_000  # a fix told longer ago is not known any more
-STRAIGHT = 0.05  # rad/s: below, a body that goes at CRUISE or more goes where it points
+FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
+STRAIGHT = 0.05  # rad/s: at smaller yaw rates a body at CRUISE or faster moves where it points
 CRUISE = 1.5  # m/s
-CREEP = 0.7  # m/s: below, no latency moves a point by more than the survey's error
-SHARP = 0.1  # m: sd of a position that tells of the survey
-LATENCY_SDS = 2.5  # of the machine file: a latency further off is none, or the receiver was moved along
+CREEP = 0.7  # m/s: at lower speeds no latency shifts a point by more than the survey's error
+SHARP_POSITION_SD = 0.1  # m: positions with a larger sd are not compared with the survey
+LATENCY_SDS = 2.5  # sds of the machine file: further off, latency or position of the receiver is wrong
 LATENCY_SLACK_S = 0.02
 WHEEL_HOLD_NS = 250_000_000
-UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that nobody measures
-GYRO_CARRY_NS = 5_000_000_000  # a heading is carried on by the yaw rate at most this long
-GYRO_WALK = math.radians(0.3)  # rad per sqrt(s), its growing sd
+UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that is not measured
+LONGEST_YAW_RATE_HEADING_NS = 5_000_000_000  # a heading is continued by the yaw rate at most this long
+YAW_RATE_HEADING_WALK = math.radians(0.3)  # rad per sqrt(s), growth of its sd
 BODIES = ((0, 1), (2, 3))  # indices into MOUNTS: tractor, implement
 NAMES = ("tractor", "implement")
 
@@ -47,7 +47,7 @@ def poses(state: Aligner, now_ns: int) -> list[Pose]:
 
 @dataclass(slots=True)
 class _Body:
-    """One body while its pose is being made."""
+    """One body while its pose is computed. SI, rad; tuples are (value, sd) where not said otherwise."""
 
     index: int  # 0 tractor, 1 implement
     roll: tuple[float, float] | None
@@ -57,24 +57,24 @@ class _Body:
     sd_heading: float = 0.0
     cg: Vector | None = None
     sd_cg: float = 0.0
-    velocity: tuple[float, float, float] | None = None
+    velocity: tuple[float, float, float] | None = None  # forward u, lateral v, sd per axis, m/s
     pair: Baseline | None = None
-    going: tuple[float, float, float] | None = None  # velocity by the pair's own heading
+    pair_velocity: tuple[float, float, float] | None = None  # as velocity, with the heading of the pair
 
 
 def _pose_at(state: Aligner, t_ns: int) -> Pose:
     flags = _receiver_flags(state, t_ns)
-    bodies = [_gather(state, index, t_ns, flags) for index in range(2)]
+    bodies = [_interpolate_body(state, index, t_ns, flags) for index in range(2)]
     for body in bodies:
         _solve_pair(state, body)
     flags += _withhold_doubtful(state, bodies)
     for body, other in zip(bodies, reversed(bodies), strict=True):
         if body.heading is None and body.antennas:
             _solve_single(state, body, other, t_ns, flags)
-    _learn_latency(state, bodies, t_ns)
+    _update_latency(state, bodies, t_ns)
     for body in bodies:
-        _finish(state, body, t_ns, flags)
-    state.posed_ns = t_ns
+        _solve_body(state, body, t_ns, flags)
+    state.last_pose_ns = t_ns
     return _assemble(state, bodies, t_ns, flags)
 
 
@@ -98,8 +98,8 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
     return flags
 
 
-def _gather(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
-    """What the receivers of one body say at t."""
+def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
+    """The measurements of one body's receivers, interpolated to t_ns; adds flags for what is missing."""
     present = [
         (i, track, t_ns + state.latency.excess_ns(i))
         for i in BODIES[index]
@@ -115,7 +115,7 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
         found = track.position_at(at) if track.usable() else None
         if found is None:
             if track.usable() and track.positions:
-                repeating = track.repeated_ns > max(track.placed_ns, t_ns - LOST_NS)
+                repeating = track.repeated_ns > max(track.last_position_ns, t_ns - LOST_NS)
                 flags.append(Flag(FlagKind.REPEATING if repeating else FlagKind.LOST, MOUNTS[i].value))
             continue
         point, sd, extrapolated = found
@@ -123,11 +123,11 @@ def _gather(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
             flags.append(Flag(FlagKind.LATE, MOUNTS[i].value))
         receiver = _receiver(state.machine, MOUNTS[i])
         arm = lever(receiver.position, section.cg_height.value, receiver.roll_corrected, *tilt)
-        moving = track.velocity_at(at)
-        speed = math.hypot(*moving[0]) if moving else 0.0
+        velocity_found = track.velocity_at(at)
+        speed = math.hypot(*velocity_found[0]) if velocity_found else 0.0
         partner = BODIES[index][0] + BODIES[index][1] - i
         sd_time = state.latency.sd_difference(i, partner, speed) / math.sqrt(2)
-        velocity, sd_velocity = moving if moving else (None, 0.0)
+        velocity, sd_velocity = velocity_found if velocity_found else (None, 0.0)
         body.antennas[i] = ReportedPoint(point, sd, arm, velocity, sd_velocity, sd_time)
     return body
 
@@ -150,56 +150,59 @@ def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
 
 
 def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[Flag]:
-    """Take out the receivers that do not fit the surveyed rig; say so."""
+    """Remove the receivers that do not fit the surveyed rig. Returns the flags that say so."""
     antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
     speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
     smear = max((speed * a.sd_time + a.sd for a in antennas.values()), default=0.0)
     c, d = state.machine.tractor.c.value, state.machine.implement.d.value
     levers = {mount: antenna.lever for mount, antenna in antennas.items()}
-    found = plausibility.examine({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
-    _look_long(state, bodies)
+    found = plausibility.check_instant({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
+    _update_long_term_means(state, bodies)
     if not found:
         timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
-        wrong = [*state.lasting.bodies(timing), *_backwards(state, bodies)]
+        wrong = [*state.long_term.bodies(timing), *_reversed_bodies(state, bodies)]
         found = tuple(Flag(FlagKind.MOVED, MOUNTS[i].value) for body in wrong for i in bodies[body].antennas)
     persistent = state.suspicion.judge(found)
     for flag in found:
         index = MOUNTS.index(Mount(flag.of))
         body = bodies[index // 2]
         body.antennas.pop(index, None)
-        body.pair = body.going = body.heading = None
+        body.pair = body.pair_velocity = body.heading = None
     return list(persistent) or [Flag(FlagKind.DOUBTFUL, flag.of) for flag in found]
 
 
-def _look_long(state: Aligner, bodies: list[_Body]) -> None:
-    """Add this instant to the means of what should be nothing."""
+def _update_long_term_means(state: Aligner, bodies: list[_Body]) -> None:
+    """Add this instant to the means of baseline excess and crab angle, which should be zero."""
     for body in bodies:
         if body.pair is None:
             continue
-        state.lasting.excess[body.index].add(body.pair.excess)
+        state.long_term.excess[body.index].add(body.pair.excess)
         straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
-        if body.going is not None and straight and math.hypot(*body.going[:2]) > CRUISE:
-            # Of a course and its opposite the nearer: reversing is no fault.
-            state.lasting.sideways[body.index].add(math.atan2(body.going[1], abs(body.going[0])))
+        if body.pair_velocity is not None and straight and math.hypot(*body.pair_velocity[:2]) > CRUISE:
+            # The absolute value makes forward and reverse alike: reversing is no fault.
+            state.long_term.crab_angle[body.index].add(
+                math.atan2(body.pair_velocity[1], abs(body.pair_velocity[0]))
+            )
 
 
-def _look_parked(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
-    """Add this instant, at which latency plays no part, to what distances alone say of the survey."""
+def _update_parked_means(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
+    """Add this instant to the means while parked, if the rig is so slow that latency has no effect."""
     antennas = [antenna for body in bodies for antenna in body.antennas.values()]
     speeds = [math.hypot(*antenna.velocity) if antenna.velocity else math.inf for antenna in antennas]
-    if max(speeds) > CREEP or max(antenna.sd for antenna in antennas) > SHARP:
+    if max(speeds) > CREEP or max(antenna.sd for antenna in antennas) > SHARP_POSITION_SD:
         return
     excesses = [body.pair.excess for body in bodies if body.pair is not None]
-    for mean, value in zip(state.lasting.parked, (*excesses, ahead, across), strict=True):
+    for mean, value in zip(state.long_term.parked, (*excesses, ahead, across), strict=True):
         mean.add(value)
 
 
-def _backwards(state: Aligner, bodies: list[_Body]) -> list[int]:
-    """The tractor, where its receivers have it go back while the vehicle says forward, or the other way."""
-    going = bodies[0].going
-    if going is None or state.direction == 0 or state.posed_ns - state.direction_ns > LOST_NS:
+def _reversed_bodies(state: Aligner, bodies: list[_Body]) -> list[int]:
+    """[0], the tractor, if its receivers show the opposite of the direction that the vehicle reports; else
+    []."""
+    pair_velocity = bodies[0].pair_velocity
+    if pair_velocity is None or state.direction == 0 or state.last_pose_ns - state.direction_ns > LOST_NS:
         return []
-    backwards = abs(going[0]) >= CRUISE and going[0] * state.direction < 0
+    backwards = abs(pair_velocity[0]) >= CRUISE and pair_velocity[0] * state.direction < 0
     return [0] if backwards else []
 
 
@@ -210,11 +213,11 @@ def _solve_pair(state: Aligner, body: _Body) -> None:
     body.pair = baseline(front, rear, _sd_tilt(state, body))
     body.heading, body.sd_heading = body.pair.heading, body.pair.sd_heading
     rate = body.yaw_rate[0] if body.yaw_rate else 0.0
-    body.going = centre_velocity([front, rear], body.pair.heading, rate, 0.0)
+    body.pair_velocity = cg_velocity([front, rear], body.pair.heading, rate, 0.0)
 
 
 def _sd_tilt(state: Aligner, body: _Body) -> float:
-    """Shift of one antenna against the other from the roll's error, m."""
+    """Sd of the shift between the two antennas from the error of the roll, m."""
     heights = []
     for i in BODIES[body.index]:
         receiver = _receiver(state.machine, MOUNTS[i])
@@ -223,58 +226,60 @@ def _sd_tilt(state: Aligner, body: _Body) -> float:
 
 
 def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[Flag]) -> None:
-    """Heading of a body with one receiver: by the hitch, by its own word, or carried on by the yaw rate."""
+    """Heading of a body with one receiver: by the hitch, as reported, or continued by the yaw rate."""
     ((index, antenna),) = body.antennas.items()
     track = state.tracks[MOUNTS[index].value]
     whole = other.heading is not None and len(other.antennas) == 2
-    ways = {
-        FlagKind.HEADING_BY_HITCH: _by_hitch(state, body, other, antenna) if whole else None,
+    sources = {
+        FlagKind.HEADING_BY_HITCH: _heading_by_hitch(state, body, other, antenna) if whole else None,
         FlagKind.HEADING_BY_REPORTED: angle_at(
             track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS
         ),
-        FlagKind.HEADING_BY_YAW_RATE: _carried_on(state, body, t_ns),
+        FlagKind.HEADING_BY_YAW_RATE: _heading_by_yaw_rate(state, body, t_ns),
     }
-    for way, found in ways.items():
+    for kind, found in sources.items():
         if found is not None:
-            flags.append(Flag(way, NAMES[body.index]))
+            flags.append(Flag(kind, NAMES[body.index]))
             body.heading, body.sd_heading = wrap(found[0]), found[1]
             return
     flags.append(Flag(FlagKind.NO_HEADING, NAMES[body.index]))
 
 
-def _carried_on(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
-    """(heading, sd) of the last whole pose turned on by the yaw rate since."""
+def _heading_by_yaw_rate(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
+    """(heading, sd), rad: that of the last pose with both receivers plus the integral of the yaw rate
+    since."""
     previous = state.last_heading[body.index]
-    if previous is None or body.yaw_rate is None or t_ns - previous[0] > GYRO_CARRY_NS:
+    if previous is None or body.yaw_rate is None or t_ns - previous[0] > LONGEST_YAW_RATE_HEADING_NS:
         return None
-    carried = previous[1] + body.yaw_rate[0] * (t_ns - state.posed_ns) * 1e-9
+    carried = previous[1] + body.yaw_rate[0] * (t_ns - state.last_pose_ns) * 1e-9
     state.last_heading[body.index] = (previous[0], carried, previous[2])
-    return carried, previous[2] + GYRO_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
+    return carried, previous[2] + YAW_RATE_HEADING_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
 
 
-def _by_hitch(
+def _heading_by_hitch(
     state: Aligner, body: _Body, other: _Body, antenna: ReportedPoint
 ) -> tuple[float, float] | None:
-    """(heading, sd) from the direction in which this antenna sees the hitch."""
+    """(heading, sd), rad, from the direction of the hitch, as the other body has it, seen from this
+    antenna."""
     c, d = state.machine.tractor.c.value, state.machine.implement.d.value
-    own, others = (-c, d) if body.index == 0 else (d, -c)
+    hitch_here, hitch_there = (-c, d) if body.index == 0 else (d, -c)
     if other.heading is None:
         return None
-    cg, sd_cg = centre(list(other.antennas.values()), other.heading, other.sd_heading)
-    arm = rotate((others, 0.0), other.heading)
+    cg, sd_cg = cg_position(list(other.antennas.values()), other.heading, other.sd_heading)
+    arm = rotate((hitch_there, 0.0), other.heading)
     north, east = cg[0] + arm[0] - antenna.at[0], cg[1] + arm[1] - antenna.at[1]
-    forward, right = own - antenna.lever[0], -antenna.lever[1]
+    forward, right = hitch_here - antenna.lever[0], -antenna.lever[1]
     length = math.hypot(forward, right)
     if length < 0.5:
-        return None  # the antenna stands on the hitch: it sees no direction
-    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(others) * other.sd_heading) ** 2) / length
+        return None  # the antenna is at the hitch: there is no direction
+    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(hitch_there) * other.sd_heading) ** 2) / length
     return wrap(math.atan2(east, north) - math.atan2(right, forward)), sd
 
 
-def _learn_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
-    """Let the two baselines and the hitch tell the receivers' relative latencies."""
-    if state.posed_ns:
-        state.latency.drift(max(0, t_ns - state.posed_ns) * 1e-9)
+def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
+    """Update the receivers' relative latencies with the two baseline lengths and the gap at the hitch."""
+    if state.last_pose_ns:
+        state.latency.drift(max(0, t_ns - state.last_pose_ns) * 1e-9)
     if any(body.pair is None for body in bodies) or state.suspicion.verdict:
         return
     speeds: list[float] = []
@@ -288,20 +293,20 @@ def _learn_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
         row = np.zeros(4)
         row[list(BODIES[body.index])] = 1.0, -1.0
         sd = math.hypot(front.sd, rear.sd)
-        state.latency.observe(row, body.pair.excess, sd, body.pair.speed_along)
-        cg, _ = centre([front, rear], body.heading, body.sd_heading)
+        state.latency.update(row, body.pair.excess, sd, body.pair.speed_along)
+        cg, _ = cg_position([front, rear], body.heading, body.sd_heading)
         arm = rotate((to_hitch, 0.0), body.heading)
         hitches.append((cg[0] + arm[0], cg[1] + arm[1]))
         speeds.append(body.pair.speed_along)
     heading = bodies[1].heading or 0.0
     gap = (hitches[0][0] - hitches[1][0], hitches[0][1] - hitches[1][1])
     ahead = gap[0] * math.cos(heading) + gap[1] * math.sin(heading)
-    _look_parked(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
+    _update_parked_means(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
     sd = max(a.sd for body in bodies for a in body.antennas.values())
-    state.latency.observe(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
+    state.latency.update(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
 
 
-def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[Flag]) -> None:
+def _solve_body(state: Aligner, body: _Body, t_ns: int, flags: list[Flag]) -> None:
     name = NAMES[body.index]
     if body.roll is None:
         flags.append(Flag(FlagKind.NO_ROLL, name))
@@ -313,18 +318,18 @@ def _finish(state: Aligner, body: _Body, t_ns: int, flags: list[Flag]) -> None:
         return
     antennas = list(body.antennas.values())
     rate, sd_rate = body.yaw_rate or (0.0, 0.0)
-    body.velocity = centre_velocity(antennas, body.heading, rate, sd_rate)
-    cg, sd = centre(antennas, body.heading, body.sd_heading)
+    body.velocity = cg_velocity(antennas, body.heading, rate, sd_rate)
+    cg, sd = cg_position(antennas, body.heading, body.sd_heading)
     speed = math.hypot(*body.velocity[:2]) if body.velocity else 0.0
     common = state.latency.sd_mean(list(body.antennas)) * speed
-    tilt = _reach(state, body) * (body.roll[1] if body.roll else UNKNOWN_TILT)
+    tilt = _roll_arm(state, body) * (body.roll[1] if body.roll else UNKNOWN_TILT)
     body.cg, body.sd_cg = cg, math.sqrt(sd**2 + common**2 + tilt**2)
     if len(antennas) == 2:
         state.last_heading[body.index] = (t_ns, body.heading, body.sd_heading)
 
 
-def _reach(state: Aligner, body: _Body) -> float:
-    """Height between what the receivers report and the CG, m: the arm through which a roll error moves it."""
+def _roll_arm(state: Aligner, body: _Body) -> float:
+    """Height between the CG and the reported points, m: the lever arm of a roll error."""
     cg_height = _section(state.machine, body.index).cg_height.value
     reaches = []
     for i in body.antennas:
@@ -334,7 +339,7 @@ def _reach(state: Aligner, body: _Body) -> float:
 
 
 def _rate_of_heading(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
-    """(yaw rate, sd) from this heading and the one before, where nobody measures it."""
+    """(yaw rate, sd), rad/s, from this heading and the one before, for a body without a measured yaw rate."""
     previous = state.last_heading[body.index]
     if body.heading is None or previous is None or not 0 < t_ns - previous[0] <= 2 * POSE_NS:
         return None
@@ -343,7 +348,7 @@ def _rate_of_heading(state: Aligner, body: _Body, t_ns: int) -> tuple[float, flo
 
 
 def _direction(state: Aligner, tractor: _Body, t_ns: int) -> int:
-    """+1, −1, or 0: from velocity against heading; the vehicle's own word only where that is silent."""
+    """+1, −1 or 0: from the velocity along the heading; without one, as the vehicle reports it."""
     if tractor.velocity is not None:
         u = tractor.velocity[0]
         return 0 if abs(u) < MOVING else (1 if u > 0 else -1)

@@ -1,13 +1,15 @@
-"""What may be wrong with receivers from the start, found while driving: smoothed turn rates, wrong roll.
+"""Finds wrong settings of receivers while driving: smoothed turn rates, wrong roll correction.
 
-How far a turn rate lags is found by turn_rate_lag, behind the heading of a body's two antennas or, where it
-has one receiver alone, behind the heading that this reports itself.
+turn_rate_lag finds how far a turn rate lags behind the heading: that of a body's two antennas or, if the body
+has only one receiver, the heading that it reports.
 
-An antenna at height h that leans by the roll φ moves to the right by c h sin φ; c is 1, or 0 where the
-receiver reports the point on the ground. That shows where both bodies see the hitch, and in a body's heading
-against its turn rate. Measured rolls have noise, which alone would pass for c = 0: its square is taken out
-again, and nothing is said before rolls are clearly larger than their noise. A constant slope tells by the
-offset of the hitch, as far as the survey is good; uneven ground tells without.
+With roll φ, the point reported by an antenna at height h moves to the right by c h sin φ. The response c is
+1, or 0 if the receiver reports the point on the ground. It is observed in two ways: in the gap between the
+hitch as seen from either body, and in a body's heading change against the integral of its turn rate. Both are
+linear in c, so c follows from the normal equations (information and vector). Noise of the measured rolls
+would pull c towards 0: its square is subtracted from the information, and nothing is reported before rolls
+are clearly larger than their noise. On a constant slope the offset of the hitch is the evidence, within the
+accuracy of the survey; uneven ground needs no such accuracy.
 """
 
 import math
@@ -22,7 +24,7 @@ from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline
 from tilth.estimator.pose.geometry import rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.estimator.pose.turn_rate_lag import SURE, Lag, judge, regress, settled, time_constant
+from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
@@ -31,68 +33,68 @@ Array = NDArray[np.float64]
 
 INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
 SLOWEST: Final = 1.0  # m/s
-GAP_EVERY: Final = 5  # poses (1 s) from one look at the hitch to the next
-LARGEST_GAP: Final = 1.0  # m: beyond, it is another fault
-OFFSET_SD: Final = 0.04  # m, of the hitch by the survey of antennas and by yaw of the pairs
-RESPONSE: Final = (0.5, 0.5)  # mean and sd of c before any data
-LARGER: Final = 3.0  # mean square of rolls over that of their noise, from which on they tell
+HITCH_SAMPLE_POSES: Final = 5  # poses (1 s) between two samples of the gap at the hitch
+LARGEST_GAP: Final = 1.0  # m: a larger gap has another cause
+OFFSET_SD: Final = 0.04  # m, of the gap at the hitch from the survey of antennas and the yaw of the pairs
+RESPONSE_PRIOR: Final = (0.5, 0.5)  # mean and sd of c before any data
+LEAST_ROLL_TO_NOISE: Final = 3.0  # mean square of rolls over that of their noise, for rolls to be used
 LEAST_ROLL_NOISE: Final = math.radians(0.05)
 SMOOTHED: Final = FlagKind.SMOOTHED_YAW_RATE
 TWICE: Final = FlagKind.ROLL_CORRECTED_TWICE
 NOT: Final = FlagKind.NOT_ROLL_CORRECTED
 UNCLEAR: Final = FlagKind.ROLL_CORRECTION
-KINDS: Final = (SMOOTHED, TWICE, NOT, UNCLEAR)  # of what is found
-_SET: Final = {TWICE: "true", NOT: "false"}
+KINDS: Final = (SMOOTHED, TWICE, NOT, UNCLEAR)  # of all faults that are found here
+_SET: Final = {TWICE: "true", NOT: "false"}  # fault -> the right value of roll_corrected
 
 
 @dataclass(slots=True)
 class TurnInterval:
-    """Of one body, since an interval began."""
+    """The interval of one body over which a heading change is compared with turn rates."""
 
-    heading: float = 0.0  # rad, where it began
-    roll: float = 0.0
-    poses: int = -1
+    heading: float = 0.0  # rad, at its start
+    roll: float = 0.0  # rad, at its start
+    poses: int = -1  # since its start; -1: none has begun
 
 
 @dataclass(slots=True)
 class ReceiverChecks:
-    """Plain data."""
+    """State of the checks; lists of four in the order of flow.Mount, lists of two tractor, implement."""
 
     lags: list[Lag] = field(default_factory=lambda: [Lag() for _ in MOUNTS])
     turns: list[TurnInterval] = field(default_factory=lambda: [TurnInterval(), TurnInterval()])
     information: Array = field(default_factory=lambda: np.zeros((5, 5)))
-    """What the data say of c of each receiver, as in flow.Mount, and of the hitch's offset, m."""
+    """Information matrix of the data on c of each receiver, as in flow.Mount, and on the hitch's offset,
+    m."""
     vector: Array = field(default_factory=lambda: np.zeros(5))
     rolls: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    """Of both bodies: sums of squares of rolls and of their noise, rad^2, where they were looked at."""
-    looks: int = 0
-    wrong: list[FlagKind | None] = field(
-        default_factory=lambda: [None] * 4
-    )  # as in flow.Mount: a key of _SET
-    unclear: bool = False  # it is wrong somewhere, but it is not known where
-    seen_ns: int = 0
-    reported: list[Flag] = field(default_factory=list)  # flags of which an event was given
+    """Of both bodies: sums of squares of the rolls and of their noise over the hitch samples, rad^2."""
+    hitch_samples: int = 0
+    wrong: list[FlagKind | None] = field(default_factory=lambda: [None] * 4)  # keys of _SET
+    unclear: bool = False  # roll_corrected is wrong somewhere, but it is not known where
+    last_pose_ns: int = 0
+    reported: list[Flag] = field(default_factory=list)  # flags for which an event has been published
 
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """A body's two antennas at a pose, upright."""
+    """A body's two antennas at one instant, without any correction for roll."""
 
-    heading: float
-    sd_heading: float
-    hitch: tuple[float, float]  # north, east, m, as this body sees it
-    sd_hitch: float
-    weights: tuple[float, float]  # how far the hitch moves per metre of front and rear antenna, across
-    length: float
+    heading: float  # rad
+    sd_heading: float  # rad
+    hitch: tuple[float, float]  # north, east, m, as seen from this body
+    sd_hitch: float  # m
+    weights: tuple[float, float]  # lateral shift of the hitch per lateral shift of front and rear antenna
+    length: float  # of the baseline, m
 
 
 def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
-    """Take one pose, and from the aligner what each receiver said at the instant of the one before.
+    """Take one pose, and from the aligner the measurements at the instant of the pose before.
 
-    By then all has been heard: a pose is due at a position, and turn rate and roll come after it.
+    The pose before, since a pose is due as soon as the positions are there, and turn rate and roll of the
+    same epoch come after them.
     """
-    follows = pose.t_ns - state.seen_ns == POSE_NS
-    state.seen_ns = pose.t_ns
+    follows = pose.t_ns - state.last_pose_ns == POSE_NS
+    state.last_pose_ns = pose.t_ns
     t_ns = pose.t_ns - POSE_NS
     kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
@@ -101,39 +103,39 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
-        _turn(state, aligner, body, pair, rolls[body], t_ns, follows)
-    if (pose.t_ns // POSE_NS) % GAP_EVERY == 0:
-        _look_at_hitch(state, aligner.machine, pairs, rolls)
+        _update_intervals(state, aligner, body, pair, rolls[body], t_ns, follows)
+    if (pose.t_ns // POSE_NS) % HITCH_SAMPLE_POSES == 0:
+        _add_hitch_sample(state, aligner.machine, pairs, rolls)
         _judge(state, aligner.machine)
 
 
 def usable_yaw_rates(state: ReceiverChecks) -> frozenset[str]:
-    """Mounts of the receivers whose turn rates may be used: all but those found to be smoothed."""
+    """Mounts of the receivers whose turn rates may be used: all except those that are smoothed."""
     return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if not lag.smoothed)
 
 
 def turn_rates_known(state: ReceiverChecks) -> bool:
-    """Whether of every turn rate that can be compared with a heading it is known how much it lags."""
+    """Whether the lag is decided for each turn rate that can be compared with a heading."""
     compared = [lag for lag in state.lags if lag.intervals]
     return bool(compared) and all(settled(lag) for lag in compared)
 
 
 def flags(state: ReceiverChecks) -> list[Flag]:
-    """Of all that is wrong now; of a mount, or of `rig` where it is not known which."""
+    """Flags of all present faults: of a mount, or of `rig` if it is not known which receiver it is."""
     out = [Flag(SMOOTHED, mount.value) for mount, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed]
     out += [Flag(kind, mount.value) for mount, kind in zip(MOUNTS, state.wrong, strict=True) if kind]
     return [*out, Flag(UNCLEAR, "rig")] if state.unclear else out
 
 
 def events(state: ReceiverChecks) -> list[tuple[str, str]]:
-    """(kind, what is wrong and what to do) of what has been found since the last call."""
+    """(kind, text) of each fault found since the last call; the text says what is wrong and what to do."""
     now, before = flags(state), state.reported
     state.reported = now
-    return [(flag.kind, in_words(state, flag)) for flag in now if flag not in before]
+    return [(flag.kind, describe(state, flag)) for flag in now if flag not in before]
 
 
-def in_words(state: ReceiverChecks, flag: Flag) -> str:
-    """What a flag of `flags` means, and what to do."""
+def describe(state: ReceiverChecks, flag: Flag) -> str:
+    """The meaning of a flag of `flags`, and what to do."""
     kind, who = flag.kind, flag.of
     if kind == UNCLEAR:
         return (
@@ -153,29 +155,29 @@ def in_words(state: ReceiverChecks, flag: Flag) -> str:
 
 
 def clock_stepped(state: ReceiverChecks) -> None:
-    """Time ran back: intervals under way are given up; what was found stays."""
-    state.seen_ns = 0
+    """The log's clock stepped back: the present intervals are given up; faults and sums stay."""
+    state.last_pose_ns = 0
 
 
 def responses(state: ReceiverChecks) -> tuple[Array, Array]:
-    """(c, its sd) of each receiver, shape (4,), as in flow.Mount; infinite where rolls tell nothing."""
-    prior = np.array([*[RESPONSE[1] ** -2] * 4, OFFSET_SD**-2])
+    """(c, its sd) of each receiver, shape (4,), as in flow.Mount; the sd is infinite without usable rolls."""
+    prior = np.array([*[RESPONSE_PRIOR[1] ** -2] * 4, OFFSET_SD**-2])
     values, vectors = np.linalg.eigh(state.information)
     information = (vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(prior)
     covariance = np.linalg.inv(information)
-    mean = covariance @ (state.vector + prior * np.array([*[RESPONSE[0]] * 4, 0.0]))
+    mean = covariance @ (state.vector + prior * np.array([*[RESPONSE_PRIOR[0]] * 4, 0.0]))
     sds = np.sqrt(np.diag(covariance))[:4]
     for body in (0, 1):
-        if not _rolls_tell(state, body):
+        if not _roll_is_observable(state, body):
             sds[2 * body : 2 * body + 2] = math.inf
     return mean[:4], sds
 
 
-# What a pose shows.
+# The samples of one pose.
 
 
 def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
-    """Both antennas of a body as reported, without any roll; None where one is missing or extrapolated."""
+    """Both antennas of a body, not corrected for roll; None if one is missing or extrapolated."""
     antennas = []
     for receiver in aligner.machine.receiver:
         index = MOUNTS.index(receiver.mount)
@@ -194,7 +196,7 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
     pair = baseline(front, rear, 0.0)
     machine = aligner.machine
     place = -machine.tractor.c.value if body == 0 else machine.implement.d.value
-    # The hitch is on the line through both antennas, or beside it: so many lengths from the rear one.
+    # Position of the hitch along the baseline, in lengths from the rear antenna (0) to the front one (1).
     behind = rear.lever
     share = ((place - behind[0]) * arm[0] - behind[1] * arm[1]) / length**2
     to_hitch = rotate((place - behind[0], -behind[1]), pair.heading)
@@ -205,7 +207,7 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
 
 
 def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
-    """(roll, variance of its noise) of a body: two receivers show by their difference how noisy they are."""
+    """(roll, rad, variance of its noise) of a body. With two receivers their difference gives the noise."""
     found_rolls = []
     for index in (2 * body, 2 * body + 1):
         track = aligner.tracks.get(MOUNTS[index].value)
@@ -221,7 +223,7 @@ def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None
     return found_rolls[0][0], found_rolls[0][1] ** 2
 
 
-def _turn(
+def _update_intervals(
     state: ReceiverChecks,
     aligner: Aligner,
     body: int,
@@ -230,17 +232,17 @@ def _turn(
     t_ns: int,
     follows: bool,
 ) -> None:
-    """Carry on a body's interval and its receivers'; at their end they are looked at."""
+    """Continue the interval of a body and the integrals of its turn rates; evaluate them at the end."""
     interval = state.turns[body]
-    facing = _own_heading(aligner, body, t_ns) if pair is None else (pair.heading, pair.sd_heading)
+    heading = _reported_heading(aligner, body, t_ns) if pair is None else (pair.heading, pair.sd_heading)
     rates = [_rate(aligner, index, t_ns) for index in (2 * body, 2 * body + 1)]
-    if facing is None or not follows:
+    if heading is None or not follows:
         interval.poses = -1
     else:
         interval.poses += interval.poses >= 0
     ended = interval.poses >= INTERVAL
-    change = wrap(facing[0] - interval.heading) if facing is not None else 0.0
-    whole = []
+    change = wrap(heading[0] - interval.heading) if heading is not None else 0.0
+    complete = []
     for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
         if rate is None or interval.poses < 0:
             lag.poses = -1
@@ -248,25 +250,25 @@ def _turn(
             lag.integral += (lag.rate + rate) / 2 * POSE_NS * 1e-9
             lag.poses += 1
         lag.rate = rate or 0.0
-        if ended and facing is not None and lag.poses == INTERVAL:
-            regress(lag, change, INTERVAL * POSE_NS * 1e-9, facing[1])
+        if ended and heading is not None and lag.poses == INTERVAL:
+            regress(lag, change, INTERVAL * POSE_NS * 1e-9, heading[1])
             if not lag.smoothed:
-                whole.append(lag.integral)
-    if ended and pair is not None and roll is not None and whole:
-        beyond = change - sum(whole) / len(whole)
-        _look_at_heading(state, aligner.machine, body, beyond, pair, roll)
-    if facing is not None and (ended or interval.poses < 0):
-        interval.heading, interval.roll, interval.poses = facing[0], roll[0] if roll else 0.0, 0
+                complete.append(lag.integral)
+    if ended and pair is not None and roll is not None and complete:
+        excess = change - sum(complete) / len(complete)
+        _add_heading_sample(state, aligner.machine, body, excess, pair, roll)
+    if heading is not None and (ended or interval.poses < 0):
+        interval.heading, interval.roll, interval.poses = heading[0], roll[0] if roll else 0.0, 0
         for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
             lag.integral, lag.first_rate, lag.poses = 0.0, rate or 0.0, -1 if rate is None else 0
 
 
-def _own_heading(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
-    """(heading, sd) that the receiver of a body with one alone reports: where it stands still, too."""
+def _reported_heading(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
+    """(heading, sd), rad, as reported by the only receiver of a body; None if it has two, or none."""
     indices = [MOUNTS.index(receiver.mount) for receiver in aligner.machine.receiver]
     (index, *others) = [index for index in indices if index // 2 == body] or [-1]
     if index < 0 or others:
-        return None  # of two, both antennas tell, or nobody: a change from one to the other is no turn
+        return None  # with two receivers only the baseline serves: a change of the source is no turn
     headings = aligner.tracks[MOUNTS[index].value].headings
     return angle_at(headings, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
 
@@ -280,30 +282,30 @@ def _rate(aligner: Aligner, index: int, t_ns: int) -> float | None:
 
 
 def _arms(machine: Machine) -> list[float]:
-    """Height of each receiver above the ground, m, as in flow.Mount; 0 where there is none."""
+    """Height of each receiver above the ground, m, as in flow.Mount; 0 for a mount without a receiver."""
     by_mount = {receiver.mount: receiver.position[2] for receiver in machine.receiver}
     return [by_mount.get(mount, 0.0) for mount in MOUNTS]
 
 
-def _look_at_heading(
-    state: ReceiverChecks, machine: Machine, body: int, beyond: float, pair: _Pair, roll: tuple[float, float]
+def _add_heading_sample(
+    state: ReceiverChecks, machine: Machine, body: int, excess: float, pair: _Pair, roll: tuple[float, float]
 ) -> None:
-    """beyond: by how much the antennas' heading changed more than the turn rate says, rad."""
+    """Add one interval. excess: heading change of the antennas minus integral of the turn rate, rad."""
     front, rear = 2 * body, 2 * body + 1
     heights = _arms(machine)
     arm = np.zeros(5)
     arm[front], arm[rear] = heights[front] / pair.length, -heights[rear] / pair.length
-    sway = math.sin(roll[0]) - math.sin(state.turns[body].roll)
-    _add(state, arm * sway, [arm], [2 * roll[1]], beyond, 2 * pair.sd_heading**2)
+    roll_change = math.sin(roll[0]) - math.sin(state.turns[body].roll)
+    _add(state, arm * roll_change, [arm], [2 * roll[1]], excess, 2 * pair.sd_heading**2)
 
 
-def _look_at_hitch(
+def _add_hitch_sample(
     state: ReceiverChecks,
     machine: Machine,
     pairs: list[_Pair | None],
     rolls: list[tuple[float, float] | None],
 ) -> None:
-    """Where the tractor sees the hitch to the right of where the implement sees it, across the implement."""
+    """Add the gap at the hitch: tractor's hitch minus implement's, to the right of the implement, m."""
     tractor, implement = pairs
     if tractor is None or implement is None or rolls[0] is None or rolls[1] is None:
         return
@@ -326,37 +328,46 @@ def _look_at_hitch(
     _add(state, row, arms, [noise for _, noise in both], gap, variance)
     for body, (roll, noise) in enumerate(both):
         state.rolls[body] += roll**2, noise
-    state.looks += 1
+    state.hitch_samples += 1
 
 
 def _add(
-    state: ReceiverChecks, row: Array, arms: list[Array], noises: list[float], seen: float, variance: float
+    state: ReceiverChecks,
+    row: Array,
+    arms: list[Array],
+    noises: list[float],
+    measured: float,
+    variance: float,
 ) -> None:
-    """One look, without what the noise of the rolls adds to the squares of the row."""
-    if not (math.isfinite(seen) and np.all(np.isfinite(row))):
+    """Add one sample to the normal equations, without the part that noise of the rolls adds to the squares.
+
+    row: (5,), slope over c and offset. arms: (5,) each, derivative of the row by a roll. noises: of these
+    rolls, rad^2. variance: of the measured value.
+    """
+    if not (math.isfinite(measured) and np.all(np.isfinite(row))):
         return
-    more = np.outer(row, row)
+    added = np.outer(row, row)
     for arm, noise in zip(arms, noises, strict=True):
-        more -= noise * np.outer(arm, arm)
-    state.information += more / variance
-    state.vector += row * seen / variance
+        added -= noise * np.outer(arm, arm)
+    state.information += added / variance
+    state.vector += row * measured / variance
 
 
 def _judge(state: ReceiverChecks, machine: Machine) -> None:
-    """A fault is found once it is sure, and stays until the opposite is."""
+    """Update the faults: a fault begins once it is certain and stays until the opposite is certain."""
     for lag in state.lags:
-        judge(lag)
+        update_verdict(lag)
     _judge_rolls(state, machine)
 
 
 def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
-    """Which settings of roll_corrected explain the data, of all there are."""
+    """Compare all settings of roll_corrected by their likelihood; set `wrong` and `unclear`."""
     declared = np.zeros(4)
     free = []
     for receiver in machine.receiver:
         k = MOUNTS.index(receiver.mount)
         declared[k] = 0.0 if receiver.roll_corrected else 1.0
-        if _rolls_tell(state, k // 2):
+        if _roll_is_observable(state, k // 2):
             free.append(k)
     if not free:
         return
@@ -364,7 +375,7 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     for number, setting in enumerate(settings):
         for bit, k in enumerate(free):
             setting[k] = abs(declared[k] - (number >> bit & 1))  # number 0 is as declared
-    scores = np.array([_explains(state, setting) for setting in settings])
+    scores = np.array([_log_likelihood(state, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
     if scores[0] == scores.max():
         state.wrong, state.unclear = [None] * 4, False
@@ -375,14 +386,14 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
         state.unclear = not sure.any()
 
 
-def _explains(state: ReceiverChecks, setting: Array) -> float:
-    """Log-likelihood of a setting of c, shape (4,), but for a constant; the offset is what fits best."""
+def _log_likelihood(state: ReceiverChecks, setting: Array) -> float:
+    """Log-likelihood of a setting of c, shape (4,), up to a constant, at the offset that fits best."""
     free = state.vector[4] - state.information[4, :4] @ setting
     total = state.information[4, 4] + OFFSET_SD**-2
     fits = state.vector[:4] @ setting - setting @ state.information[:4, :4] @ setting / 2
     return float(fits + free**2 / total / 2)
 
 
-def _rolls_tell(state: ReceiverChecks, body: int) -> bool:
-    """Whether a body has rolled by clearly more than the noise of its rolls."""
-    return bool(0.0 < state.rolls[body, 0] > LARGER * state.rolls[body, 1])
+def _roll_is_observable(state: ReceiverChecks, body: int) -> bool:
+    """Whether a body has rolled clearly more than the noise of its measured rolls."""
+    return bool(0.0 < state.rolls[body, 0] > LEAST_ROLL_TO_NOISE * state.rolls[body, 1])

@@ -1,8 +1,8 @@
-"""What one receiver has said lately, and what it would say at another instant.
+"""The recent samples of one receiver, and their interpolation to any instant.
 
-Samples are kept at their instants of measurement (epoch clock less latency). Between two positions the path
-is a cubic through positions and velocities; past the last it is carried on by velocity and yaw rate, with a
-standard deviation that grows.
+Samples are stored at their instants of measurement (epoch clock minus latency). Between two positions the
+path is a cubic through positions and velocities. After the last one it is extrapolated with velocity and yaw
+rate, and the standard deviation grows.
 """
 
 import math
@@ -24,14 +24,14 @@ from tilth.schemas.flow import (
     YawRate,
 )
 
-BRIDGE_NS = 1_100_000_000  # longest gap that is interpolated: a receiver at 1 Hz
+LONGEST_INTERPOLATED_NS = 1_100_000_000  # longest gap that is interpolated: a receiver at 1 Hz
 HOLD_NS = 600_000_000  # longest extrapolation of a position
 NEAR_NS = 20_000_000  # an extrapolation this short costs less than a position's own noise
 SLOW_HOLD_NS = 1_500_000_000  # roll, pitch and headings change slowly enough to be held this long
-STANDSTILL = 0.15  # m/s: below, a repeated position is still the position
-SWERVE = 0.7  # m/s^2: acceleration that an extrapolation does not know
+STANDSTILL = 0.15  # m/s: at lower speeds a repeated position is still right
+UNKNOWN_ACCELERATION = 0.7  # m/s^2: sd of the acceleration that an extrapolation ignores
 
-POSITION_SD = {  # of a solution that is not RTK fixed: at least this, m
+POSITION_SD = {  # smallest sd of a position that is not RTK fixed, m
     FixType.RTK_FLOAT: 0.4,
     FixType.PRECISE: 0.1,
     FixType.DGNSS: 0.5,
@@ -58,14 +58,14 @@ class Track:
     rolls: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
     pitches: deque[Sample] = field(default_factory=lambda: deque(maxlen=48))
     fix: FixType | None = None
-    fix_ns: int = 0  # arrival of what told it
-    position_pgn: int = 0  # the message its positions come from: the most frequent one it sends
-    placed_ns: int = 0  # arrival of the last position that was new, or held at standstill
+    fix_ns: int = 0  # arrival of the message that reported it
+    position_pgn: int = 0  # the message that its positions come from: the most frequent one that it sends
+    last_position_ns: int = 0  # arrival of the last position that was new, or repeated at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
-    smoothed: bool = False  # its turn rates lag by more than a latency (startup): kept, not used
+    smoothed: bool = False  # its turn rates are smoothed (receiver_checks): they are stored, but not used
 
     def take(self, measurement: Measurement) -> None:
-        """Keep a measurement other than a position."""
+        """Store a measurement other than a position."""
         epoch_ns = self.clock.other(measurement.rx_ns, measurement.pgn, measurement.sid)
         t_ns = epoch_ns - self.latency_ns
         match measurement:
@@ -83,12 +83,12 @@ class Track:
             case Fix(fix=fix):
                 self.fix, self.fix_ns = fix, measurement.rx_ns
             case UtcTime(utc_ns=utc_ns, sd=sd):
-                self.utc.measured(t_ns, utc_ns, sd)
+                self.utc.update(t_ns, utc_ns, sd)
             case _:
                 pass
 
-    def place(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
-        """Keep a position on the plane. A repeated one is news only at standstill."""
+    def take_position(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
+        """Store a position (north, east), m. A repeated one counts as new only at standstill."""
         t_ns = self.clock.position(rx_ns) - self.latency_ns
         if repeat:
             moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
@@ -97,12 +97,12 @@ class Track:
                 return
         if self.positions and t_ns <= self.positions[-1][0]:
             return
-        self.placed_ns = rx_ns
-        worse = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
-        self.positions.append((t_ns, at[0], at[1], max(sd, worse)))
+        self.last_position_ns = rx_ns
+        least_sd = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
+        self.positions.append((t_ns, at[0], at[1], max(sd, least_sd)))
 
     def usable(self) -> bool:
-        """Whether the fix allows a position at all. A receiver that never tells its fix is believed."""
+        """Whether positions can be used with this fix. A receiver that never reports its fix is trusted."""
         return self.fix not in NO_POSITION
 
     def velocity_at(self, t_ns: int) -> tuple[Vector, float] | None:
@@ -110,10 +110,10 @@ class Track:
         before, after = _around(self.velocities, t_ns)
         if before is None or t_ns - before[0] > HOLD_NS:
             return None
-        if after is None or after[0] - before[0] > BRIDGE_NS:
+        if after is None or after[0] - before[0] > LONGEST_INTERPOLATED_NS:
             age = (t_ns - before[0]) * 1e-9
-            turned = _turn((before[1], before[2]), self._rate_near(t_ns) * age)
-            return turned, math.hypot(before[3], SWERVE * age)
+            rotated = _rotate((before[1], before[2]), self._rate_near(t_ns) * age)
+            return rotated, math.hypot(before[3], UNKNOWN_ACCELERATION * age)
         share = (t_ns - before[0]) / (after[0] - before[0])
         return (
             (before[1] + share * (after[1] - before[1]), before[2] + share * (after[2] - before[2])),
@@ -125,21 +125,21 @@ class Track:
         before, after = _around(self.positions, t_ns)
         if before is None:
             return None
-        if after is not None and after[0] - before[0] <= BRIDGE_NS:
-            return self._between(before, after, t_ns), max(before[3], after[3]), False
+        if after is not None and after[0] - before[0] <= LONGEST_INTERPOLATED_NS:
+            return self._interpolate(before, after, t_ns), max(before[3], after[3]), False
         age_ns = t_ns - before[0]
         if age_ns > HOLD_NS:
             return None
         age = age_ns * 1e-9
-        moved = self.velocity_at(before[0])
-        if moved is None:
+        found = self.velocity_at(before[0])
+        if found is None:
             return None
-        (north, east), sd_velocity = moved
-        north, east = _turn((north, east), self._rate_near(t_ns) * age / 2)
-        sd = math.sqrt(before[3] ** 2 + (sd_velocity * age) ** 2 + (SWERVE * age**2 / 2) ** 2)
+        (north, east), sd_velocity = found
+        north, east = _rotate((north, east), self._rate_near(t_ns) * age / 2)
+        sd = math.sqrt(before[3] ** 2 + (sd_velocity * age) ** 2 + (UNKNOWN_ACCELERATION * age**2 / 2) ** 2)
         return (before[1] + north * age, before[2] + east * age), sd, age_ns > NEAR_NS
 
-    def _between(self, before: Planar, after: Planar, t_ns: int) -> Vector:
+    def _interpolate(self, before: Planar, after: Planar, t_ns: int) -> Vector:
         """Cubic Hermite path; a straight line where velocities are missing."""
         span = (after[0] - before[0]) * 1e-9
         s = (t_ns - before[0]) / (after[0] - before[0])
@@ -147,11 +147,15 @@ class Track:
         line = (before[1] + s * (after[1] - before[1]), before[2] + s * (after[2] - before[2]))
         if start is None or end is None:
             return line
-        into, outof = s * (1 - s) ** 2, -(s**2) * (1 - s)
+        start_weight, end_weight = s * (1 - s) ** 2, -(s**2) * (1 - s)
         blend = s * (1 - s) * (1 - 2 * s)  # of the chord, in the cubic's departure from the line
         return (
-            line[0] - blend * (after[1] - before[1]) + span * (into * start[0][0] + outof * end[0][0]),
-            line[1] - blend * (after[2] - before[2]) + span * (into * start[0][1] + outof * end[0][1]),
+            line[0]
+            - blend * (after[1] - before[1])
+            + span * (start_weight * start[0][0] + end_weight * end[0][0]),
+            line[1]
+            - blend * (after[2] - before[2])
+            + span * (start_weight * start[0][1] + end_weight * end[0][1]),
         )
 
     def yaw_rate_at(self, t_ns: int) -> tuple[float, float] | None:
@@ -164,7 +168,7 @@ class Track:
 
 
 def _around(samples: deque[Stamped], t_ns: int) -> tuple[Stamped | None, Stamped | None]:
-    """The last sample at or before t, and the first one after it."""
+    """(the last sample at or before t, the first one after it); None where there is none."""
     after: Stamped | None = None
     for sample in reversed(samples):
         if sample[0] <= t_ns:
@@ -173,13 +177,13 @@ def _around(samples: deque[Stamped], t_ns: int) -> tuple[Stamped | None, Stamped
     return None, after
 
 
-def _turn(vector: Vector, angle: float) -> Vector:
+def _rotate(vector: Vector, angle: float) -> Vector:
     cosine, sine = math.cos(angle), math.sin(angle)
     return vector[0] * cosine - vector[1] * sine, vector[0] * sine + vector[1] * cosine
 
 
 def sample_at(samples: deque[Sample], t_ns: int, hold_ns: int) -> tuple[float, float] | None:
-    """(value, sd) at t: linear between samples, held at most hold_ns past the last; None otherwise."""
+    """(value, sd) at t: linear between samples, constant for at most hold_ns after the last; else None."""
     return _value_at(samples, t_ns, hold_ns, lambda difference: difference)
 
 
@@ -194,7 +198,7 @@ def _value_at(
     before, after = _around(samples, t_ns)
     if before is None or t_ns - before[0] > hold_ns:
         return None
-    if after is None or after[0] - before[0] > BRIDGE_NS:
+    if after is None or after[0] - before[0] > LONGEST_INTERPOLATED_NS:
         return before[1], before[2]
     share = (t_ns - before[0]) / (after[0] - before[0])
     return before[1] + share * shortest(after[1] - before[1]), max(before[2], after[2])

@@ -1,4 +1,5 @@
-"""How the bodies lean, by their receivers, and how much of a measured roll rate is to be believed."""
+"""Roll and pitch of the bodies from their receivers, and the share of a measured roll rate that is not
+noise."""
 
 import math
 from dataclasses import dataclass
@@ -7,22 +8,22 @@ from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.receiver_track import SLOW_HOLD_NS, sample_at
 
 HALF_NS = POSE_NS // 2
-SWAY_MEMORY = 50.0  # stretches (10 s) whose roll rates tell how much of one is noise
+ROLL_RATE_MEMORY = 50.0  # segments (10 s) over which the mean squares of roll rate and noise are taken
 
 
 @dataclass(frozen=True, slots=True)
 class RollPitch:
-    """How a body stands at a pose (t) and half a pose before it, rad; 0 where nobody tells."""
+    """Roll and pitch of a body at a pose and half a pose interval before it, rad; 0 if not measured."""
 
-    roll_before: float
+    roll_before: float  # half a pose interval before
     roll: float
     pitch: float
-    apart_before: float  # half of what its two receivers differ by, as roll_before
-    sd: float  # of a roll where only one of them tells it; else 0
+    half_difference_before: float  # half the difference of its two receivers, at the instant of roll_before
+    sd: float  # of the roll if only one receiver measures it; else 0
 
 
 def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
-    """From the rolls and pitches of a body's receivers at t and half a pose before."""
+    """Roll and pitch of a body (0 tractor, 1 implement) at t_ns: the means over its receivers."""
     rolls: list[tuple[float, float]] = []
     pitches: list[float] = []
     sd = 0.0  # of the last one
@@ -47,19 +48,19 @@ def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
     return RollPitch(before_mean, roll_mean, pitch_mean, 0.0, sd)
 
 
-def noise_of_rate(one: RollPitch, other: RollPitch) -> float:
-    """Of the roll rate between two that are a pose apart, rad/s: two receivers differ by it."""
+def roll_rate_noise(one: RollPitch, other: RollPitch) -> float:
+    """Noise of the roll rate between two poses, rad/s: by the difference of two receivers, or their sd."""
     sd = max(one.sd, other.sd)
-    change = sd * math.sqrt(2) if sd else other.apart_before - one.apart_before
+    change = sd * math.sqrt(2) if sd else other.half_difference_before - one.half_difference_before
     return change / (POSE_NS * 1e-9)
 
 
-def share_of_sway(lately: list[float], rate: float, noise: float) -> float:
-    """Which share of a measured roll rate is to be believed, so that the error left is least on average.
+def trusted_share(mean_squares: list[float], rate: float, noise: float) -> float:
+    """Factor on a measured roll rate for the least mean square error (a Wiener gain), 0 to 1.
 
-    On even ground the rate is noise only, and through the height of an antenna it would be worse than what
-    is to be taken out. lately: mean squares of rate and noise, rad^2/s^2; changed in place.
+    On even ground the rate is only noise. Times the height of an antenna, it would be a larger error than the
+    motion that it should correct. mean_squares: of rate and noise, rad^2/s^2; updated in place.
     """
     for k, value in enumerate((rate, noise)):
-        lately[k] += (value**2 - lately[k]) / SWAY_MEMORY
-    return max(0.0, 1.0 - lately[1] / lately[0]) if lately[0] > 0.0 else 0.0
+        mean_squares[k] += (value**2 - mean_squares[k]) / ROLL_RATE_MEMORY
+    return max(0.0, 1.0 - mean_squares[1] / mean_squares[0]) if mean_squares[0] > 0.0 else 0.0

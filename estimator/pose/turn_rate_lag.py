@@ -1,9 +1,9 @@
-"""By how much a receiver's turn rate lags behind the heading of the body that it stands on.
+"""By how much does a receiver's turn rate lag behind the heading of its body?
 
-A turn rate that is smoothed by a time tau lags: tau r_s' + r_s = r. Over an interval that is
-(heading change) − ∫ r_s dt = tau (change of r_s) + bias · time, a straight line, so that tau and its sd come
-from a regression; of a mean over a time T it finds about T/2. The heading is that of the body's two antennas,
-or one that the receiver reports itself.
+A turn rate r_s that is smoothed with the time constant tau lags: tau r_s' + r_s = r. Integrated over an
+interval this is (heading change) − ∫ r_s dt = tau (change of r_s) + bias · time. It is linear, so tau and its
+sd come from a regression. For a moving mean over a time T the result is about T/2. The heading is that of the
+body's two antennas, or the one that the receiver reports.
 """
 
 import math
@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BIAS_SD: Final = 0.01  # rad/s, of a turn rate
-LEAST_HEADING_SD: Final = 0.003  # rad: of a heading change, however well the line fits
-FROM_RESIDUALS: Final = 12  # intervals from which on their spread tells the noise
-SMOOTHED_S: Final = 0.25  # a lag beyond this is no latency
+LEAST_HEADING_SD: Final = 0.003  # rad, of a heading change, even if the residuals are smaller
+INTERVALS_FOR_RESIDUALS: Final = 12  # intervals needed to take the noise from the residuals
+SMOOTHED_S: Final = 0.25  # s: a larger lag is smoothing, not latency
 SURE: Final = 4.5  # sds
 
 
 @dataclass(slots=True)
 class Lag:
-    """Of one receiver's turn rate: sums of the regression of heading change on (rate change, time)."""
+    """One receiver's turn rate: sums of the regression of heading changes on (change of rate, time)."""
 
     information: Array = field(default_factory=lambda: np.zeros((2, 2)))
     vector: Array = field(default_factory=lambda: np.zeros(2))
-    squares: float = 0.0  # rad^2
-    stated: float = 0.0  # sum of the variances that the file would have, rad^2
+    squares: float = 0.0  # of the heading changes minus the integrals, rad^2
+    stated_variance: float = 0.0  # sum of their variances by the machine file, rad^2
     intervals: int = 0
     integral: float = 0.0  # of the rate since the interval began, rad
     rate: float = 0.0  # at the last pose, rad/s
@@ -39,15 +39,15 @@ class Lag:
 
 
 def regress(lag: Lag, change: float, seconds: float, sd_heading: float) -> None:
-    """One interval: by how much the heading changed, rad, in so many s. sd_heading: of a heading, rad."""
-    beyond = change - lag.integral
+    """Add one interval of so many seconds. change: of the heading, rad. sd_heading: of one heading, rad."""
+    excess = change - lag.integral
     row = np.array([lag.rate - lag.first_rate, seconds])
-    if not (math.isfinite(beyond) and np.all(np.isfinite(row))):
+    if not (math.isfinite(excess) and np.all(np.isfinite(row))):
         return
     lag.information += np.outer(row, row)
-    lag.vector += row * beyond
-    lag.squares += beyond**2
-    lag.stated += 2 * sd_heading**2
+    lag.vector += row * excess
+    lag.squares += excess**2
+    lag.stated_variance += 2 * sd_heading**2
     lag.intervals += 1
 
 
@@ -61,16 +61,19 @@ def time_constant(lag: Lag) -> tuple[float, float]:
 
 
 def _variance(lag: Lag, found: Array | None) -> float:
-    """Of one heading change, rad^2: as the file has it until there are enough to tell by their spread."""
-    stated = max(lag.stated / max(lag.intervals, 1), LEAST_HEADING_SD**2)
-    if found is None or lag.intervals < FROM_RESIDUALS:
-        return stated
-    left = lag.squares - 2 * found @ lag.vector + found @ lag.information @ found
-    return max(float(left) / (lag.intervals - 2), LEAST_HEADING_SD**2)
+    """Variance of one heading change, rad^2: by the machine file, or by the residuals once there are enough.
+
+    found: (tau, bias), or None before the regression.
+    """
+    stated_variance = max(lag.stated_variance / max(lag.intervals, 1), LEAST_HEADING_SD**2)
+    if found is None or lag.intervals < INTERVALS_FOR_RESIDUALS:
+        return stated_variance
+    residual_squares = lag.squares - 2 * found @ lag.vector + found @ lag.information @ found
+    return max(float(residual_squares) / (lag.intervals - 2), LEAST_HEADING_SD**2)
 
 
-def judge(lag: Lag) -> None:
-    """A lag is found once it is sure, and stays until it is clearly none."""
+def update_verdict(lag: Lag) -> None:
+    """Set `smoothed` once the lag is certain; reset it once there clearly is none."""
     if lag.intervals:
         tau, sd = time_constant(lag)
         found = tau > SMOOTHED_S and tau > SURE * sd
@@ -78,6 +81,6 @@ def judge(lag: Lag) -> None:
 
 
 def settled(lag: Lag) -> bool:
-    """Whether it is known that there is a lag, or that there is none worth the name."""
+    """Whether it is decided: there is a lag, or none that matters."""
     tau, sd = time_constant(lag)
     return lag.smoothed or tau + 2.0 * sd < 2.0 * SMOOTHED_S

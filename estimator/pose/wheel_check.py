@@ -1,9 +1,9 @@
-"""Does the wheels' angle answer the yaw rate? Sign and rough scale of the sensor, before any model of tyres.
+"""Does the wheel angle fit the yaw rate? Checks sign and rough scale of the sensor; needs no tyre model.
 
-Without slip the wheels of a tractor that turns at yaw rate r at speed u stand at atan((a + b) r / u).
-Slip changes that by a third at the most; what is off by a factor of three, or goes the other way, is wrong in
-the machine file. What is off by less is found by open_tracker. Both are smoothed alike: in a fast chirp the
-yaw rate lags by as much as a quarter of a wave, and says nothing of sign or scale.
+Without slip the wheel angle of a tractor with yaw rate r at speed u is atan((a + b) r / u). Slip changes that
+by a third at most. So a factor of three, or the opposite sign, is an error of the machine file; open_tracker
+finds smaller errors. Both signals pass the same low-pass filter: in a fast chirp the yaw rate lags by up to a
+quarter of a period, and then shows neither sign nor scale.
 """
 
 import math
@@ -20,25 +20,25 @@ Array = NDArray[np.float64]
 
 SLOWEST: Final = 1.5  # m/s
 MEMORY: Final = 100.0  # poses (20 s)
-SMOOTH: Final = 10.0  # poses (2 s), time constant
-ENOUGH: Final = 25.0  # poses
-TURNING: Final = math.radians(1.0)  # sd of either angle from which on they tell
-AGREES: Final = 0.7  # correlation
-STRANGE: Final = 0.3  # correlation below which they have nothing to do with each other
-LARGEST: Final = 2.7  # of the reading over the angle without slip
-SMALLEST: Final = 0.38
-STILL: Final = 0.12  # and below which the wheels seem not to move at all
-DEGREES: Final = (20.0, 160.0)  # a factor near 57.3: degrees and radians were taken for each other
+SMOOTHING: Final = 10.0  # poses (2 s), time constant
+LEAST_POSES: Final = 25.0  # poses
+LEAST_ANGLE_SD: Final = math.radians(1.0)  # smallest sd of an angle that is judged
+SURE_CORRELATION: Final = 0.7
+NO_CORRELATION: Final = 0.3  # below, the two signals are unrelated
+LARGEST_RATIO: Final = 2.7  # sd of the reading over sd of the angle without slip
+SMALLEST_RATIO: Final = 0.38
+STUCK_RATIO: Final = 0.12  # below, the reading does not move although the tractor turns
+DEGREES: Final = (20.0, 160.0)  # factors near 57.3: degrees and radians were confused
 
 
 @dataclass(slots=True)
 class WheelCheck:
-    """Moments of (angle without slip, reading), rad, over the last MEMORY poses. Plain data."""
+    """Moments of (angle without slip, reading), rad, over the last MEMORY poses."""
 
-    smooth: Array = field(default_factory=lambda: np.zeros(2))
-    weight: float = 0.0
+    smoothed: Array = field(default_factory=lambda: np.zeros(2))  # the two after the low-pass filter
+    weight: float = 0.0  # number of poses in the moments
     mean: Array = field(default_factory=lambda: np.zeros(2))
-    square: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    moments: Array = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
@@ -48,39 +48,39 @@ def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
         return
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
     sample = np.array([math.atan(wheelbase * r / u), reading])
-    state.smooth += (sample - state.smooth) / SMOOTH
-    keep = 1.0 - 1.0 / MEMORY
-    state.weight = keep * state.weight + 1.0
-    off = state.smooth - state.mean
-    state.mean += off / state.weight
-    state.square = keep * state.square + np.outer(off, state.smooth - state.mean)
+    state.smoothed += (sample - state.smoothed) / SMOOTHING
+    retained = 1.0 - 1.0 / MEMORY
+    state.weight = retained * state.weight + 1.0
+    deviation = state.smoothed - state.mean
+    state.mean += deviation / state.weight
+    state.moments = retained * state.moments + np.outer(deviation, state.smoothed - state.mean)
 
 
 def verdict(state: WheelCheck) -> tuple[str, str]:
-    """(key of the machine file, what is wrong), or ("", "")."""
-    if state.weight < ENOUGH:
+    """(key of the machine file, message), or ("", "") if nothing is wrong."""
+    if state.weight < LEAST_POSES:
         return "", ""
-    turned, read = np.sqrt(np.diag(state.square) / state.weight)
-    if max(turned, read) < TURNING:
+    path_sd, reading_sd = np.sqrt(np.diag(state.moments) / state.weight)
+    if max(path_sd, reading_sd) < LEAST_ANGLE_SD:
         return "", ""
-    if turned > TURNING and read < STILL * turned:
-        return _factor(read / turned)
-    together = state.square[0, 1] / state.weight
-    correlation = together / max(turned * read, 1e-12)
-    if turned < TURNING / 3.0:
+    if path_sd > LEAST_ANGLE_SD and reading_sd < STUCK_RATIO * path_sd:
+        return _wrong_scale(reading_sd / path_sd)
+    covariance = state.moments[0, 1] / state.weight
+    correlation = covariance / max(path_sd * reading_sd, 1e-12)
+    if path_sd < LEAST_ANGLE_SD / 3.0:
         return "wheel_angle", "the wheels' angle moves, the tractor does not turn: wheel_angle?"
-    if correlation < -AGREES:
+    if correlation < -SURE_CORRELATION:
         text = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
         return "wheel_angle.sign", text
-    if correlation > AGREES and not SMALLEST < read / turned < LARGEST:
-        return _factor(read / turned)
-    if abs(correlation) < STRANGE and turned > TURNING and read > TURNING:
+    if correlation > SURE_CORRELATION and not SMALLEST_RATIO < reading_sd / path_sd < LARGEST_RATIO:
+        return _wrong_scale(reading_sd / path_sd)
+    if abs(correlation) < NO_CORRELATION and path_sd > LEAST_ANGLE_SD and reading_sd > LEAST_ANGLE_SD:
         text = "the wheels' angle has nothing to do with the yaw rate: wheel_angle (id, bytes, delay)?"
         return "wheel_angle", text
     return "", ""
 
 
-def _factor(ratio: float) -> tuple[str, str]:
+def _wrong_scale(ratio: float) -> tuple[str, str]:
     size = f"{ratio:.2g} times" if ratio >= 1.0 else f"1/{1.0 / max(ratio, 1e-3):.2g} of"
     text = f"the wheels' angle is {size} what the yaw rate asks for: wheel_angle.scale?"
     if DEGREES[0] < max(ratio, 1.0 / max(ratio, 1e-3)) < DEGREES[1]:

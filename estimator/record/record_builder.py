@@ -1,7 +1,8 @@
-"""Poses and raw samples in, stretches of the record out: what may teach the dynamic estimators, and why not.
+"""Poses and raw samples in, segments of the record out, each with the reason if nothing may be learned from
+it.
 
-A stretch is what lies between two poses. It is cut when the pose after them is there: roll rates are central
-differences then, and what was late by less than the aligner's deadline has come.
+A segment is what lies between two poses. It is built when the next pose is there: then roll rates are central
+differences, and samples that were late by less than the aligner's deadline have come.
 """
 
 import math
@@ -14,17 +15,17 @@ from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.receiver_track import Sample
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
-from tilth.estimator.record.measured_rows import Knot, Row, Used, rows_between
-from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch
+from tilth.estimator.record.measured_rows import Knot, Row, UsedSamples, rows_between
+from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 
-TICKS = POSE_NS // TICK_NS  # of a stretch
+TICKS = POSE_NS // TICK_NS  # of a segment
 SLOWEST = 1.0  # m/s
 LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
-ROUGHEST_HEADING = math.radians(2.0)  # sd: nothing is made linear about worse
-WHEEL_GAP_NS = 150_000_000  # longest that is interpolated: one sample of a sensor at 10 Hz, with its jitter
-SETTLING = 10  # stretches (2 s) that are driven after a refusal before anything is learned again
+ROUGHEST_HEADING = math.radians(2.0)  # largest sd of a heading to linearise about
+WHEEL_GAP_NS = 150_000_000  # longest gap that is interpolated: the period of a 10 Hz sensor, with its jitter
+SETTLING = 10  # segments (2 s) that are driven after a refusal before anything is learned again
 
 _REFUSING = (
     (MISPLACED, "receivers do not fit the rig"),
@@ -36,32 +37,32 @@ _HALVES = (0.0, 0.5, 1.0)
 
 @dataclass(slots=True)
 class RecordState:
-    """What is remembered from pose to pose. Plain data."""
+    """State from pose to pose."""
 
     knots: list[Knot] = field(default_factory=list)  # the last three poses
     psi: list[float] = field(default_factory=lambda: [0.0, 0.0])  # last headings, not wrapped
-    used: Used = field(default_factory=Used)
-    settled: int = 0  # stretches since the last one that was refused
-    taught: bool = False  # whether the last stretch may teach
-    stretches: int = 0  # that may teach
+    used: UsedSamples = field(default_factory=UsedSamples)
+    settled: int = 0  # segments since the last one that was refused
+    usable: bool = False  # whether the last segment may be learned from
+    segments: int = 0  # number of these
     samples: int = 0  # rows in them
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> stretches
+    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
 
 
 def initial(machine: Machine) -> RecordState:
-    """Before the first pose."""
+    """The state before the first pose."""
     return RecordState()
 
 
 def clock_stepped(state: RecordState) -> None:
-    """The log's clock ran back: instants of before mean nothing any more. Counts stay."""
+    """The log's clock stepped back: earlier poses are useless now. Counts stay."""
     state.knots.clear()
-    state.used = Used(swaying=state.used.swaying, late=state.used.late)
-    state.settled, state.taught = 0, False
+    state.used = UsedSamples(roll_rate_squares=state.used.roll_rate_squares, late=state.used.late)
+    state.settled, state.usable = 0, False
 
 
-def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
-    """The stretch that ends where the pose before this one stands; None before the third pose."""
+def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
+    """The segment that ends where the pose before this one stands; None before the third pose."""
     knots = state.knots
     if knots and pose.t_ns <= knots[-1].t_ns:
         clock_stepped(state)
@@ -70,7 +71,7 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
         return None
     del knots[:-3]
     start, end, after = knots
-    record, reason = Record(start.t_ns), _unbroken(start, end, after)
+    record, reason = Record(start.t_ns), _gap_reason(start, end, after)
     rows = rows_between(state.used, aligner, start, end, after)
     if not reason:
         wheel = wheel_angles(aligner.wheel, start.t_ns)
@@ -78,17 +79,17 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Stretch | None:
             reason = "no wheel angle"
         elif start.values and end.values:
             record = _assemble(start, end, wheel, rows)
-    reason = _settle(state, reason or _why_refused(start, end, after, record))
-    follows = state.taught and not reason
-    state.taught = not reason
+    reason = _settle(state, reason or _refusal(start, end, after, record))
+    follows = state.usable and not reason
+    state.usable = not reason
     if not reason:
-        state.stretches += 1
+        state.segments += 1
         state.samples += len(record.rows)
-    return Stretch(record, follows, reason)
+    return Segment(record, follows, reason)
 
 
 def _settle(state: RecordState, reason: str) -> str:
-    """The reason with which a stretch is refused, counted; "" where it may teach."""
+    """The reason to refuse the segment, which is counted; "" if it may be learned from."""
     if reason:
         state.settled = 0
     elif state.settled < SETTLING:
@@ -99,8 +100,8 @@ def _settle(state: RecordState, reason: str) -> str:
     return reason
 
 
-def _unbroken(start: Knot, end: Knot, after: Knot) -> str:
-    """Why these poses do not stand side by side in one plane, or ""."""
+def _gap_reason(start: Knot, end: Knot, after: Knot) -> str:
+    """Why these poses are not consecutive in one plane, or ""."""
     if end.t_ns - start.t_ns != POSE_NS or after.t_ns - end.t_ns != POSE_NS:
         return "gap in the poses"
     if not start.origin_deg == end.origin_deg == after.origin_deg:
@@ -108,16 +109,16 @@ def _unbroken(start: Knot, end: Knot, after: Knot) -> str:
     return ""
 
 
-def _why_refused(start: Knot, end: Knot, after: Knot, record: Record) -> str:
-    """Why what was measured here may not teach, or ""."""
-    # The pose after tells of a fix that was lost in between and of positions that it finds doubtful.
+def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> str:
+    """Why nothing may be learned from this segment, or ""."""
+    # The flags of the next pose show a fix that was lost in between, and positions that are doubtful.
     reason = start.reason or end.reason or after.reason
     if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_ANGLE:
         return "outside the small-angle model"
     return reason
 
 
-# The inputs.
+# Inputs of the record.
 
 
 def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
@@ -142,12 +143,12 @@ def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
 
 
 def _reason(pose: Pose) -> str:
-    """Why nothing may be learned about this pose, or ""."""
-    # A receiver that is lost gives no rows, so that its fix need not be known.
+    """Why nothing may be learned next to this pose, or ""."""
+    # A lost receiver gives no rows, so its fix need not be known.
     lost = {replace(flag, kind=FlagKind.FIX_UNKNOWN) for flag in pose.flags if flag.kind is FlagKind.LOST}
     kinds = {flag.kind for flag in pose.flags if flag not in lost}
-    for shutting, reason in _REFUSING:
-        if kinds & shutting:
+    for refusing, reason in _REFUSING:
+        if kinds & refusing:
             return reason
     if pose.direction < 0:
         return "reverse"
@@ -164,19 +165,19 @@ def _reason(pose: Pose) -> str:
 
 
 def wheel_angles(samples: deque[Sample], t_ns: int) -> list[float] | None:
-    """The wheel angle at each tick, rad, or None where the sensor was silent for too long.
+    """The wheel angle at each tick of a segment that starts at t_ns, rad; None after a gap that is too long.
 
-    Samples within half a tick are averaged, each in one mean; the ticks lie on the lines from mean to mean,
-    so that a sensor's phase against the ticks is no delay.
+    The samples around each tick (± half a tick) are averaged, values and times; the value at the tick is
+    linear between these means. So the phase of the sensor against the ticks causes no delay.
     """
-    # Where every tick has samples, the ticks next to them are enough to look at.
+    # If every tick has samples, the means of one tick on either side suffice.
     return _interpolate(_means(samples, t_ns, 1)) or _interpolate(
         _means(samples, t_ns, WHEEL_GAP_NS // TICK_NS + 1)
     )
 
 
 def _means(samples: deque[Sample], t_ns: int, beyond: int) -> list[tuple[float, float]]:
-    """(ns after t, angle): means about the ticks of a stretch and `beyond` more on either side, in order."""
+    """(ns after t, angle): means around the ticks of a segment and `beyond` more ticks on either side."""
     half = TICK_NS // 2
     origin_ns = t_ns - half
     count, total_ns, total = ([0.0] * (TICKS + 2 * beyond) for _ in range(3))
@@ -192,7 +193,7 @@ def _means(samples: deque[Sample], t_ns: int, beyond: int) -> list[tuple[float, 
 
 
 def _interpolate(means: list[tuple[float, float]]) -> list[float] | None:
-    """The value at each tick on the lines from mean to mean; None where one is too long or missing."""
+    """The value at each tick, linear between means; None if a gap is too long or an end is missing."""
     out: list[float] = []
     k = 1
     for tick in range(0, POSE_NS, TICK_NS):

@@ -1,7 +1,7 @@
-"""When is the rig in a steady turn, or steadily straight? Poses in, averages over steady blocks out.
+"""Finds steady turns and steady straight driving. Poses in, averages over steady blocks out.
 
-Steady means that wheel angle, yaw rate and speed have held for a block and that the implement has had the
-distance to fall in line since they last changed. What is refused has a reason.
+Steady means that wheel angle, yaw rate and speed are constant over a block, and that since their last change
+the implement has had the distance to fall in line. A refused pose has a reason.
 """
 
 import math
@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 
-SLOWEST = 2.0  # m/s: below, slip is too small against noise
+SLOWEST = 2.0  # m/s: at lower speeds slip is too small compared with noise
 BLOCK = 5  # poses that are averaged into one sample
-SETTLING_LENGTHS = 6.0  # in lengths d + e that an implement needs to fall in line: e^-6 of a step is left
+SETTLING_LENGTHS = 6.0  # distance to fall in line, in lengths d + e: e^-6 of a step remains
 SETTLING_S = 3.0
 STEER_RANGE = math.radians(1.2)  # of the wheel angle within a block
 YAW_ACCELERATION = 0.08  # rad/s^2
@@ -24,7 +24,7 @@ _DISQUALIFYING = (
     (MISPLACED, "receivers do not fit the rig"),
     (WITHOUT_RTK, "no RTK fix"),
     ({FlagKind.LATE}, "late receiver"),
-    ({FlagKind.NO_ROLL}, "roll not measured"),  # unseen, a side slope of 3 degrees moves C_ai by a third
+    ({FlagKind.NO_ROLL}, "roll not measured"),  # an unknown side slope of 3 degrees changes C_ai by a third
     (
         {FlagKind.HEADING_BY_HITCH, FlagKind.HEADING_BY_REPORTED, FlagKind.HEADING_BY_YAW_RATE},
         "heading not from two receivers",
@@ -33,10 +33,10 @@ _DISQUALIFYING = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
-    """What steady driving looks like: one pose of it, or the mean over a block. SI, rad.
+class SteadySample:
+    """One pose of steady driving, or the mean over a block. SI, rad.
 
-    sd: standard deviation of the white noise of each value named.
+    sd_…: standard deviation of the white noise of that value.
     """
 
     u: float
@@ -57,47 +57,47 @@ class Sample:
 
 @dataclass(slots=True)
 class Steadiness:
-    """What the detection remembers. Distances m, times s."""
+    """State of the detection."""
 
-    block: deque[Sample] = field(default_factory=lambda: deque(maxlen=BLOCK))
-    fresh: int = 0  # poses of the block that have not been part of an average
-    unsettled_m: float = 0.0  # still to go until the implement is in line
-    unsettled_s: float = 0.0
+    block: deque[SteadySample] = field(default_factory=lambda: deque(maxlen=BLOCK))
+    unaveraged: int = 0  # poses of the block that have not been part of an average
+    settling_m: float = 0.0  # m still to drive until the implement is in line
+    settling_s: float = 0.0  # s still to wait
 
 
 def observe(
     state: Steadiness, pose: Pose, seconds: float, implement_length: float
-) -> tuple[Sample | None, str]:
-    """(the mean over a steady block once one is complete, why this pose teaches nothing or "").
+) -> tuple[SteadySample | None, str]:
+    """(the mean over a steady block when one is complete, else None; why this pose is refused, or "").
 
     seconds: since the pose before; implement_length: d + e, m.
     """
     sample, reason = _sample(pose)
     if sample is None or seconds > LONGEST_GAP_S:
         state.block.clear()
-        _unsettle(state, implement_length)
+        _start_settling(state, implement_length)
         return None, reason or "gap in the poses"
-    state.unsettled_m -= sample.u * seconds
-    state.unsettled_s -= seconds
+    state.settling_m -= sample.u * seconds
+    state.settling_s -= seconds
     state.block.append(sample)
-    reason = _unsteady(state, implement_length, seconds)
+    reason = _unsteady_reason(state, implement_length, seconds)
     if reason:
-        state.fresh = 0
+        state.unaveraged = 0
         return None, reason
-    state.fresh += 1
-    if state.fresh < BLOCK:
+    state.unaveraged += 1
+    if state.unaveraged < BLOCK:
         return None, ""
-    state.fresh = 0
+    state.unaveraged = 0
     return _mean(list(state.block)), ""
 
 
-def _unsettle(state: Steadiness, implement_length: float) -> None:
-    state.unsettled_m = SETTLING_LENGTHS * implement_length
-    state.unsettled_s = SETTLING_S
-    state.fresh = 0
+def _start_settling(state: Steadiness, implement_length: float) -> None:
+    state.settling_m = SETTLING_LENGTHS * implement_length
+    state.settling_s = SETTLING_S
+    state.unaveraged = 0
 
 
-def _unsteady(state: Steadiness, implement_length: float, seconds: float) -> str:
+def _unsteady_reason(state: Steadiness, implement_length: float, seconds: float) -> str:
     if len(state.block) < BLOCK:
         return "settling"
     rates = [s.yaw_rate for s in state.block]
@@ -106,17 +106,17 @@ def _unsteady(state: Steadiness, implement_length: float, seconds: float) -> str
     half = BLOCK // 2
     ramp = (sum(rates[-half:]) - sum(rates[:half])) / half / max((BLOCK - half) * seconds, 1e-3)
     if max(angles) - min(angles) > STEER_RANGE or abs(ramp) > YAW_ACCELERATION:
-        _unsettle(state, implement_length)
+        _start_settling(state, implement_length)
         return "turning in or out"
     if max(speeds) - min(speeds) > SPEED_RANGE:
         return "speed not steady"
-    if state.unsettled_m > 0 or state.unsettled_s > 0:
+    if state.settling_m > 0 or state.settling_s > 0:
         return "settling"
     return ""
 
 
-def _mean(block: list[Sample]) -> Sample:
-    """Of values the mean; of standard deviations the mean's."""
+def _mean(block: list[SteadySample]) -> SteadySample:
+    """The mean of each value; of each standard deviation, that of the mean."""
 
     def value(name: str) -> float:
         return float(sum(getattr(s, name) for s in block)) / len(block)
@@ -124,13 +124,13 @@ def _mean(block: list[Sample]) -> Sample:
     def sd(name: str) -> float:
         return math.sqrt(sum(getattr(s, name) ** 2 for s in block)) / len(block)
 
-    names = Sample.__dataclass_fields__
+    names = SteadySample.__dataclass_fields__
     means = {name: sd(name) if name.startswith("sd_") else value(name) for name in names if name != "v"}
-    return Sample(v=None if any(s.v is None for s in block) else value("v"), **means)
+    return SteadySample(v=None if any(s.v is None for s in block) else value("v"), **means)
 
 
-def _sample(pose: Pose) -> tuple[Sample | None, str]:
-    """The pose's numbers, or why it cannot teach."""
+def _sample(pose: Pose) -> tuple[SteadySample | None, str]:
+    """(the values of a pose, ""), or (None, why it is refused)."""
     kinds = {flag.kind for flag in pose.flags}
     for disqualifying, reason in _DISQUALIFYING:
         if kinds & disqualifying:
@@ -147,7 +147,7 @@ def _sample(pose: Pose) -> tuple[Sample | None, str]:
         return None, "pose incomplete"
     if max(abs(pose.wheel_angle), abs(pose.articulation)) > LARGEST_ANGLE:
         return None, "outside the small-angle model"
-    sample = Sample(
+    sample = SteadySample(
         u=u,
         v=tractor.lateral_velocity,
         yaw_rate=tractor.yaw_rate,

@@ -1,70 +1,70 @@
-"""Windows of driving, collected stretch by stretch until they are fitted whole."""
+"""Windows of driving, collected segment by segment, for estimators that fit a whole window at once."""
 
 from typing import Final, Protocol
 
 import numpy as np
 
-from tilth.estimator.record.record import Record, Stretch, concatenate
+from tilth.estimator.record.record import Record, Segment, concatenate
 
-WINDOW: Final = 150  # stretches, 30 s
-SHORTEST: Final = 50  # stretches: what is shorter is not fitted
+WINDOW: Final = 150  # segments, 30 s
+SHORTEST: Final = 50  # segments, 10 s: a shorter window is not fitted
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
-"""What is known of a fit that was asked for: to be used, not to be used, late and waited for; nothing yet."""
+"""State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
 
 
 class Collecting(Protocol):
     """State of a method that fits windows. Times ns."""
 
-    window: list[Stretch]  # being driven
-    closed: Record | None  # waits to be asked for
-    refused: dict[str, int]  # reason -> stretches, or windows
+    window: list[Segment]  # the present window
+    closed: Record | None  # a complete window whose fit is not requested yet
+    refused: dict[str, int]  # reason -> number of segments, or of windows
     reason: str  # why nothing is collected now, or ""
     published_ns: int
 
 
 def collect(
-    state: Collecting, t_ns: int, stretch: Stretch | None, every_ns: int, least_steering: float = 0.0
+    state: Collecting, t_ns: int, segment: Segment | None, every_ns: int, least_steering: float = 0.0
 ) -> bool:
-    """Take what ends at the pose of t_ns; whether an estimate is due, one each every_ns.
+    """Take the segment that ends at the pose before that of t_ns. Returns whether an estimate is due.
 
-    least_steering: sd of the wheel angle, rad, below which a window is not worth a fit.
+    every_ns: interval of estimates. least_steering: smallest sd of the wheel angle, rad, of a window to fit.
     """
-    if stretch is not None:
-        _keep(state, stretch, least_steering)
+    if segment is not None:
+        _add_segment(state, segment, least_steering)
     due = t_ns - state.published_ns >= every_ns
     if due:
         state.published_ns = t_ns
     return due
 
 
-def _keep(state: Collecting, stretch: Stretch, least_steering: float) -> None:
-    state.reason = stretch.reason
-    if stretch.reason:
-        refuse(state, stretch.reason)
-    if stretch.reason or not stretch.follows:
-        _close(state, least_steering)
-    if stretch.reason:
+def _add_segment(state: Collecting, segment: Segment, least_steering: float) -> None:
+    state.reason = segment.reason
+    if segment.reason:
+        refuse(state, segment.reason)
+    if segment.reason or not segment.follows:
+        _close_window(state, least_steering)
+    if segment.reason:
         return
-    state.window.append(stretch)
+    state.window.append(segment)
     if len(state.window) >= WINDOW:
-        _close(state, least_steering)
+        _close_window(state, least_steering)
 
 
-def _close(state: Collecting, least_steering: float) -> None:
+def _close_window(state: Collecting, least_steering: float) -> None:
     if len(state.window) >= SHORTEST:
         record = concatenate(state.window)
         if np.std(record.ticks[:, 0]) < least_steering:
             state.reason = "too little steering"
             refuse(state, state.reason)
         else:
-            if state.closed is not None:  # nothing could be asked for: a fit is late
+            if state.closed is not None:  # its fit could not be requested, since the one before is late
                 refuse(state, "the fit of the window before was late")
             state.closed = record
     state.window.clear()
 
 
 def describe_late(late_ns: int, used: bool) -> str:
-    """What a person should know of a fit that was late by so much, or of one that was lost at once."""
+    """Text of the event for a fit that was late. late_ns: 0 if it was given up at once."""
     if used:
         return (
             f"a fit was ready {late_ns * 1e-9:.1f} s late, since this computer is busy; it is used from here"
@@ -75,5 +75,5 @@ def describe_late(late_ns: int, used: bool) -> str:
 
 
 def refuse(state: Collecting, reason: str) -> None:
-    """Count what may not teach."""
+    """Count a segment or window from which nothing may be learned."""
     state.refused[reason] = state.refused.get(reason, 0) + 1

@@ -1,9 +1,9 @@
-"""What the data determine of the six parameters, what they leave open, and which manoeuvre would help.
+"""Which of the six parameters do the data determine, which not, and which manoeuvre would help?
 
-A manoeuvre is judged before it is driven: the predictor runs over the drive that it would give, and the
-slopes of its prediction errors over every unknown, whitened, are the information that it would bring (as
-identifiability.cramer_rao, with an unknown first state and all nuisances). It counts what the known steering
-tells, not what the disturbances' own colour tells on top: a drive brings a little more than was predicted.
+The value of a manoeuvre is predicted before it is driven: the predictor runs over a simulated drive. The
+derivatives of its innovations over all unknowns, whitened, give the information that the drive would add (as
+identifiability.cramer_rao, with an unknown first state and all nuisances). Only the information from the
+known steering counts, not that from the spectrum of the disturbances; so a real drive gives a little more.
 """
 
 import itertools
@@ -17,7 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.predictor import FOLLOW, KEEP, Innovations, Measured, innovations
+from tilth.estimator.filters.predictor import REUSE_GAINS, STORE_GAINS, Innovations, Measured, innovations
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES, Point
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
@@ -42,18 +42,20 @@ from tilth.schemas.spread import share
 
 Array = NDArray[np.float64]
 
-SUPPORTED: Final = 0.5  # posterior over prior sd: above, a parameter or a combination is not determined
-PLAIN: Final = 2.0  # a ratio or product of two is named rather than a direction known so much better
-OPEN: Final = 1e-3  # information over prior information: below, a direction is left open
-SECONDS: Final = 10.0  # of a manoeuvre
-TARGET: Final = 0.10  # sd of a logarithm that is good enough: no wilder manoeuvre for less
-WORTH: Final = 0.85  # of the present sd: a manoeuvre that does not get below is not worth it
-SLOWEST: Final = 1.5  # m/s: below, slip is too small to learn from
-LARGEST_ACCELERATION: Final = 2.0  # m/s^2, across, of what is advised
-HERTZ: Final = 5.0  # of a receiver nobody has timed
+SUPPORTED: Final = 0.5  # largest posterior over prior sd of a parameter or combination that is determined
+# a ratio or product of two is preferred unless a direction is known so much better
+PAIR_PREFERENCE: Final = 2.0
+LEAST_INFORMATION: Final = 1e-3  # over the prior's: directions with less count as unobserved
+SECONDS: Final = 10.0  # duration of a manoeuvre
+TARGET: Final = 0.10  # sd of a logarithm that is good enough: no sharper manoeuvre is advised to go below it
+WORTHWHILE: Final = 0.85  # a manoeuvre must bring an sd below this share of the present one
+SLOWEST: Final = 1.5  # m/s: at lower speeds slip is too small to learn from
+LARGEST_ACCELERATION: Final = 2.0  # m/s^2, lateral, of an advised manoeuvre
+HERTZ: Final = 5.0  # assumed rate of a receiver
 EVERY_NS: Final = 10_000_000_000
-MOVED: Final = 0.15  # of a logarithm, or of the speed as a share: then the table is made anew
-UNHEARD: Final = 1e6  # sd of a measurement that corrects nothing: its error shows what is expected
+# change of a logarithm, or relative change of speed, after which the table is rebuilt
+REBUILD_CHANGE: Final = 0.15
+IGNORED_SD: Final = 1e6  # sd of a measurement without influence: its innovation shows the prediction
 
 
 class Candidate(NamedTuple):
@@ -64,14 +66,16 @@ class Candidate(NamedTuple):
 CANDIDATES: Final = tuple(
     Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")
 )
-NO_DRAW: Final = cast(Generator, None)  # manoeuvres that draw are none that a driver could follow
+# the candidates draw no random numbers: a driver could not follow those
+NO_DRAW: Final = cast(Generator, None)
 
 
 # What is determined.
 
 
 def information_of(covariance: Array, prior_sd: Array) -> Array:
-    """What the data added to the prior, shape (n, n) as both: never below zero in any direction."""
+    """Information of the data without the prior, (n, n), positive semidefinite. covariance: (n, n),
+    posterior."""
     scale = np.outer(prior_sd, prior_sd)
     scaled = np.linalg.inv(covariance / scale) - np.eye(len(prior_sd))
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
@@ -79,15 +83,15 @@ def information_of(covariance: Array, prior_sd: Array) -> Array:
 
 
 def eigenvalues(information: Array, prior_sd: Array) -> tuple[float, ...]:
-    """Information over prior information in its own directions, largest first."""
+    """Eigenvalues of the information (n, n) relative to the prior's, largest first. prior_sd: (n,)."""
     values = np.linalg.eigvalsh(information * np.outer(prior_sd, prior_sd))
     return tuple(float(max(value, 0.0)) for value in values[::-1])
 
 
 def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
-    """Smallest sd that the data alone allow each parameter; None where they leave it open."""
+    """Cramér-Rao bound: smallest sd of each parameter by the data alone; None if they do not determine it."""
     values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
-    rows = np.sqrt(np.where(values > OPEN, values, 0.0))[:, None] * vectors.T
+    rows = np.sqrt(np.where(values > LEAST_INFORMATION, values, 0.0))[:, None] * vectors.T
     if not rows.any():
         return (None,) * len(prior_sd)
     found = identifiability.bound(rows, [str(k) for k in range(len(prior_sd))]).sd * prior_sd
@@ -95,32 +99,33 @@ def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
 
 
 def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAMETERS) -> tuple[str, ...]:
-    """In words with their 95 % range: each parameter that the data and the prior determine; of the others,
-    ratios, products or further combinations that are. Shapes (n, n), (n,), (n)."""
+    """Texts with 95 % ranges: each parameter that data and prior determine; for the others, the ratios,
+    products or further combinations that are determined. information: (n, n); prior_sd: (n,); names: n."""
     prior: Array = np.diag(prior_sd**2)
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
     single = [k for k in range(len(names)) if sd[k] <= SUPPORTED * prior_sd[k]]
-    words = [f"{names[k]} {share(sd[k])}" for k in single]
+    texts = [f"{names[k]} {share(sd[k])}" for k in single]
     rest = [k for k in range(len(names)) if k not in single]
     if len(rest) < 2:
-        return tuple(words)
+        return tuple(texts)
     here: Array = posterior[np.ix_(rest, rest)]
-    before: Array = prior[np.ix_(rest, rest)]
+    prior_variance: Array = prior[np.ix_(rest, rest)]
     for _ in range(len(rest) - 1):
-        weights = _best(here, before)
+        weights = _best(here, prior_variance)
         if weights is None:
             break
         sd_combination = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
-        words.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
-        # As if it were known: what comes next must be something else.
-        here, before = _conditioned(here, weights), _conditioned(before, weights)
-    return tuple(words)
+        texts.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
+        # Condition on it, so that the next combination is another one.
+        here, prior_variance = _conditioned(here, weights), _conditioned(prior_variance, weights)
+    return tuple(texts)
 
 
 def _best(posterior: Array, prior: Array) -> Array | None:
-    """Weights of the combination that is known best against the prior: a plain ratio or product of two, or,
-    where none will do, the best of all directions with weights to one decimal. None: nothing is."""
+    """Weights (n,) of the combination that is known best relative to the prior: a ratio or product of two,
+    or, if none is good enough, the best direction, with weights rounded to one decimal. None if nothing is
+    determined."""
     n = len(posterior)
     pairs = []
     for i, j in itertools.combinations(range(n), 2):
@@ -129,42 +134,42 @@ def _best(posterior: Array, prior: Array) -> Array | None:
             weights[i], weights[j] = 1.0, sign
             pairs.append(weights)
     values, vectors = np.linalg.eigh(prior)
-    kept = values > 1e-9 * values[-1]
-    root = vectors[:, kept] / np.sqrt(values[kept])
+    positive = values > 1e-9 * values[-1]
+    root = vectors[:, positive] / np.sqrt(values[positive])
     _, directions = np.linalg.eigh(root.T @ posterior @ root)
     general = root @ directions[:, 0]
     general = np.round(general / np.abs(general).max(), 1)
     general *= np.sign(general[np.argmax(np.abs(general))])
     score, k = min((_sd_ratio(w, posterior, prior), k) for k, w in enumerate(pairs))
     best = _sd_ratio(general, posterior, prior)
-    if score <= min(SUPPORTED, PLAIN * best):
+    if score <= min(SUPPORTED, PAIR_PREFERENCE * best):
         return pairs[k]
     return np.asarray(general) if best <= SUPPORTED else None
 
 
 def _sd_ratio(weights: Array, posterior: Array, prior: Array) -> float:
-    """Posterior over prior sd of a combination; 1 where the prior leaves nothing to learn."""
-    before = float(weights @ prior @ weights)
-    if before < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
+    """Posterior over prior sd of a combination; 1 if the prior knows it already."""
+    prior_variance = float(weights @ prior @ weights)
+    if prior_variance < 1e-3 * float(weights @ weights) * float(np.trace(prior)):
         return 1.0
-    return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / before)
+    return math.sqrt(max(float(weights @ posterior @ weights), 0.0) / prior_variance)
 
 
 def _conditioned(covariance: Array, weights: Array) -> Array:
-    """The covariance once that combination were known exactly."""
+    """The covariance conditioned on that combination, as if it were known exactly."""
     cross = covariance @ weights
     return np.asarray(covariance - np.outer(cross, cross) / max(float(weights @ cross), 1e-12))
 
 
 def _combination(weights: Array, names: Sequence[str]) -> str:
-    over = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
-    under = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
-    if not over:
-        over, under = under, over
-    text = "·".join(over)
-    if not under:
+    numerator = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
+    denominator = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
+    if not numerator:
+        numerator, denominator = denominator, numerator
+    text = "·".join(numerator)
+    if not denominator:
         return text
-    return f"{text}/{under[0]}" if len(under) == 1 else f"{text}/({'·'.join(under)})"
+    return f"{text}/{denominator[0]}" if len(denominator) == 1 else f"{text}/({'·'.join(denominator)})"
 
 
 def _power(name: str, exponent: float) -> str:
@@ -182,9 +187,10 @@ def information(
     hertz: Sequence[float] = (HERTZ,) * 4,
     planar: bool = True,
 ) -> Array:
-    """What SECONDS of a manoeuvre would tell of unknowns.NAMES at a point of them, shape (n, n).
+    """Predicted information of SECONDS of a manoeuvre on unknowns.NAMES, (n, n).
 
-    speed: m/s. hertz: of each receiver, in the order of flow.Mount. planar: as rig_setup.
+    point: (n,), where it is linearised. speed: m/s. hertz: rate of each receiver, in the order of flow.Mount.
+    planar: as rig_setup.
     """
     count = round((SECONDS + START_S) / DT) + 1
     time: Array = np.arange(count, dtype=np.float64) * DT
@@ -192,28 +198,30 @@ def information(
     ticks = np.zeros((count, len(INPUTS)))
     ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
     ticks[:, U] = speed
-    watch = np.array([(k, 0.0, HEADING, body, 0.0, UNHEARD) for k in range(count) for body in (0, 1)])
-    predicted_values, _ = _prediction_errors(machine, ticks, watch, point[None], planar)
+    heading_rows = np.array(
+        [(k, 0.0, HEADING, body, 0.0, IGNORED_SD) for k in range(count) for body in (0, 1)]
+    )
+    predicted_values, _ = _prediction_errors(machine, ticks, heading_rows, point[None], planar)
     ticks[:, PSI : PSI + 2] = -predicted_values[0].reshape(count, 2)
     rows = _planned_rows(machine, count, hertz)
-    silent = rows.copy()
-    silent[:, SD] = UNHEARD
-    predicted_values, _ = _prediction_errors(machine, ticks, silent, point[None], planar)
+    ignored_rows = rows.copy()
+    ignored_rows[:, SD] = IGNORED_SD
+    predicted_values, _ = _prediction_errors(machine, ticks, ignored_rows, point[None], planar)
     rows[:, VALUE] = -predicted_values[0]
     _, prior_sd = unknowns.prior(machine)
-    free = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
-    nudges = 1e-3 * prior_sd[free]
-    points = np.tile(point, (len(free) + 1, 1))
-    points[np.arange(1, len(free) + 1), free] += nudges
+    active = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
+    nudges = 1e-3 * prior_sd[active]
+    points = np.tile(point, (len(active) + 1, 1))
+    points[np.arange(1, len(active) + 1), active] += nudges
     errors, variances = _prediction_errors(machine, ticks, rows, points, planar)
-    white = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
-    whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(free, free)] = white.T @ white
-    return whole
+    whitened = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
+    information_matrix = np.zeros((len(NAMES), len(NAMES)))
+    information_matrix[np.ix_(active, active)] = whitened.T @ whitened
+    return information_matrix
 
 
 def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
-    """What the receivers would say, with the machine file's sds, no values yet, shape (m, 6)."""
+    """The rows that the receivers would measure, (m, 6), with the machine file's sds; values are zero."""
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
     rows = []
     for place, mount in enumerate(Mount):
@@ -233,10 +241,10 @@ def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array
 def _prediction_errors(
     machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool
 ) -> tuple[Array, Array]:
-    """Prediction errors and their variances at each point, shape (q, m); all with the gains of the first."""
+    """Innovations and their variances at each point, (q, m); all with the gains of the first point."""
     e, S = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
     base = unknowns.base_geometry(machine)
-    modes = np.array([KEEP] + [FOLLOW] * (len(points) - 1), dtype=np.float64)
+    modes = np.array([STORE_GAINS] + [REUSE_GAINS] * (len(points) - 1), dtype=np.float64)
     measured = Measured(ticks, rows, np.tile(rows[:, VALUE], (len(points), 1)), np.ones(len(rows)))
     geometries = np.array([unknowns.geometry(base, point) for point in points])
     at = Point(points, np.exp(points[:, SIX]), geometries)
@@ -246,7 +254,7 @@ def _prediction_errors(
 
 
 def predicted(covariance: Array, information: Array) -> Array:
-    """Sds of the six logarithms once the information has come in, shape (6,). Both (n, n) over NAMES."""
+    """Sds of the six logarithms, (6,), after the information is added. Both arguments (n, n), over NAMES."""
     known = np.flatnonzero((np.diag(covariance) > 0) & ~_is_noise())
     prior = covariance[np.ix_(known, known)]
     scale = np.sqrt(np.diag(prior))
@@ -263,7 +271,7 @@ def _is_noise() -> NDArray[np.bool_]:
 
 
 def gentle(machine: Machine, speed: float) -> tuple[Candidate, ...]:
-    """The candidates that stay within LARGEST_ACCELERATION at a speed, mildest first."""
+    """The candidates within LARGEST_ACCELERATION at a speed, m/s, mildest first."""
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
     limit = math.degrees(LARGEST_ACCELERATION * wheelbase / max(speed, 0.1) ** 2)
     return tuple(c for c in CANDIDATES if c.degrees <= limit)
@@ -277,10 +285,10 @@ def advise(
     table: Mapping[Candidate, Array] | None = None,
     hertz: Sequence[float] = (HERTZ,) * 4,
 ) -> str:
-    """Which manoeuvre would help most and by how much, one sentence.
+    """One sentence: what is not determined, and which manoeuvre would help most, by how much.
 
-    mean (n,), covariance (n, n): over unknowns.NAMES. table: informations that are known already; none: all
-    are made here, which takes some 0.2 s.
+    mean (n,), covariance (n, n): over unknowns.NAMES. table: candidate -> its `information`, as far as
+    computed; None: all are computed here, which takes some 0.2 s.
     """
     if speed < SLOWEST:
         return f"nothing can be learned below {SLOWEST:g} m/s"
@@ -291,7 +299,7 @@ def advise(
     known = not undetermined
     if known:
         undetermined = [int(np.argmax(now))]
-    names = _and([PARAMETERS[k] for k in undetermined])
+    names = _join_names([PARAMETERS[k] for k in undetermined])
     if len(undetermined) == len(PARAMETERS):
         start = f"none of {names} is determined"
     else:
@@ -301,17 +309,18 @@ def advise(
     chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
-    words = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
+    texts = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
     them = "it" if len(undetermined) == 1 else "them"
-    return f"{start}; {SECONDS:g} s of {words} would bring {them} to {share(*after[chosen])}"
+    return f"{start}; {SECONDS:g} s of {texts} would bring {them} to {share(*after[chosen])}"
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
-    """The mildest whose worst sd comes to TARGET or near the best of all; None where nothing is worth it.
+    """The mildest candidate whose largest sd reaches TARGET or nearly the best of all; None if none is
+    worthwhile.
 
-    after: sds of the parameters asked for, shape (k,), as `now`.
+    after: sds of the k undetermined parameters after each candidate, (k,), as `now`.
     """
-    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTH * now)}
+    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTHWHILE * now)}
     if not worth:
         return None
     enough = max(TARGET, 1.1 * min(worth.values()))
@@ -319,32 +328,36 @@ def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
     return min((c for c in worth if c.degrees == mildest), key=lambda c: worth[c])
 
 
-def _and(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @dataclass(slots=True)
 class Advisor:
-    """Advice in a running estimator, plain data: one candidate is worked out at a time."""
+    """Advice in a running estimator: it computes the information of one candidate at a time."""
 
     text: str = ""
     renewed_ns: int = 0
     point: Array = field(default_factory=lambda: np.zeros(len(NAMES)))  # of the table
     speed: float = 0.0  # m/s, of the table
-    table: list[Array] = field(default_factory=list)  # informations of `gentle`, as far as they are known
+    table: list[Array] = field(default_factory=list)  # informations of `gentle`, reversed, as far as computed
 
 
 def renew(state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int) -> str:
-    """The present advice; made anew each EVERY_NS with one more candidate known. Arguments as `advise`."""
+    """The present advice; each EVERY_NS it is renewed with one more candidate. Other arguments as
+    `advise`."""
     if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + EVERY_NS:
         return state.text
     state.renewed_ns = t_ns
     if speed < SLOWEST:
         return state.text
-    far = np.abs(mean - state.point)[SIX].max() > MOVED or abs(speed - state.speed) > MOVED * speed
+    far = (
+        np.abs(mean - state.point)[SIX].max() > REBUILD_CHANGE
+        or abs(speed - state.speed) > REBUILD_CHANGE * speed
+    )
     if not state.table or far:
         state.point, state.speed, state.table = mean.copy(), speed, []
-    candidates = gentle(machine, state.speed)[::-1]  # the one that tells most first
+    candidates = gentle(machine, state.speed)[::-1]  # the most informative first
     if len(state.table) < len(candidates):
         state.table.append(information(machine, state.point, state.speed, candidates[len(state.table)]))
     table = dict(zip(candidates, state.table, strict=False))

@@ -1,4 +1,5 @@
-"""Which of the methods' estimates a controller should use: one rule, said with each recommendation."""
+"""Which of the methods' estimates should a controller use? One rule; each recommendation says how it was
+chosen."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -11,57 +12,64 @@ from tilth.schemas.flow import Estimate, Status
 
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
-"""Best first: pem uses every sample of a window, tracker follows at once, steady_state speaks where neither
-can. No other method is recommended."""
-FRESH_S: Final = 120.0  # pem's window is older: a method that follows at once is better
-SINCE_CHANGE: Final = "since_soil_change_s"  # in `excitation` of a method that sees changes at once
+"""Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
+from which neither can learn. No other method is recommended."""
+FRESH_S: Final = 120.0  # if pem's window is older, tracker is better
+SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
 
-BEGINS: Final = {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5}
+DISAGREE_ABOVE: Final = {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5}
 """Chi-square of so many parameters, 0.1 %."""
-ENDS: Final = {1: 3.8, 2: 6.0, 3: 7.8, 4: 9.5, 5: 11.1, 6: 12.6}
+AGREE_BELOW: Final = {1: 3.8, 2: 6.0, 3: 7.8, 4: 9.5, 5: 11.1, 6: 12.6}
 """5 %: a disagreement ends later than it begins."""
 
 
 def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = False) -> Estimate:
-    """The best that gives numbers; the one that claims less while the methods disagree.
+    """The best estimate with numbers; while methods disagree, the one with the largest variance.
 
     estimates: method -> latest. disagree: whether `disagreement` found one. `rule` of the result says why it
-    was chosen. What a method calls invalid is not passed on.
+    was chosen. Values with status INVALID are removed.
     """
     usable = list(_usable(estimates))
     if not usable:
         preferred = [estimates[m] for m in PREFERRED if m in estimates]
         first = (preferred or [e for m, e in estimates.items() if m != RECOMMENDED])[0]
-        return _passed_on(first, t_ns, "no method gives an estimate")
+        return _copy_as_recommended(first, t_ns, "no method gives an estimate")
     best, rule = usable[0]
     if disagree:
-        able = {e.method: e for e, _ in usable if _given(e)}
-        best = max(able.values(), key=lambda e: _variance(e, able))
-        rule = f"{best.method}: the methods disagree, and it claims less than {_others(best, able)}"
-    return _passed_on(best, t_ns, rule)
+        candidates = {e.method: e for e, _ in usable if _usable_parameters(e)}
+        best = max(candidates.values(), key=lambda e: _variance(e, candidates))
+        rule = f"{best.method}: the methods disagree, and it claims less than {_others(best, candidates)}"
+    return _copy_as_recommended(best, t_ns, rule)
 
 
 def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
-    """Which methods disagree beyond their covariances, in words; "": none. before: whether some did."""
-    limits = ENDS if before else BEGINS
-    able = [e for e in (estimates[m] for m in PREFERRED if m in estimates) if _given(e, Status.ESTIMATED)]
-    for k, one in enumerate(able):
-        for other in able[k + 1 :]:
+    """Text that names the methods which disagree beyond their covariances; "" if none do.
+
+    before: whether some disagreed at the last call.
+    """
+    limits = AGREE_BELOW if before else DISAGREE_ABOVE
+    candidates = [
+        e
+        for e in (estimates[m] for m in PREFERRED if m in estimates)
+        if _usable_parameters(e, Status.ESTIMATED)
+    ]
+    for k, one in enumerate(candidates):
+        for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
-            if shared and not distance <= limits[shared]:  # not a number is no agreement
+            if shared and not distance <= limits[shared]:  # nan counts as disagreement
                 return (
                     f"{one.method} and {other.method} disagree: squared distance {distance:.0f} over "
-                    f"{shared} parameters, of which chance allows {BEGINS[shared]:.0f}"
+                    f"{shared} parameters, of which chance allows {DISAGREE_ABOVE[shared]:.0f}"
                 )
     return ""
 
 
 def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]:
-    """(estimate, why it is the one to use), best first; one method may come twice."""
-    here = [estimates[m] for m in PREFERRED if m in estimates and _sound(estimates[m])]
-    by_method = {e.method: e for e in here}
+    """(estimate, rule by which it is chosen), best first; one method may come twice."""
+    sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
+    by_method = {e.method: e for e in sound}
     pem, tracker = by_method.get("pem"), by_method.get("tracker")
-    if tracker is not None and pem is not None and _given(tracker, Status.ESTIMATED):
+    if tracker is not None and pem is not None and _usable_parameters(tracker, Status.ESTIMATED):
         age = _age(pem)
         change = tracker.excitation.get(SINCE_CHANGE, math.inf)
         if change < age:
@@ -69,55 +77,61 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]
         elif age > FRESH_S:
             old = f"is {age:.0f} s old" if math.isfinite(age) else "has not been driven yet"
             yield tracker, f"tracker: the last window of pem {old}"
-    for estimate in here:
-        if _given(estimate, Status.ESTIMATED):
-            yield estimate, f"{estimate.method}: the first of {_names(here)} that gives estimates"
-    for estimate in here:
-        if _given(estimate):
-            yield estimate, f"{estimate.method}: the first of {_names(here)} that gives estimates, though old"
+    for estimate in sound:
+        if _usable_parameters(estimate, Status.ESTIMATED):
+            yield estimate, f"{estimate.method}: the first of {_names(sound)} that gives estimates"
+    for estimate in sound:
+        if _usable_parameters(estimate):
+            yield (
+                estimate,
+                f"{estimate.method}: the first of {_names(sound)} that gives estimates, though old",
+            )
 
 
 def _names(estimates: list[Estimate]) -> str:
     return ", ".join(e.method for e in estimates)
 
 
-def _others(best: Estimate, able: Mapping[str, Estimate]) -> str:
-    return " and ".join(method for method in able if method != best.method) or "any other"
+def _others(best: Estimate, candidates: Mapping[str, Estimate]) -> str:
+    return " and ".join(method for method in candidates if method != best.method) or "any other"
 
 
-def _passed_on(estimate: Estimate, t_ns: int, rule: str) -> Estimate:
+def _copy_as_recommended(estimate: Estimate, t_ns: int, rule: str) -> Estimate:
     parameters = tuple(
         replace(p, value=None, sd=None) if p.status is Status.INVALID else p for p in estimate.parameters
     )
     return replace(estimate, method=RECOMMENDED, t_ns=t_ns, rule=rule, parameters=parameters)
 
 
-def _given(estimate: Estimate, status: Status | None = None) -> set[int]:
-    """Parameters with a number that may be used, of this status or of any."""
-    wanted = (Status.ESTIMATED, Status.STALE) if status is None else (status,)
-    return {k for k, p in enumerate(estimate.parameters) if p.value is not None and p.status in wanted}
+def _usable_parameters(estimate: Estimate, status: Status | None = None) -> set[int]:
+    """Indices of the parameters with a number and this status; None: ESTIMATED or STALE."""
+    statuses = (Status.ESTIMATED, Status.STALE) if status is None else (status,)
+    return {k for k, p in enumerate(estimate.parameters) if p.value is not None and p.status in statuses}
 
 
-def _sound(estimate: Estimate) -> bool:
-    """Whether numbers are numbers: what is not must reach no controller."""
+def _is_finite(estimate: Estimate) -> bool:
+    """Whether all numbers are finite and values positive: others must not reach a controller."""
     values = [p.value for p in estimate.parameters if p.value is not None]
     return all(0.0 < v < math.inf for v in values) and all(map(math.isfinite, estimate.log_covariance))
 
 
 def _age(estimate: Estimate) -> float:
-    """Since data last informed what it gives, s."""
-    return max((estimate.parameters[k].age_s or 0.0 for k in _given(estimate)), default=math.inf)
+    """Greatest age of its usable parameters, s; infinite without one."""
+    return max((estimate.parameters[k].age_s or 0.0 for k in _usable_parameters(estimate)), default=math.inf)
 
 
-def _variance(estimate: Estimate, able: Mapping[str, Estimate]) -> float:
-    """Mean over the parameters that all of them give; a method that shares none is not compared."""
-    shared = set.intersection(*(_given(e) for e in able.values())) or _given(estimate)
+def _variance(estimate: Estimate, candidates: Mapping[str, Estimate]) -> float:
+    """Mean variance over the parameters that all candidates have, or, if there is none, over its own."""
+    shared = set.intersection(*(_usable_parameters(e) for e in candidates.values())) or _usable_parameters(
+        estimate
+    )
     return sum(estimate.log_covariance[k * 7] for k in sorted(shared)) / len(shared)
 
 
 def _distance(one: Estimate, other: Estimate) -> tuple[float, int]:
-    """(squared distance of the logarithms over the sum of their covariances, over how many parameters)."""
-    shared = sorted(_given(one, Status.ESTIMATED) & _given(other, Status.ESTIMATED))
+    """(squared Mahalanobis distance of the logarithms, with the sum of the covariances; number of
+    parameters)."""
+    shared = sorted(_usable_parameters(one, Status.ESTIMATED) & _usable_parameters(other, Status.ESTIMATED))
     if not shared:
         return 0.0, 0
     logs = [np.log([e.parameters[k].value or 1.0 for k in shared]) for e in (one, other)]

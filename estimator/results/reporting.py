@@ -1,4 +1,4 @@
-"""How what a method has learned is said: which parameters have a number, how old it is, what goes with it."""
+"""From a method's posterior to its published estimate: which parameters have a number, its age and status."""
 
 import math
 from collections.abc import Sequence
@@ -19,10 +19,8 @@ Array = NDArray[np.float64]
 MODEL: Final = "relaxation"
 PUBLISH_NS: Final = 1_000_000_000
 STALE_S: Final = 300.0
-LOST: Final = (
-    0.6  # posterior over prior sd of a logarithm, beyond which a number that was given is taken back
-)
-WORST: Final = 4.5  # prior sds: a parameter further off is none
+WITHDRAWN: Final = 0.6  # posterior over prior sd of a logarithm, above which a number is withdrawn
+LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean is no tyre's
 RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
 
 
@@ -32,8 +30,8 @@ class Learning(Protocol):
     mean: Array
     covariance: Array
     prior_sd: Array
-    given: list[bool]  # whether each of the six had a number
-    informed_ns: int  # when data last informed it, 0: never
+    has_number: list[bool]  # whether each of the six had a number in the last estimate
+    informed_ns: int  # when it last learned from data, 0: never
     window_s: float
     reason: str  # why nothing is learned now, or ""
 
@@ -45,27 +43,28 @@ class Reporting(Protocol):
 
 
 def take_events(state: Reporting) -> list[tuple[str, str]]:
-    """(kind, text) of what a method noticed since the last call."""
+    """(kind, text) of a method's events since the last call."""
     events, state.events = state.events, []
     return events
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:
-    """Since data last informed it; None: they never did."""
+    """Time since it last learned from data, s; None if it never did."""
     return (t_ns - informed_ns) * 1e-9 if informed_ns else None
 
 
-def enough(given: bool, sd_log: float, prior_sd: float) -> bool:
-    """Whether a logarithm's sd supports a number: once given, it is taken back later than given."""
-    return sd_log <= (LOST if given else SUPPORTED) * prior_sd
+def is_supported(has_number: bool, sd_log: float, prior_sd: float) -> bool:
+    """Whether a logarithm's sd is small enough for a number, with hysteresis: has_number, whether it had
+    one."""
+    return sd_log <= (WITHDRAWN if has_number else SUPPORTED) * prior_sd
 
 
 def parameter(
-    log: float, sd_log: float, given: bool, age: float | None, lacks: str, idle: str
+    log: float, sd_log: float, has_number: bool, age: float | None, missing: str, idle: str
 ) -> ParameterEstimate:
-    """One parameter. lacks: why there is no number where there is none; idle: what was missing since."""
-    if age is None or not given:
-        return ParameterEstimate(None, None, Status.UNESTIMATED, lacks, age)
+    """One parameter. missing: reason if there is no number; idle: reason if the number is stale."""
+    if age is None or not has_number:
+        return ParameterEstimate(None, None, Status.UNESTIMATED, missing, age)
     value = math.exp(log)
     if age > STALE_S:
         return ParameterEstimate(value, value * sd_log, Status.STALE, f"{idle} for {age:.0f} s", age)
@@ -73,35 +72,36 @@ def parameter(
 
 
 def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple[float | None, ...]:
-    """Cornering stiffnesses over the mass of the body that they hold, N/(rad kg)."""
+    """Cornering stiffnesses over the mass of their body, N/(rad kg)."""
     masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
     return tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True))
 
 
-def nothing_yet(what: str, reason: str) -> str:
-    """Why a method has not learned anything."""
+def reason_without_data(what: str, reason: str) -> str:
+    """The reason of a parameter while a method has not learned anything. reason: why it does not learn
+    now."""
     return f"{what} yet (now: {reason})" if reason else f"{what} yet"
 
 
-def of_six(
-    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: str,
-    excitation: dict[str, float], advised: str,
+def six_parameter_estimate(
+    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, reason: str,
+    excitation: dict[str, float], advice_text: str,
 ) -> Estimate:  # fmt: skip
-    """What a method that learns all six logarithms says at t_ns.
+    """The estimate at t_ns of a method that learns all six logarithms.
 
-    covariance: (6, 6), theirs as it is said. nothing: why there is no number while nothing was learned.
+    covariance: (6, 6), the reported one. reason: why there is no number while nothing has been learned.
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     information = advice.information_of(covariance, prior_sd)
-    sizes = np.array(advice.eigenvalues(information, prior_sd))
+    eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
     parameters = []
     for k in range(6):
-        state.given[k] = age is not None and enough(state.given[k], sds[k], prior_sd[k])
-        wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
-        lacks = nothing_yet(nothing, state.reason) if age is None else wide
+        state.has_number[k] = age is not None and is_supported(state.has_number[k], sds[k], prior_sd[k])
+        too_wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
+        missing = reason_without_data(reason, state.reason) if age is None else too_wide
         parameters.append(
-            parameter(state.mean[k], float(sds[k]), state.given[k], age, lacks, "nothing was learned")
+            parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, "nothing was learned")
         )
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior_sd))
@@ -115,11 +115,11 @@ def of_six(
         nuisances={
             NAMES[k]: (float(state.mean[k]), math.sqrt(state.covariance[k, k])) for k in active if k > 5
         },
-        rank=int(np.sum(sizes > RANK_GAIN)),
-        condition=float(sizes.max() / sizes.min()) if sizes.min() > 0.0 else None,
+        rank=int(np.sum(eigenvalues > RANK_GAIN)),
+        condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,
         excitation=excitation,
         window_s=state.window_s,
         determined=advice.determined(information, prior_sd) if age is not None else (),
         bound=bound if age is not None else (),
-        advice=advised,
+        advice=advice_text,
     )

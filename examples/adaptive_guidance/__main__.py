@@ -52,7 +52,7 @@ class ControlLoop:
             self.force = self.controller.estimate(self.wires.latest(), now)
         self.wires.send(self.controller.command(self.wires.now()))
 
-    def told(self) -> dict[str, Any]:
+    def report(self) -> dict[str, Any]:
         """What a person wants to know."""
         follower, latest = self.controller.follower, self.wires.latest()
         at = min(round(follower.station), len(follower.plan.row) - 1)
@@ -73,28 +73,28 @@ class ControlLoop:
 
 
 def run(
-    wires: Wires, told: argparse.Namespace, open_bus: Callable[[], can.BusABC], stop: Callable[[], bool]
+    wires: Wires, options: argparse.Namespace, open_bus: Callable[[], can.BusABC], stop: Callable[[], bool]
 ) -> int:
     """Until the plan is done or `stop`. The bus hears of it once it is ready to steer."""
     _say({"reason": "no daemon has been heard yet"})
-    while (heard := wires.rig) is None:
+    while (rig := wires.rig) is None:
         if stop():
             return 1
         wires.wait(PERIOD_S)
-    work = Work(told.rows, told.length, told.spacing, told.radius)
-    controller = Controller(plan(work, heard.rig), heard.rig, (told.origin[0], told.origin[1]), LIMITS)
+    work = Work(options.rows, options.length, options.spacing, options.radius)
+    controller = Controller(plan(work, rig.rig), rig.rig, (options.origin[0], options.origin[1]), LIMITS)
     wires.command_on(open_bus())
-    turns = ControlLoop(wires, controller, told.gains == "adapting")
+    turns = ControlLoop(wires, controller, options.gains == "adapting")
     next_turn = next_word = time.monotonic()
     while not (stop() or controller.follower.done):
         turns.turn()
         if time.monotonic() >= next_word:
             next_word += TELL_S
-            _say(turns.told())
+            _say(turns.report())
         next_turn = max(next_turn + PERIOD_S, time.monotonic())
         time.sleep(max(next_turn - time.monotonic(), 0.0))  # its pace, and the steering's
     wires.send(controller.release())
-    _say(turns.told())
+    _say(turns.report())
     return 0
 
 
@@ -121,17 +121,19 @@ def arguments() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    told = arguments().parse_args()
+    options = arguments().parse_args()
     stopping: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _: stopping.append(got))
-    options = {name: value for name in ("host", "port") if (value := getattr(told, name)) is not None}
+    bus_options = {name: value for name in ("host", "port") if (value := getattr(options, name)) is not None}
     try:
-        with Wires(told.machine, endpoint=told.connect, prefix=told.prefix, replay=told.replay) as wires:
+        with Wires(
+            options.machine, endpoint=options.connect, prefix=options.prefix, replay=options.replay
+        ) as wires:
             return run(
                 wires,
-                told,
-                lambda: can.Bus(interface=told.interface, channel=told.channel, **options),
+                options,
+                lambda: can.Bus(interface=options.interface, channel=options.channel, **bus_options),
                 lambda: bool(stopping),
             )
     except (ValueError, OSError, can.CanError) as error:

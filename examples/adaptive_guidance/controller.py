@@ -13,7 +13,7 @@ from typing import Final
 
 from pyproj import Transformer
 
-from tilth.adaptive_guidance.follower import BodyState, Follower, Seen
+from tilth.adaptive_guidance.follower import BodyState, Follower, MeasuredPose
 from tilth.adaptive_guidance.plan import Plan
 from tilth.client import Cautious, InForce, Latest, Limits, Staleness
 from tilth.estimator.models.parameters import Rig
@@ -60,15 +60,15 @@ class Controller:
         if tractor is None or implement is None or speed is None or angle is None:
             self.unusable += 1
             return
-        self.follower.pose(Seen(at, tractor, implement, speed, angle))
+        self.follower.pose(MeasuredPose(at, tractor, implement, speed, angle))
 
     def command(self, now: float) -> list[tuple[int, bytes]]:
         """Frames to send now, (identifier, data): an intention to steer, or none and why in `reason`."""
-        asked = self.follower.command(now)
-        self.reason = asked.reason
-        if asked.wheel_angle is None:
+        command = self.follower.command(now)
+        self.reason = command.reason
+        if command.wheel_angle is None:
             return self.release()
-        bend = math.tan(asked.wheel_angle) / self.follower.rig.wheelbase
+        bend = math.tan(command.wheel_angle) / self.follower.rig.wheelbase
         return _frames({"commanded_curvature_per_m": bend, "command_status": "intended"})
 
     def release(self) -> list[tuple[int, bytes]]:

@@ -123,14 +123,14 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
     """Make ready what the estimators call: here the controller is to have estimates from the start.
     Raises DemoError."""
 
-    def told(share: float) -> None:
+    def report_progress(share: float) -> None:
         if stop():
             raise compiling.CompilingStopped
         if share == 0.0:
             say(compiling.TEXT)
 
     try:
-        compiling.prepare(packaged(), told)
+        compiling.prepare(packaged(), report_progress)
     except compiling.CompilingStopped:
         raise DemoError("stopped before it began") from None
 
@@ -147,7 +147,7 @@ class _Process:
         )
         assert self._process.stdout is not None
         os.set_blocking(self._process.stdout.fileno(), False)
-        self._heard = b""
+        self._received = b""
 
     @property
     def alive(self) -> bool:
@@ -163,8 +163,8 @@ class _Process:
         """What it has told since the last call; waits so long where that is nothing."""
         assert self._process.stdout is not None
         select.select([self._process.stdout], [], [], timeout_s)
-        self._heard += self._process.stdout.read() or b""
-        *lines, self._heard = self._heard.split(b"\n")
+        self._received += self._process.stdout.read() or b""
+        *lines, self._received = self._received.split(b"\n")
         return [json.loads(line) for line in lines]
 
     def close(self) -> None:
@@ -192,9 +192,9 @@ def _first_fact(process: _Process, stop: Callable[[], bool], name: str) -> dict[
     """Waits for it. Raises DemoError."""
     deadline = time.monotonic() + STARTING_S
     while time.monotonic() < deadline:
-        told = process.facts(TICK_S)
-        if told:
-            return told[0]
+        facts = process.facts(TICK_S)
+        if facts:
+            return facts[0]
         if stop():
             raise DemoError("stopped before it began")
         if not process.alive:
@@ -226,7 +226,7 @@ class _Watching:
     end: dict[str, Any] = field(default_factory=dict)  # the tractor's last words
     _rows: list[tuple[float, float, int, bool]] = field(default_factory=list)
     _along: Along = field(init=False)
-    _told_to_stop: bool = False
+    _stop_sent: bool = False
     _silent: bool = False
     _reason: str = ""
 
@@ -237,8 +237,8 @@ class _Watching:
         """Whether the run has ended; early: end it."""
         if self.end or not self.rig.alive:
             return True
-        if early and not self._told_to_stop:
-            self._told_to_stop = True
+        if early and not self._stop_sent:
+            self._stop_sent = True
             self.rig.order({"stop": True})
         for fact in self.rig.facts():
             if "sent" in fact:
@@ -284,12 +284,12 @@ class _Watching:
 
 def table(guided: Guided) -> Table:
     """Both controllers' errors, for a terminal."""
-    shown = Table(title="Implement off its line, RMS, cm", title_justify="left")
-    shown.add_column("gains")
+    errors_table = Table(title="Implement off its line, RMS, cm", title_justify="left")
+    errors_table.add_column("gains")
     for after, turn in PARTS:
         where = f"{'turns' if turn else 'rows'}, {'soft soil' if after else 'as planned'}"
-        shown.add_column(where, justify="right")
+        errors_table.add_column(where, justify="right")
     for name, one in (("fixed", guided.fixed), ("adapting", guided.adapting)):
         errors = [rms([one], *part) for part in PARTS]
-        shown.add_row(name, *("" if math.isnan(error) else f"{100 * error:.1f}" for error in errors))
-    return shown
+        errors_table.add_row(name, *("" if math.isnan(error) else f"{100 * error:.1f}" for error in errors))
+    return errors_table

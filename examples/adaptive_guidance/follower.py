@@ -45,7 +45,7 @@ class BodyState(NamedTuple):
     roll: float
 
 
-class Seen(NamedTuple):
+class MeasuredPose(NamedTuple):
     """What a pose says; `at` in s on the clock of the caller."""
 
     at: float
@@ -74,12 +74,12 @@ class Follower:
     station: float = 0.0  # sample of the plan at the last pose
     _design: Design = field(init=False)
     _state: Array = field(init=False)  # deviations and hidden pushes at the last pose
-    _pose: Seen | None = None
+    _pose: MeasuredPose | None = None
     _given: deque[tuple[float, float]] = field(
         init=False
     )  # (s, deviation of the commanded angle from then on)
     _deviation: float = 0.0  # of the commanded angle
-    _asked: float = 0.0  # the commanded angle itself
+    _commanded: float = 0.0  # the commanded angle itself
     _ticked: float | None = None
 
     def __post_init__(self) -> None:
@@ -93,19 +93,19 @@ class Follower:
         """Whether the end of the plan is reached."""
         return self.station >= len(self.plan.row) - 20
 
-    def pose(self, seen: Seen) -> None:
+    def pose(self, measured: MeasuredPose) -> None:
         """Take a pose; they come in the order of their instants."""
         if self._pose is None:
-            self.station = float(np.argmin(np.hypot(*(self.plan.tractor[:, :2] - seen.tractor[:2]).T)))
-        elif seen.at <= self._pose.at:
+            self.station = float(np.argmin(np.hypot(*(self.plan.tractor[:, :2] - measured.tractor[:2]).T)))
+        elif measured.at <= self._pose.at:
             return
         else:
-            self._state = self._carried(seen.at)
-        self.station = self._project(seen.tractor)
-        self._pose = seen
+            self._state = self._carried(measured.at)
+        self.station = self._project(measured.tractor)
+        self._pose = measured
         self._redesign()
         made = self._design
-        off = self._deviations(seen)
+        off = self._deviations(measured)
         n = len(made.f)
         self._state = self._state + made.observer @ (off - made.outputs @ self._state[:n])
 
@@ -128,13 +128,13 @@ class Follower:
         rate += float(np.sum(made.preview * self._force(ahead, speed)))
         rate += float(made.steady[3:] @ np.concatenate([self._gravity(), state[n:]]))
         planned = self._planned(station + speed * PERIOD_S / STEP, speed)
-        asked = planned + self._deviation + rate * period
+        commanded = planned + self._deviation + rate * period
         most = self.rate * period
-        asked = min(max(asked, self._asked - most), self._asked + most)
-        self._asked = min(max(asked, -self.limit), self.limit)
-        self._deviation = self._asked - planned
+        commanded = min(max(commanded, self._commanded - most), self._commanded + most)
+        self._commanded = min(max(commanded, -self.limit), self.limit)
+        self._deviation = self._commanded - planned
         self._given.append((now, self._deviation))
-        return Command(self._asked)
+        return Command(self._commanded)
 
     def _silent(self, reason: str) -> Command:
         self._ticked = None
@@ -158,7 +158,7 @@ class Follower:
         ahead = (body.x - x) * math.cos(psi) + (body.y - y) * math.sin(psi)
         return float(min(max(k + ahead / STEP, 0.0), len(plan) - 1.0))
 
-    def _deviations(self, seen: Seen) -> Array:
+    def _deviations(self, measured: MeasuredPose) -> Array:
         """Of MEASURED from the plan."""
         plan, at = self.plan, self.station
         row = np.arange(len(plan.row))
@@ -167,7 +167,7 @@ class Follower:
             return float(np.interp(at, row, values))
 
         offs = []
-        for body, planned in ((seen.tractor, plan.tractor), (seen.implement, plan.implement)):
+        for body, planned in ((measured.tractor, plan.tractor), (measured.implement, plan.implement)):
             x, y, psi = (of(planned[:, k]) for k in range(3))
             across = -(body.x - x) * math.sin(psi) + (body.y - y) * math.cos(psi)
             offs.append((across, math.remainder(body.heading - psi, math.tau)))
@@ -178,10 +178,10 @@ class Follower:
                 offs[1][0],
                 offs[0][1],
                 offs[1][1],
-                seen.tractor.lateral_velocity - self.rig.b * bend * seen.speed,
-                seen.tractor.yaw_rate - bend * seen.speed,
-                seen.implement.yaw_rate - bend_i * seen.speed,
-                seen.wheel_angle - of(plan.wheel_angle),
+                measured.tractor.lateral_velocity - self.rig.b * bend * measured.speed,
+                measured.tractor.yaw_rate - bend * measured.speed,
+                measured.implement.yaw_rate - bend_i * measured.speed,
+                measured.wheel_angle - of(plan.wheel_angle),
             ]
         )
 

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 FIRST_S: Final = 1.0  # of a run: poses come by then
 EVERY: Final = 10  # samples between two of an error
 
-Told = list[tuple[float, Estimate]]
+TimedEstimates = list[tuple[float, Estimate]]
 """(s of the run, recommended estimate)"""
 
 
@@ -58,7 +58,7 @@ class NoFits:
 class RunTrace:
     """What one run leaves behind besides the truth."""
 
-    estimates: Told = field(default_factory=list)
+    estimates: TimedEstimates = field(default_factory=list)
     theta: list[Array] = field(default_factory=list)  # (6,) in force at each command
     taken: int = 0  # commands
     refused: dict[str, int] = field(default_factory=dict)
@@ -74,8 +74,8 @@ class Loop:
     mode: str
     truth: Callable[[float], Array]  # parameters at a time, as far as they are to be known, (6,)
     zero_ns: int  # of the run, on the frames' clock
-    told: Told  # instead of what the fold says
-    heard: RunTrace = field(default_factory=RunTrace)
+    estimates: TimedEstimates  # instead of what the fold says
+    trace: RunTrace = field(default_factory=RunTrace)
     _next: float = FIRST_S
     _last: tuple[float, Estimate] | None = None
 
@@ -87,18 +87,18 @@ class Loop:
                     self.controller.pose(value, (value.t_ns - self.zero_ns) * 1e-9)
                 elif isinstance(value, Estimate) and publication.topic == "/soil_tire":
                     self._last = now, value
-                    self.heard.estimates.append(self._last)
-        while self.told and self.told[0][0] <= now:
-            self._last = self.told.pop(0)
+                    self.trace.estimates.append(self._last)
+        while self.estimates and self.estimates[0][0] <= now:
+            self._last = self.estimates.pop(0)
         if now < self._next - STEP_S / 2:
             return []
         self._next += PERIOD_S
         if self.mode == "adapting":
-            told, age = (None, math.inf) if self._last is None else (self._last[1], now - self._last[0])
-            self.controller.estimate(judge(told, age, STALE), now)
+            estimate, age = (None, math.inf) if self._last is None else (self._last[1], now - self._last[0])
+            self.controller.estimate(judge(estimate, age, STALE), now)
         elif self.mode == "knowing":
             self.controller.follower.theta = self.truth(now)
-        self.heard.theta.append(self.controller.follower.theta)
+        self.trace.theta.append(self.controller.follower.theta)
         return self.controller.command(now)
 
 
@@ -111,7 +111,7 @@ def run(
     *,
     limits: Limits = LIMITS,
     known: Collection[str] = PARAMETERS,
-    told: Told | None = None,
+    estimates: TimedEstimates | None = None,
 ) -> tuple[Plan, Truth, RunTrace]:
     """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
 
@@ -128,17 +128,17 @@ def run(
 
     def driver(setting: Setting) -> LiveDriver:
         controller = Controller(line, nominal, ORIGIN_DEG, limits)
-        fold = GuardedFold(machine, fitter=None if mode == "adapting" and told is None else NoFits())
+        fold = GuardedFold(machine, fitter=None if mode == "adapting" and estimates is None else NoFits())
         soil = _soil(setting, controller, nominal, known)
-        loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, list(told or ())))
+        loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, list(estimates or ())))
         drivers.append(LiveDriver(machine, setting, loops[0]))
         return drivers[0]
 
     truth = drive(machine, seed, seconds, scenario, driven_by=driver)
-    heard, steering = loops[0].heard, drivers[0].steering
-    heard.taken, heard.refused = steering.taken, dict(steering.refused)
-    heard.ended = loops[0].controller.reason
-    return line, truth, heard
+    trace, steering = loops[0].trace, drivers[0].steering
+    trace.taken, trace.refused = steering.taken, dict(steering.refused)
+    trace.ended = loops[0].controller.reason
+    return line, truth, trace
 
 
 def _soil(

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tilth.adaptive_guidance.controller import LIMITS
-from tilth.adaptive_guidance.lockstep import EVERY, Told, cross_track, run
+from tilth.adaptive_guidance.lockstep import EVERY, TimedEstimates, cross_track, run
 from tilth.adaptive_guidance.plan import Work
 from tilth.analysis import plots
 from tilth.estimator.models.parameters import rig_of
@@ -53,7 +53,7 @@ class DrivenPath(NamedTuple):
     error: Array  # m, (n,)
     row: NDArray[np.int64]  # of the plan there, below zero in a turn
     after: NDArray[np.bool_]  # whether the implement is on the soft half
-    estimates: Told
+    estimates: TimedEstimates
 
 
 def packaged() -> Machine:
@@ -78,12 +78,12 @@ def middle(work: Work) -> float:
 
 def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> DrivenPath:
     """options: of lockstep.run. Raises RuntimeError where a run did not come to its end."""
-    line, truth, heard = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
-    if heard.refused or heard.ended != "the plan is done":
-        raise RuntimeError(f"the steering refused {heard.refused}; the run ended: {heard.ended}")
+    line, truth, trace = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
+    if trace.refused or trace.ended != "the plan is done":
+        raise RuntimeError(f"the steering refused {trace.refused}; the run ended: {trace.ended}")
     error, at = cross_track(line, truth)
     east = truth.implement.y[::EVERY]
-    return DrivenPath(truth.time[::EVERY], error, line.row[at], east > middle(work), heard.estimates)
+    return DrivenPath(truth.time[::EVERY], error, line.row[at], east > middle(work), trace.estimates)
 
 
 def rms(runs: Iterable[DrivenPath], after: bool, turn: bool) -> float:
@@ -99,14 +99,16 @@ PARTS: Final = ((False, False), (False, True), (True, False), (True, True))
 """(after, turn)"""
 
 
-def wrong(told: Told, machine: Machine, changed_s: float, direction: int, sign: float) -> Told:
+def wrong(
+    estimates: TimedEstimates, machine: Machine, changed_s: float, direction: int, sign: float
+) -> TimedEstimates:
     """Estimates that are off the truth by WRONG_SD along a principal direction of their own covariance.
 
     changed_s: from when on they speak of the soft soil.
     """
     nominal = np.log(rig_of(machine).theta)
     moved = []
-    for at, estimate in told:
+    for at, estimate in estimates:
         if estimate.log_covariance and all(p.status is Status.ESTIMATED for p in estimate.parameters):
             truth = nominal + (np.log([SOFTER] * 3 + [1.0] * 3) if at > changed_s else 0.0)
             variances, axes = np.linalg.eigh(np.reshape(estimate.log_covariance, (6, 6)))
@@ -121,10 +123,10 @@ def _with(estimate: Estimate, values: Array) -> Estimate:
     return replace(estimate, parameters=tuple(replace(p, value=v) for p, v in rows))
 
 
-def learned_s(told: Told, machine: Machine) -> float:
+def learned_s(estimates: TimedEstimates, machine: Machine) -> float:
     """When an estimate first spoke of the soft soil: its C_af and C_ar below the middle of both soils."""
     half = np.sqrt(SOFTER) * rig_of(machine).theta
-    for at, estimate in told:
+    for at, estimate in estimates:
         values = [p.value for p in estimate.parameters[:2]]
         if all(v is not None and v < h for v, h in zip(values, half, strict=False)):
             return at
@@ -132,12 +134,13 @@ def learned_s(told: Told, machine: Machine) -> float:
 
 
 def main() -> None:
+    """Print the tables of the study, or one of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
     parser.add_argument("--part", choices=("main", "known", "wrong", "doubt"), help="only this table")
-    told = parser.parse_args()
+    args = parser.parse_args()
     machine = packaged()
-    if told.part == "doubt":
+    if args.part == "doubt":
         _doubt_table(machine)
         return
     runs: dict[str, list[DrivenPath]] = {
@@ -147,30 +150,30 @@ def main() -> None:
     _say("|---|---|---|---|---|")
     for name in MODES[::2]:
         _line(name, runs[name])
-    if told.part in (None, "main", "wrong"):
+    if args.part in (None, "main", "wrong"):
         runs["adapting"] = [driven(machine, s, "adapting") for s in SEEDS]
         _line("adapting", runs["adapting"])
-    if told.part in (None, "known"):
+    if args.part in (None, "known"):
         for name, known in KNOWN.items():
             _line(
                 f"knows the stiffness {name} only",
                 [driven(machine, s, "knowing", known=known) for s in SEEDS],
             )
-    if told.part in (None, "wrong"):
+    if args.part in (None, "wrong"):
         _wrong_table(machine, runs)
-    if told.figure and "adapting" in runs:
-        draw({mode: runs[mode][0] for mode in MODES}, told.figure)
+    if args.figure and "adapting" in runs:
+        draw({mode: runs[mode][0] for mode in MODES}, args.figure)
 
 
 def _wrong_table(machine: Machine, runs: dict[str, list[DrivenPath]]) -> None:
-    heard, fixed = runs["adapting"][0].estimates, [runs["fixed"][0]]
-    changed = learned_s(heard, machine)
+    estimates, fixed = runs["adapting"][0].estimates, [runs["fixed"][0]]
+    changed = learned_s(estimates, machine)
     _say(f"\nEstimates off by {WRONG_SD:g} sd, seed {SEEDS[0]}; error over that with nominal gains:\n")
     _say("| direction | rows before | turns before | rows after | turns after |\n|---|---|---|---|---|")
     for direction in range(6):
         for sign in (1.0, -1.0):
-            told = wrong(heard, machine, changed, direction, sign)
-            made = [driven(machine, SEEDS[0], "adapting", told=told)]
+            estimates = wrong(estimates, machine, changed, direction, sign)
+            made = [driven(machine, SEEDS[0], "adapting", estimates=estimates)]
             ratios = [rms(made, *part) / rms(fixed, *part) for part in PARTS]
             cells = " | ".join(f"{ratio:.2f}" for ratio in ratios)
             _say(f"| {direction + 1}{'+' if sign > 0 else '-'} | {cells} |")

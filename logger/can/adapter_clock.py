@@ -15,7 +15,7 @@ class AdapterClock:
         self._arrival_ns = 0
 
     def rx_ns(self, stamp_ns: int, arrival_ns: int) -> int:
-        """When the adapter heard a frame that reached the computer at arrival_ns, on the clock of that."""
+        """When the adapter received a frame, ns on the clock of arrival_ns: when it reached the computer."""
         now_ns = arrival_ns - stamp_ns
         if self._offset_ns is None:
             self._offset_ns = now_ns

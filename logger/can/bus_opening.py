@@ -1,4 +1,4 @@
-"""How a bus of the machine file becomes an open one that only listens, and why it could not."""
+"""Opens the buses of the machine file, for listening only, and explains why one cannot be opened."""
 
 import difflib
 import errno
@@ -51,7 +51,8 @@ def check_interface(config: Bus) -> None:
 def open_port(config: Bus, clock: Clock, tally: Tally) -> Port:
     """Open for listening. May take seconds and raise whatever the interface raises: see `why_not`.
 
-    SocketCAN and slcan are read here; with options that only python-can knows, and all else, through that.
+    SocketCAN and slcan are read by our own ports; python-can reads every other interface, and these two where
+    options are given that only it knows.
     """
     if config.interface == "socketcan" and not config.options:
         return socketcan.open_socketcan(config, clock, tally)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from tilth.logger.can.bus_opening import check_interface, open_port, why_not
 from tilth.logger.can.live_bus import BusState, LiveBus
-from tilth.logger.can.port import COMPUTER, STAMPED, Port
+from tilth.logger.can.port import STAMPED, Port, StampedBy
 from tilth.logger.can.port_threads import Opener, PortThreads
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
@@ -53,7 +53,7 @@ class Buses:
         self._selector = selectors.DefaultSelector()
         self._unread: list[LiveBus] = []  # had more than a batch
         self._busy = False
-        self._watched_ns = self._asked_ns = clock.t_ns()
+        self._watched_ns = self._polled_ns = clock.t_ns()
         for bus in self.live_buses:
             self._threads.open(bus)
 
@@ -78,7 +78,8 @@ class Buses:
         for bus in (*ready, *polled, *(bus for bus in waiting if bus not in ready and bus not in polled)):
             if bus.connection.port is not None:
                 self._drain(bus, bus.connection.port, frames)
-        self._busy = bool(frames) and all(bus.traffic.stamp != COMPUTER for bus in self.live_buses)
+        stamped_on_reading = any(bus.traffic.stamp is StampedBy.COMPUTER for bus in self.live_buses)
+        self._busy = bool(frames) and not stamped_on_reading
         t_ns = self._clock.t_ns()
         if t_ns - self._watched_ns >= WATCH_NS:
             self.watch(t_ns)
@@ -87,14 +88,14 @@ class Buses:
     def watch(self, t_ns: int) -> None:
         """Notice silence, count losses, open again what failed. `read` calls it, four times a second."""
         self._watched_ns = t_ns
-        asking = t_ns - self._asked_ns >= ASK_NS
-        if asking:
+        poll_ports = t_ns - self._polled_ns >= ASK_NS
+        if poll_ports:
             self._count_rates(t_ns)
         for bus in self.live_buses:
             connection = bus.connection
             connection.threads = [thread for thread in connection.threads if thread.is_alive()]
             if connection.port is not None:
-                self._look_at(bus, connection.port, t_ns, asking)
+                self._look_at(bus, connection.port, t_ns, poll_ports)
             elif connection.opening:
                 self._notice_hanging(bus, t_ns)
             elif connection.may_retry(t_ns):
@@ -169,9 +170,9 @@ class Buses:
         if bus.outages.is_news(bus.reason):
             self._event(bus, bus.reason)
 
-    def _look_at(self, bus: LiveBus, port: Port, t_ns: int, asking: bool) -> None:
+    def _look_at(self, bus: LiveBus, port: Port, t_ns: int, poll_ports: bool) -> None:
         try:
-            if asking:
+            if poll_ports:
                 port.ask(t_ns)
                 self._count_lost(bus, port)
         except Exception as error:
@@ -200,7 +201,7 @@ class Buses:
             self._threads.open(bus, self._release(bus))
 
     def _notice_hanging(self, bus: LiveBus, t_ns: int) -> None:
-        taken_ns = t_ns - bus.connection.asked_ns
+        taken_ns = t_ns - bus.connection.opening_began_ns
         if taken_ns >= GIVE_UP_NS:
             bus.connection.give_up()
             self._fail(bus, SLOW)
@@ -270,8 +271,8 @@ class Buses:
             bus.connection.descriptor = port.descriptor
 
     def _count_rates(self, t_ns: int) -> None:
-        seconds = max(t_ns - self._asked_ns, 1) * 1e-9
-        self._asked_ns = t_ns
+        seconds = max(t_ns - self._polled_ns, 1) * 1e-9
+        self._polled_ns = t_ns
         for bus in self.live_buses:
             bus.traffic.count_rate(seconds)
 

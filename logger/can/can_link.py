@@ -1,6 +1,6 @@
-"""What the kernel says of a CAN interface's controller: its bit rate, its state, whether it restarts itself.
+"""Asks the kernel for the bit rate, state and restart time of a CAN interface's controller.
 
-An error frame tells only a change of state, and only to who listens at that instant.
+Error frames report only changes of state, and only to a socket that is open at that instant.
 """
 
 import socket

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from tilth.logger.back_off import BackOff
-from tilth.logger.can.port import Port, Tally
+from tilth.logger.can.port import Port, StampedBy, Tally
 from tilth.schemas.machine import Bus
 
 RENEW_NS = 10_000_000_000  # a silent bus is opened afresh after this: some die without an error
@@ -33,16 +33,16 @@ class Connection:
     opened: int = 0  # how often
     opened_ns: int = 0
     opening: bool = False
-    asked_ns: int = 0  # when the opening began
+    opening_began_ns: int = 0  # when the opening began
     attempt: int = 0
     threads: list[threading.Thread] = field(default_factory=list)  # that open or close
     back_off: BackOff = field(default_factory=lambda: BackOff(BACK_OFF_NS, BACK_OFF_MOST_NS))
     renew_ns: int = RENEW_NS
 
     def begin_attempt(self, t_ns: int) -> int:
-        """Its number: what comes of an earlier one is not wanted any more."""
+        """Begin an attempt to open the bus. Returns its number: results of earlier attempts are discarded."""
         self.opening = True
-        self.asked_ns = t_ns
+        self.opening_began_ns = t_ns
         self.attempt += 1
         return self.attempt
 
@@ -58,6 +58,7 @@ class Connection:
         self.opened_ns = t_ns
 
     def may_retry(self, t_ns: int) -> bool:
+        """Whether the next attempt is due at t_ns."""
         return self.back_off.is_due(t_ns) and len(self.threads) < HANGING
 
     def works(self) -> None:
@@ -79,7 +80,7 @@ class Traffic:
 
     frames: int = 0
     frames_per_s: float = 0.0
-    stamp: str = ""  # who stamped the frames that came last
+    stamp: StampedBy | None = None  # of the frames that came last; None before the first
     lost: int = 0  # dropped by the kernel, as far as it says
     last_ns: int = 0  # last frame of any kind, or opening
     usable_ns: int = 0  # last frame that is taken, or opening
@@ -89,6 +90,7 @@ class Traffic:
     _data_frames_before: int = 0  # at the last look
 
     def count_rate(self, seconds: float) -> None:
+        """Set the rate of the frames since the last call, `seconds` ago."""
         self.frames_per_s = (self.frames - self._frames_before) / seconds
         self._frames_before = self.frames
 
@@ -123,17 +125,19 @@ class Outages:
     _noted: set[str] = field(default_factory=set)
 
     def begin_failure(self, t_ns: int) -> None:
+        """Count a failure, unless one is under way since an earlier t_ns."""
         if not self.failing:
             self.failing = True
             self.failures += 1
         self.down_ns = self.down_ns or t_ns
 
     def end_failure(self) -> None:
+        """The next failure counts as a new one."""
         self.failing = False
         self._reported = ""
 
     def is_news(self, problem: str) -> bool:
-        """Whether this problem is another one than was reported last. It counts as reported from now on."""
+        """Whether this problem differs from the one reported last. It counts as reported from now on."""
         news = problem != self._reported
         self._reported = problem
         return news
@@ -169,18 +173,19 @@ class LiveBus:
 
     @property
     def unusable(self) -> str:
-        """What kinds of frame came that are not taken, and what to do; "" where none did."""
+        """Which kinds of frame arrived that cannot be used, and what to do; "" where there are none."""
         tally = self.tally
         kinds = [name for name, n in (("CAN FD", tally.fd_frames), ("remote", tally.remote_frames)) if n]
         return f"only {' and '.join(kinds)} frames, which are not read; check the channel" if kinds else ""
 
     @property
     def problem(self) -> str:
-        """What a person should know or do, the worst; "" where all is well."""
+        """The worst problem, in words, with what to do; "" where there is none."""
         port = self.connection.port
         if port is None:
             return self.reason
         return self.tally.health.problem or port.problem or self.reason
 
     def is_now(self, state: BusState, reason: str = "") -> None:
+        """Set the state, and its reason in words."""
         self.state, self.reason = state, reason

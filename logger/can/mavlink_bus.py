@@ -6,7 +6,6 @@ The autopilot forwards what it hears on one of its CAN ports for five seconds af
 
 import select
 import socket
-import struct
 import time
 from collections import deque
 from typing import Any, Final
@@ -15,12 +14,11 @@ import can
 from pymavlink.dialects.v20 import common
 
 from tilth.logger.can import receive_buffer
+from tilth.logger.can.kernel_stamp import STAMP, TIMESTAMPNS, stamp_ns
 from tilth.logger.can.socketcan import ERROR, EXTENDED, REMOTE
 from tilth.schemas.mavlink import udp_address
 
 ASK_S: Final = 1.0
-_TIMESTAMPNS: Final = 35  # asm/socket.h
-_KERNEL_STAMP: Final = struct.Struct("@2l")  # s, ns
 _LATE: Final = 128  # of 256 sequence numbers: so far behind is overtaken, not lost
 _V2: Final = 0xFD
 
@@ -42,14 +40,14 @@ class MavlinkBus(can.BusABC):
         self._can_bus, self._system = can_bus, system
         self._frames: deque[can.Message] = deque()
         self._sequence: dict[tuple[int, int], int] = {}  # of who forwards frames
-        self._asked_s = float("-inf")
+        self._requested_s = float("-inf")
         self._codec = common.MAVLink(self, 255, common.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._codec.robust_parsing = True
         family, kind, _, _, where = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
         self._udp = socket.socket(family, kind)
         try:
             self._udp.setblocking(False)
-            self._udp.setsockopt(socket.SOL_SOCKET, _TIMESTAMPNS, 1)
+            self._udp.setsockopt(socket.SOL_SOCKET, TIMESTAMPNS, 1)
             receive_buffer.enlarge(self._udp)
             self._listening = address.listening
             self._peer: Any = None if address.listening else where  # an address of sockets
@@ -82,28 +80,28 @@ class MavlinkBus(can.BusABC):
         while not self._frames:
             self._ask()
             try:
-                packed, control, _, peer = self._udp.recvmsg(65535, socket.CMSG_SPACE(_KERNEL_STAMP.size))
+                packed, control, _, peer = self._udp.recvmsg(65535, socket.CMSG_SPACE(STAMP.size))
             except ConnectionRefusedError:
                 continue
             except BlockingIOError:
-                left_s = ASK_S if end_s is None else min(end_s - time.monotonic(), ASK_S)
-                if left_s <= 0:
+                remaining_s = ASK_S if end_s is None else min(end_s - time.monotonic(), ASK_S)
+                if remaining_s <= 0:
                     return None, False
-                select.select([self._udp], [], [], left_s)
+                select.select([self._udp], [], [], remaining_s)
                 continue
-            seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2]) if control else (0, 0)
+            stamp_s = stamp_ns(control[0][2]) * 1e-9 if control else 0.0
             self._codec.buf, self._codec.buf_index = bytearray(), 0  # half a message before it stays so
             for message in self._codec.parse_buffer(packed) or ():
                 if message.get_type() != "BAD_DATA":
                     self._peer = peer if self._listening else self._peer
-                    self._take(message, seconds + nanoseconds * 1e-9)
+                    self._take(message, stamp_s)
         return self._frames.popleft(), False
 
     def _ask(self) -> None:
         now_s = time.monotonic()
-        if self._peer is None or now_s - self._asked_s < ASK_S:
+        if self._peer is None or now_s - self._requested_s < ASK_S:
             return
-        self._asked_s = now_s
+        self._requested_s = now_s
         command = common.MAV_CMD_CAN_FORWARD
         self._codec.command_long_send(self._system, 0, command, 0, self._can_bus, 0, 0, 0, 0, 0, 0)
 

@@ -1,8 +1,9 @@
-"""What an open bus is to the loop, whatever it is made of; and the one that is made of python-can."""
+"""The interface of an open bus, and its implementation by python-can."""
 
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol
 
 import can
@@ -13,13 +14,21 @@ from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
 
-# Who stamped a frame, best first.
-ADAPTER, KERNEL, DRIVER, COMPUTER = "adapter", "kernel", "driver", "computer"
-STAMPED: Mapping[str, str] = {
-    ADAPTER: "the adapter, by its own clock",
-    KERNEL: "the kernel, on arrival",
-    DRIVER: "the driver behind python-can",
-    COMPUTER: "this program, as it reads them",
+
+class StampedBy(StrEnum):
+    """Whose clock gave a frame its rx_ns, best first; the words are those of tilth.BusStatus."""
+
+    ADAPTER = "adapter"
+    KERNEL = "kernel"
+    DRIVER = "driver"
+    COMPUTER = "computer"
+
+
+STAMPED: Mapping[StampedBy, str] = {
+    StampedBy.ADAPTER: "the adapter, by its own clock",
+    StampedBy.KERNEL: "the kernel, on arrival",
+    StampedBy.DRIVER: "the driver behind python-can",
+    StampedBy.COMPUTER: "this program, as it reads them",
 }
 _BY_KERNEL = ("mavlink", "socketcan", "udp_multicast")  # of python-can's
 ID_BITS = 0x1FFF_FFFF
@@ -27,7 +36,7 @@ ID_BITS = 0x1FFF_FFFF
 
 @dataclass(slots=True)
 class Tally:
-    """What came of a bus besides the frames that are taken; goes on from one opening to the next."""
+    """Counts of one bus besides its usable frames; kept from one opening to the next."""
 
     error_frames: int = 0
     remote_frames: int = 0
@@ -41,12 +50,12 @@ class Port(Protocol):
 
     @property
     def descriptor(self) -> int | None:
-        """What a selector can wait for; None where it has to be asked again and again."""
+        """File descriptor for a selector; None where the port must be polled."""
         ...
 
     @property
-    def stamp(self) -> str:
-        """Who stamped the frames taken last: a key of STAMPED."""
+    def stamp(self) -> StampedBy:
+        """Whose clock stamped the frames taken last."""
         ...
 
     @property
@@ -56,21 +65,24 @@ class Port(Protocol):
 
     @property
     def note(self) -> str:
-        """What is worth saying of how it is set up; "" where nothing is."""
+        """A remark on how the interface is set up; "" where there is none."""
         ...
 
     @property
     def problem(self) -> str:
-        """What is wrong with how it is set up, as long as it is; "" where all is well."""
+        """What is wrong with the interface at present; "" where nothing is."""
         ...
 
     def take(self, frames: list[Frame], most: int) -> int:
-        """Append the frames that have come; at once. Returns how many of any kind came, `most` or more where
-        others may be waiting. What a device raises comes after the frames that came before it."""
+        """Append the frames that have arrived; does not wait.
+
+        Returns the number of frames of any kind, `most` or more where others may be waiting. Raises what the
+        device raises, after the frames that came before it.
+        """
         ...
 
     def ask(self, t_ns: int) -> None:
-        """Called about each second: find out what only tells when it is asked."""
+        """Called about once a second: query what the device reports only on request."""
 
     def lost(self) -> int:
         """Frames since the opening that the kernel has dropped because nobody took them; of an autopilot its
@@ -89,7 +101,7 @@ class LibraryPort:
 
     def __init__(self, bus: can.BusABC, config: Bus, clock: Clock, tally: Tally) -> None:
         self.bus = bus
-        self.stamp = KERNEL if config.interface in _BY_KERNEL else DRIVER
+        self.stamp = StampedBy.KERNEL if config.interface in _BY_KERNEL else StampedBy.DRIVER
         self._name = config.name
         self._clock = clock
         self._tally = tally

@@ -12,8 +12,8 @@ import time
 from typing import NoReturn
 
 from tilth.logger.can.adapter_clock import AdapterClock
-from tilth.logger.can.can_errors import ERRORS
-from tilth.logger.can.port import ADAPTER, COMPUTER, Tally
+from tilth.logger.can.can_errors import ERRORS, ControllerState
+from tilth.logger.can.port import StampedBy, Tally
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -32,18 +32,18 @@ _MS = 1_000_000
 # Bits of the answer to F: which rows of ERRORS they mean, or which state.
 _ROWS = {row.name: row for row in ERRORS}
 _FLAGS = ((0x01, "overrun"), (0x08, "overrun"), (0x80, "bus_error"))
-_STATE_FLAGS = ((0x20, "passive"), (0x04, "warning"))
+_STATE_FLAGS = ((0x20, ControllerState.PASSIVE), (0x04, ControllerState.WARNING))
 
 
 class SlcanPort:
     """An open adapter."""
 
-    renewable = True  # one that was reset hears nothing until it is told to
+    renewable = True  # a reset adapter receives nothing until it is opened again
     note = problem = ""
 
     def __init__(self, descriptor: int, config: Bus, clock: Clock, tally: Tally) -> None:
         self.descriptor = descriptor
-        self.stamp = COMPUTER
+        self.stamp = StampedBy.COMPUTER
         self._config = config
         self._clock = clock
         self._tally = tally
@@ -75,7 +75,7 @@ class SlcanPort:
             if len(rest) - digits not in (0, 4):
                 self._tally.garbled += 1
                 continue
-            rx_ns = t_ns if len(rest) == digits else self._heard_ns(int(rest[digits:], 16), t_ns)
+            rx_ns = t_ns if len(rest) == digits else self._received_ns(int(rest[digits:], 16), t_ns)
             content = bytes.fromhex(rest[:digits].decode())
             frames.append(Frame(t_ns, rx_ns, name, int(long or short, 16), long is not None, False, content))
             count += 1
@@ -99,19 +99,19 @@ class SlcanPort:
         finally:
             os.close(self.descriptor)
 
-    def _heard_ns(self, stamp_ms: int, t_ns: int) -> int:
+    def _received_ns(self, stamp_ms: int, t_ns: int) -> int:
         """The adapter's stamp on the clock of the run."""
         if self._adapter is None:
             self._adapter = AdapterClock()
-            self.stamp = ADAPTER
+            self.stamp = StampedBy.ADAPTER
         self._adapter_ms += (stamp_ms - self._adapter_ms) % _STAMP_MS
         return self._adapter.rx_ns(self._adapter_ms * _MS, t_ns)
 
     def _other(self, line: bytes, t_ns: int) -> int:
-        """A line that is no frame to be taken. Returns how many frames it was."""
+        """Take a line that holds no usable frame. Returns the number of frames in it."""
         tally, kind = self._tally, line[:1]
         if (status := _STATUS.fullmatch(line)) is not None:
-            self._told(int(status[1], 16), t_ns)
+            self._take_flags(int(status[1], 16), t_ns)
         elif kind in b"rR" and line:
             tally.remote_frames += 1
             return 1
@@ -122,11 +122,12 @@ class SlcanPort:
             tally.garbled += 1
         return 0
 
-    def _told(self, flags: int, t_ns: int) -> None:
+    def _take_flags(self, flags: int, t_ns: int) -> None:
         health = self._tally.health
         for name in {name for mask, name in _FLAGS if flags & mask}:
             health.count(t_ns, _ROWS[name])
-        health.set_state(t_ns, next((state for mask, state in _STATE_FLAGS if flags & mask), "active"))
+        states = (state for mask, state in _STATE_FLAGS if flags & mask)
+        health.set_state(t_ns, next(states, ControllerState.ACTIVE))
 
 
 def is_plain(config: Bus) -> bool:

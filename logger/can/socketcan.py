@@ -12,7 +12,8 @@ import time
 from tilth.logger.can import can_link, receive_buffer
 from tilth.logger.can.adapter_clock import AdapterClock
 from tilth.logger.can.can_errors import STATES
-from tilth.logger.can.port import ADAPTER, ID_BITS, KERNEL, Tally
+from tilth.logger.can.kernel_stamp import STAMP, TIMESTAMPNS, stamp_ns
+from tilth.logger.can.port import ID_BITS, StampedBy, Tally
 from tilth.logger.clock import OLDEST_NS, Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -23,14 +24,12 @@ STAMPS_S = 0.02  # the kernel begins to stamp a little after it is asked to; unt
 _FD_BYTES = 72  # struct canfd_frame
 
 # Options and control messages of asm/socket.h and linux/net_tstamp.h, which Python does not name.
-_TIMESTAMPNS = 35
 _TIMESTAMPING = 37
 _RXQ_OVFL = 40
 _OF_ADAPTER = 1 << 2 | 1 << 6  # SOF_TIMESTAMPING_RX_HARDWARE, _RAW_HARDWARE
-_KERNEL_STAMP = struct.Struct("@2l")  # s, ns
 _STAMPS = struct.Struct("@6l")  # three of them: software, none, adapter
 _COUNT = struct.Struct("@I")
-_CONTROL_BYTES = sum(socket.CMSG_SPACE(one.size) for one in (_KERNEL_STAMP, _STAMPS, _COUNT))
+_CONTROL_BYTES = sum(socket.CMSG_SPACE(one.size) for one in (STAMP, _STAMPS, _COUNT))
 # linux/can/raw.h
 _SOL_CAN_RAW = 101
 _ERR_FILTER = 2
@@ -45,7 +44,7 @@ class SocketCanPort:
 
     def __init__(self, one: socket.socket, clock: Clock, tally: Tally, config: Bus) -> None:
         self.descriptor = one.fileno()
-        self.stamp = KERNEL
+        self.stamp = StampedBy.KERNEL
         self._socket = one
         self._name = config.name
         self._clock = clock
@@ -63,7 +62,7 @@ class SocketCanPort:
                 "the kernel allows only a small receive buffer; sysctl net.core.rmem_max="
                 f"{receive_buffer.RECEIVE_BYTES} makes room"
             )
-        one.setsockopt(socket.SOL_SOCKET, _TIMESTAMPNS, 1)
+        one.setsockopt(socket.SOL_SOCKET, TIMESTAMPNS, 1)
         one.setsockopt(socket.SOL_SOCKET, _TIMESTAMPING, _OF_ADAPTER)
         one.setsockopt(socket.SOL_SOCKET, _RXQ_OVFL, 1)
 
@@ -80,10 +79,8 @@ class SocketCanPort:
                 if self._error is not None:
                     raise self._error from None
                 return count
-            except OSError as error:  # told before the frames that came before it
-                if self._error is not None:
-                    raise
-                self._error = error
+            except OSError as error:
+                self._postpone(error)
                 continue
             t_ns = monotonic() + offset_ns
             if len(packed) != CAN_FRAME.size:
@@ -92,31 +89,39 @@ class SocketCanPort:
                 continue
             flagged, length, data = unpack(packed)
             rx_ns = t_ns
-            if len(control) == 1 and control[0][1] == _TIMESTAMPNS and self._adapter is None:  # nearly always
-                seconds, nanoseconds = _KERNEL_STAMP.unpack(control[0][2])
-                rx_ns = seconds * 1_000_000_000 + nanoseconds - ahead_ns
+            if len(control) == 1 and control[0][1] == TIMESTAMPNS and self._adapter is None:  # nearly always
+                rx_ns = stamp_ns(control[0][2]) - ahead_ns
             elif control:
-                rx_ns = self._told(control, t_ns, ahead_ns, flagged & ERROR != 0)
+                rx_ns = self._stamped_ns(control, t_ns, ahead_ns, flagged & ERROR != 0)
             if not 0 <= t_ns - rx_ns <= OLDEST_NS:
                 rx_ns = clock.rx_ns(rx_ns, t_ns, self._empty_ns)
-            if flagged & (ERROR | REMOTE):
-                if not flagged & ERROR:
-                    tally.remote_frames += 1
-                    continue
-                tally.error_frames += 1
-                tally.health.hear(t_ns, flagged & ID_BITS, data)
-            if length < 8:
-                data = data[:length]
-            extended = flagged & EXTENDED != 0
-            frames.append(Frame(t_ns, rx_ns, name, flagged & ID_BITS, extended, flagged & ERROR != 0, data))
+            if flagged & (ERROR | REMOTE) and not self._take_flagged(t_ns, flagged, data):
+                continue
+            extended, error_frame = flagged & EXTENDED != 0, flagged & ERROR != 0
+            frames.append(Frame(t_ns, rx_ns, name, flagged & ID_BITS, extended, error_frame, data[:length]))
         return most
 
+    def _postpone(self, error: OSError) -> None:
+        """The socket reports an error before the frames that came before it: read those first."""
+        if self._error is not None:
+            raise error
+        self._error = error
+
+    def _take_flagged(self, t_ns: int, flagged: int, data: bytes) -> bool:
+        """Count an error frame or a remote frame; whether it belongs in the log."""
+        if not flagged & ERROR:
+            self._tally.remote_frames += 1
+            return False
+        self._tally.error_frames += 1
+        self._tally.health.hear(t_ns, flagged & ID_BITS, data)
+        return True
+
     def ask(self, t_ns: int) -> None:
-        """How the interface is set up, and the controller's state: it may have been so before we listened."""
+        """Query bit rate and state of the interface: no error frame reports what was so before."""
         link = can_link.ask(str(self._config.channel))
         if link is None:
             return
-        self._tally.health.set_state(t_ns, STATES[link.state] if link.state < len(STATES) else "")
+        self._tally.health.set_state(t_ns, STATES[link.state] if link.state < len(STATES) else None)
         self.problem = ""
         wanted = self._config.bitrate
         if link.bitrate and link.bitrate != wanted:
@@ -133,13 +138,14 @@ class SocketCanPort:
     def close(self) -> None:
         self._socket.close()
 
-    def _told(self, control: list[tuple[int, int, bytes]], t_ns: int, ahead_ns: int, error: bool) -> int:
-        """rx_ns by control messages of several kinds, the adapter's first. Keeps the count of losses."""
+    def _stamped_ns(
+        self, control: list[tuple[int, int, bytes]], t_ns: int, ahead_ns: int, error: bool
+    ) -> int:
+        """rx_ns from control messages, the adapter's stamp first. Also updates the count of losses."""
         kernel_ns, adapter_ns = t_ns, 0
         for _, kind, data in control:
-            if kind == _TIMESTAMPNS:
-                seconds, nanoseconds = _KERNEL_STAMP.unpack(data)
-                kernel_ns = seconds * 1_000_000_000 + nanoseconds - ahead_ns
+            if kind == TIMESTAMPNS:
+                kernel_ns = stamp_ns(data) - ahead_ns
             elif kind == _TIMESTAMPING:
                 *_, seconds, nanoseconds = _STAMPS.unpack(data)
                 adapter_ns = seconds * 1_000_000_000 + nanoseconds
@@ -149,10 +155,10 @@ class SocketCanPort:
             return kernel_ns
         if adapter_ns:
             self._adapter = self._adapter or AdapterClock()
-            self.stamp = ADAPTER
+            self.stamp = StampedBy.ADAPTER
             return self._adapter.rx_ns(adapter_ns, kernel_ns)
         if self._adapter is not None:  # two kinds of stamp in one stream are worse than the coarser one
-            self._mixed, self._adapter, self.stamp = True, None, KERNEL
+            self._mixed, self._adapter, self.stamp = True, None, StampedBy.KERNEL
         return kernel_ns
 
 

@@ -1,4 +1,4 @@
-"""Says before a run what is wrong with configuration, buses, disk, clock and Zenoh, and what to do."""
+"""Checks configuration, buses, disk, clock and Zenoh before a run."""
 
 import contextlib
 import ctypes
@@ -15,9 +15,9 @@ from tilth.logger import compiling
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
+from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import Clock
-from tilth.logger.status import LOW_HOURS, hours_left
+from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import unusual
@@ -47,14 +47,14 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[CheckFinding]:
 def _configuration(machine: Machine) -> Iterator[CheckFinding]:
     mounts = ", ".join(receiver.mount.value.replace("_", " ") for receiver in machine.receiver)
     text = f"{machine.name}: buses: {', '.join(bus.name for bus in machine.bus)}; receivers: {mounts}"
-    yield CheckFinding("configuration", OK, text)
+    yield CheckFinding("configuration", Level.OK, text)
     for rare in unusual(machine):
-        yield CheckFinding("machine file", WARNING, rare)
+        yield CheckFinding("machine file", Level.WARNING, rare)
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:
-    said: list[str] = []  # the buses keep it all the same
-    buses = Buses(machine.bus, clock, lambda kind, text: said.append(text))
+    events: list[str] = []  # not used: the findings come from the state of the buses
+    buses = Buses(machine.bus, clock, lambda kind, text: events.append(text))
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
     try:
@@ -77,15 +77,15 @@ def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFin
 def _bus(bus: LiveBus, seconds: float) -> CheckFinding:
     what = f"bus {bus.name}"
     if bus.state is BusState.FAILED:
-        return CheckFinding(what, PROBLEM, bus.reason)
+        return CheckFinding(what, Level.PROBLEM, bus.reason)
     if bus.traffic.frames == 0:
         text = f"silent for {seconds:.1f} s; check that its devices are on, the bit rate, the plug"
-        return CheckFinding(what, PROBLEM, bus.unusable or text)
+        return CheckFinding(what, Level.PROBLEM, bus.unusable or text)
     text = f"{bus.traffic.frames} frames in {seconds:.1f} s ({bus.traffic.frames / seconds:.0f}/s)"
     if bus.tally.error_frames:
         text += f", {bus.tally.error_frames} of them error frames; check bitrate, termination and wiring"
-        return CheckFinding(what, PROBLEM, text)
-    return CheckFinding(what, OK, text)
+        return CheckFinding(what, Level.PROBLEM, text)
+    return CheckFinding(what, Level.OK, text)
 
 
 def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
@@ -101,17 +101,19 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         yield CheckFinding(
-            "log folder", PROBLEM, f"{folder}: not writable ({reason}); give another with --log or log.folder"
+            "log folder",
+            Level.PROBLEM,
+            f"{folder}: not writable ({reason}); give another with --log or log.folder",
         )
         return
-    yield CheckFinding("log folder", OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
+    yield CheckFinding("log folder", Level.OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     free = shutil.disk_usage(place).free
-    hours = hours_left(max(0.0, free - keep_free))
+    hours = recording_hours(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
     if hours < LOW_HOURS:
-        yield CheckFinding("disk", PROBLEM, f"{text}; make room")
+        yield CheckFinding("disk", Level.PROBLEM, f"{text}; make room")
     else:
-        yield CheckFinding("disk", OK, text)
+        yield CheckFinding("disk", Level.OK, text)
 
 
 def _clock(clock: Clock) -> Iterator[CheckFinding]:
@@ -120,22 +122,26 @@ def _clock(clock: Clock) -> Iterator[CheckFinding]:
     text = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(relation.realtime_ns // 1_000_000_000))
     if year not in YEARS:
         yield CheckFinding(
-            "clock", PROBLEM, f"{text} cannot be; set the clock, or the logs get wrong names and dates"
+            "clock",
+            Level.PROBLEM,
+            f"{text} cannot be; set the clock, or the logs get wrong names and dates",
         )
     elif clock.step_ns(relation):
-        yield CheckFinding("clock", PROBLEM, f"{text}, set anew while this check ran; wait until it is right")
+        yield CheckFinding(
+            "clock", Level.PROBLEM, f"{text}, set anew while this check ran; wait until it is right"
+        )
     else:
-        yield CheckFinding("clock", OK, text)
+        yield CheckFinding("clock", Level.OK, text)
     if not time.get_clock_info("monotonic").monotonic:
         yield CheckFinding(
-            "clock", PROBLEM, "this system has no clock that runs evenly; use another computer"
+            "clock", Level.PROBLEM, "this system has no clock that runs evenly; use another computer"
         )
     synchronised = _synchronised()
     if synchronised is False:
         note = "not synchronised by NTP: dates in the log are as good as the computer's own clock"
-        yield CheckFinding("time source", NOTE, note)
+        yield CheckFinding("time source", Level.NOTE, note)
     elif synchronised:
-        yield CheckFinding("time source", OK, "synchronised by NTP")
+        yield CheckFinding("time source", Level.OK, "synchronised by NTP")
 
 
 def _synchronised() -> bool | None:
@@ -149,27 +155,29 @@ def _synchronised() -> bool | None:
 
 def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
-        folder = compiling.kept_in(machine)
-    except compiling.Unkept as why:
-        yield CheckFinding("kernels", PROBLEM, str(why))
+        folder = compiling.cache_folder(machine)
+    except compiling.NoCacheFolder as why:
+        yield CheckFinding("kernels", Level.PROBLEM, str(why))
     else:
         if folder:
-            yield CheckFinding("kernels", OK, f"compiled once, kept in {folder}")
+            yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {folder}")
 
 
 def _zenoh(machine: Machine) -> CheckFinding:
     if refused := refusal(machine):
-        return CheckFinding("zenoh", PROBLEM, refused)
+        return CheckFinding("zenoh", Level.PROBLEM, refused)
     try:
         note = try_session(machine)
     except ZError as error:
         return CheckFinding(
-            "zenoh", PROBLEM, f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh"
+            "zenoh",
+            Level.PROBLEM,
+            f"no session: {why(error)}; correct [zenoh], or run with --no-zenoh",
         )
     if note:
-        return CheckFinding("zenoh", NOTE, note)
+        return CheckFinding("zenoh", Level.NOTE, note)
     if machine.zenoh.config is not None:
         return CheckFinding(
-            "zenoh", OK, f"only for this computer and who has a key, by {machine.zenoh.config}"
+            "zenoh", Level.OK, f"only for this computer and who has a key, by {machine.zenoh.config}"
         )
-    return CheckFinding("zenoh", OK, f"listens on {', '.join(machine.zenoh.listen)}")
+    return CheckFinding("zenoh", Level.OK, f"listens on {', '.join(machine.zenoh.listen)}")

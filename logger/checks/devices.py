@@ -1,11 +1,11 @@
-"""Whether those who speak on the buses are those of the machine file: receivers, the wheel-angle sensor."""
+"""Checks whether the receivers and the wheel-angle sensor of the machine file are on the buses."""
 
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
+from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.schemas.can_id import CanId, split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import manufacturer_name
@@ -15,12 +15,12 @@ from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.messages import PGNS
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
-SHOWN: Final = 3  # candidates
+MOST_CANDIDATES: Final = 3  # candidates
 _POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.words)
-_OWN_PGNS: Final = (
+_PROPRIETARY_PGNS: Final = (
     range(0xFF00, 0x10000),
     range(0xEF00, 0xF000),
-)  # where manufacturers put what is their own
+)  # PGNs of proprietary messages
 _TELLING: Final = (range(126720, 126721), range(130816, 131072))  # NMEA 2000: their first bytes say whose
 _MARINE: Final = 0b10011  # of those bytes, above the manufacturer: reserved ones and the industry group
 _GROUP: Final = 60  # bit of a NAME
@@ -52,7 +52,7 @@ class Devices:
         """Raises MachineError where its DBC file does not give the wheel angle."""
         self._machine = machine
         self._sensor = compile_sensor(machine)
-        self._measured, self._told = Decoder(machine), Decoder()
+        self._measurement_decoder, self._message_decoder = Decoder(machine), Decoder()
         self._senders: dict[tuple[str, int], _BusAddress] = {}
         self._identifiers: Counter[tuple[str, int, bool]] = Counter()
         self._used: Counter[Mount] = Counter()  # positions of the machine file's receivers
@@ -60,11 +60,12 @@ class Devices:
         self._wheel_frames = 0
 
     def take(self, frame: Frame) -> None:
+        """Take a frame; error frames do not count."""
         if frame.error:
             return
         self._identifiers[frame.bus, frame.can_id, frame.extended] += 1
         self._wheel_frames += self._sensor.hears(frame)
-        for measurement in self._measured.measurements(frame):
+        for measurement in self._measurement_decoder.measurements(frame):
             if isinstance(measurement, Position) and measurement.origin.mount is not None:
                 self._used[measurement.origin.mount] += 1
             self._angles += isinstance(measurement, WheelAngle)
@@ -78,7 +79,7 @@ class Devices:
             first = int.from_bytes(frame.data[2:4], "little")  # after the counters of a fast packet
             if len(frame.data) == 8 and frame.data[0] & 0x1F == 0 and first >> 11 == _MARINE:
                 sender.maker, sender.group = first & 0x7FF, _MARINE >> 2
-        for message in self._told.messages(frame):
+        for message in self._message_decoder.messages(frame):
             sender = self._sender(message.origin.bus, message.origin.source)
             if message.origin.name is not None:
                 sender.name = message.origin.name
@@ -92,34 +93,37 @@ class Devices:
         return self._senders.setdefault((bus, source), _BusAddress(bus, source))
 
     def findings(self) -> Iterator[CheckFinding]:
+        """One finding per receiver and sensor of the machine file, then those on other devices."""
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()
         for sender in self._strangers():
             if sender.positions:
                 text = f"{sender} sends positions and is none of the file's receivers"
-                yield CheckFinding("other receiver", NOTE, text)
+                yield CheckFinding("other receiver", Level.NOTE, text)
 
     def _receiver(self, receiver: Receiver) -> CheckFinding:
-        what, own = f"receiver {receiver.mount}", receiver.manufacturer
+        what, maker = f"receiver {receiver.mount}", receiver.manufacturer
         sender = self._of(receiver)
         if sender is None:
-            return CheckFinding(what, WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}")
-        if own is not None and receiver.name is None and sender.maker not in (None, own):
-            text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {own}"
-            return CheckFinding(what, PROBLEM, f"{text}; correct its manufacturer or source")
+            return CheckFinding(
+                what, Level.WARNING, f"{_wanted(receiver)} is not heard{self._instead(receiver)}"
+            )
+        if maker is not None and receiver.name is None and sender.maker not in (None, maker):
+            text = f"address {sender.source} is {_maker(sender.maker, sender.group)}, the file says {maker}"
+            return CheckFinding(what, Level.PROBLEM, f"{text}; correct its manufacturer or source")
         if self._used[receiver.mount]:
-            return CheckFinding(what, OK, f"{self._used[receiver.mount]} positions")
+            return CheckFinding(what, Level.OK, f"{self._used[receiver.mount]} positions")
         if sender.bus != receiver.bus:
             text = f"{_wanted(receiver)} is heard on {sender.bus}"
-            return CheckFinding(what, PROBLEM, f"{text}; correct its bus")
+            return CheckFinding(what, Level.PROBLEM, f"{text}; correct its bus")
         if sender.positions or sender.empty_positions:
             why = "no fix yet, or its antenna is not connected"
-            return CheckFinding(what, WARNING, f"{sender} sends positions without a value: {why}")
-        return CheckFinding(what, WARNING, f"{sender} sends no positions{self._instead(receiver)}")
+            return CheckFinding(what, Level.WARNING, f"{sender} sends positions without a value: {why}")
+        return CheckFinding(what, Level.WARNING, f"{sender} sends no positions{self._instead(receiver)}")
 
     def _of(self, receiver: Receiver) -> _BusAddress | None:
-        """Who it is, on its own bus if it is there; None: it is not heard."""
+        """The sender that is this receiver, on its configured bus if it is there; None: it is silent."""
         found = [
             sender
             for sender in self._senders.values()
@@ -134,15 +138,15 @@ class Devices:
         return min(found, key=lambda s: (s.bus != receiver.bus, not s.positions), default=None)
 
     def _instead(self, receiver: Receiver) -> str:
-        """Who may be meant: those who send positions and are nobody else of the file."""
+        """End of a sentence: senders of positions that may be the receiver meant."""
         others = [s for s in self._strangers() if s.positions or s.empty_positions]
         others.sort(key=lambda s: (s.bus != receiver.bus, not s.positions, _distance(receiver, s)))
         if others:
-            shown = "; ".join(str(sender) for sender in others[:SHOWN])
+            candidates = "; ".join(str(sender) for sender in others[:MOST_CANDIDATES])
             hint = ""
             if receiver.name is not None and any(sender.name is None for sender in others):
                 hint = " (devices claim their address when they are switched on: do so, or give source)"
-            return f"; positions come from {shown}{hint}"
+            return f"; positions come from {candidates}{hint}"
         return "; nobody else sends positions: is it switched on?"
 
     def _strangers(self) -> list[_BusAddress]:
@@ -158,26 +162,26 @@ class Devices:
     def _wheel(self) -> CheckFinding:
         what, given = "wheel angle", self._machine.wheel_angle
         if self._angles:
-            return CheckFinding(what, OK, f"{self._angles} angles")
+            return CheckFinding(what, Level.OK, f"{self._angles} angles")
         sensor = self._sensor
         wanted = f"0x{sensor.can_id:X}" if given.pgn is None else f"PGN {RUDDER} from address {given.source}"
         if self._wheel_frames:
             text = f"{self._wheel_frames} frames of {wanted}, none with an angle"
             text += "; check bits, scale, not_available"
-            return CheckFinding(what, WARNING, text)
+            return CheckFinding(what, Level.WARNING, text)
         near = sorted(filter(self._may_be_wheel, self._identifiers), key=self._apart)
         alike = [key for key in near if not self._apart(key)[0]]  # the same message, from elsewhere
         near = alike or near
-        shown = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:SHOWN])
-        hint = f"; the nearest that are heard: {shown}" if near else "; is the sensor switched on?"
-        return CheckFinding(what, WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
+        candidates = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:MOST_CANDIDATES])
+        hint = f"; the nearest that are heard: {candidates}" if near else "; is the sensor switched on?"
+        return CheckFinding(what, Level.WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
 
     def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
         _, can_id, extended = key
         if not extended or not self._sensor.extended:
             return extended == self._sensor.extended
         pgn = split(can_id).pgn
-        return pgn == split(self._sensor.can_id).pgn or any(pgn in pgns for pgns in _OWN_PGNS)
+        return pgn == split(self._sensor.can_id).pgn or any(pgn in pgns for pgns in _PROPRIETARY_PGNS)
 
     def _apart(self, key: tuple[str, int, bool]) -> tuple[bool, bool, bool, int]:
         bus, can_id, extended = key
@@ -202,7 +206,7 @@ def _wanted(receiver: Receiver) -> str:
 
 
 def _distance(receiver: Receiver, sender: _BusAddress) -> int:
-    """How unlike a sender is: bits of the NAME that differ, or addresses between."""
+    """How unlike a sender and a receiver are: bits of the NAME that differ, or the distance of addresses."""
     if receiver.name is not None:
         return (receiver.name ^ sender.name).bit_count() if sender.name is not None else 64
     return abs((receiver.source or 0) - sender.source)

@@ -1,15 +1,18 @@
 """One line of what `tilth check` answers."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
-OK = "ok"
-NOTE = "note"  # worth knowing, nothing to do
-WARNING = "warning"  # may be wrong: look at it
-PROBLEM = "problem"
+
+class Level(StrEnum):
+    OK = "ok"
+    NOTE = "note"  # worth knowing, nothing to do
+    WARNING = "warning"  # may be wrong: look at it
+    PROBLEM = "problem"
 
 
 @dataclass(frozen=True, slots=True)
 class CheckFinding:
     what: str
-    state: str  # ok | note | warning | problem
+    state: Level
     text: str

@@ -1,4 +1,4 @@
-"""How much was recorded, and what was not."""
+"""Counts what was recorded and what was lost."""
 
 from tilth.logger.log.disk import Spool
 from tilth.logger.log.open_file import OpenFile
@@ -19,17 +19,17 @@ class RecordedCounts:
 
     def finished(self, file: OpenFile, t_ns: int) -> None:
         """A file was finished at t_ns."""
-        self._left(file, t_ns)
+        self._add_written(file, t_ns)
         self.frames += file.writer.frames
         self._waiting.append((file.spool, file.writer.frames))
 
     def failed(self, file: OpenFile, t_ns: int) -> None:
         """A file could not be written to its end: what is on the disk is all that there will be."""
-        self._left(file, t_ns)
+        self._add_written(file, t_ns)
         self.frames += file.spool.safe_frames
         self.missed += file.writer.frames - file.spool.safe_frames
 
-    def _left(self, file: OpenFile, t_ns: int) -> None:
+    def _add_written(self, file: OpenFile, t_ns: int) -> None:
         self._bytes += file.writer.flushed_bytes
         self._recorded_ns += file.age_ns(t_ns)
 

@@ -1,4 +1,4 @@
-"""All waiting for the disk, in one thread: the loop hands bytes over and never stands still for them.
+"""One thread does all disk work: the loop hands bytes over and never waits.
 
 A disk that stalls for seconds costs nothing: what it has not taken waits in memory, in order. Each batch is
 synced when it is written; where others wait behind it, one sync does for all.
@@ -24,7 +24,7 @@ class Disk:
         self.free_bytes: int | None = None
         self.folder = folder
         self._jobs: SimpleQueue[tuple[Callable[[], None], int] | None] = SimpleQueue()
-        self._asked_bytes = 0  # counted by the loop
+        self._queued_bytes = 0  # counted by the loop
         self._done_bytes = 0  # counted by the thread
         self._busy_since_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="tilth-disk", daemon=True)
@@ -33,7 +33,7 @@ class Disk:
     @property
     def waiting_bytes(self) -> int:
         """Handed over and not yet on the disk."""
-        return self._asked_bytes - self._done_bytes
+        return self._queued_bytes - self._done_bytes
 
     @property
     def stalled_s(self) -> float:
@@ -47,12 +47,12 @@ class Disk:
         return self._jobs.empty()
 
     def do(self, job: Callable[[], None], size: int = 0) -> None:
-        """Have the thread do something, after all it was given before; what it raises is the end of it."""
-        self._asked_bytes += size
+        """Queue a job for the thread, after all earlier ones. It must not raise."""
+        self._queued_bytes += size
         self._jobs.put((job, size))
 
-    def beside(self, job: Callable[[], None], failed: Callable[[Exception], None]) -> None:
-        """Something that the log does not depend on."""
+    def do_independent(self, job: Callable[[], None], failed: Callable[[Exception], None]) -> None:
+        """Queue a job that the log does not depend on. failed: takes what it raises."""
 
         def guarded() -> None:
             try:
@@ -69,8 +69,8 @@ class Disk:
         return not self._thread.is_alive()
 
     def _work(self) -> None:
-        while (asked := self._jobs.get()) is not None:
-            job, size = asked
+        while (queued := self._jobs.get()) is not None:
+            job, size = queued
             self._busy_since_s = time.monotonic()
             job()
             self.look()
@@ -198,7 +198,7 @@ class Spool:
         self.closed = True
 
     def rename(self, name: str) -> None:
-        """Give a finished file, in the same folder, the name it should have had."""
+        """Rename a finished file within its folder."""
         self._disk.do(lambda: self._guarded(lambda: self._rename(self.path.with_name(name))))
 
     def _rename(self, path: Path) -> None:

@@ -33,33 +33,33 @@ class MarkRequest:
 
 
 class Marks:
-    """What was asked for and what became of it: two queues between threads."""
+    """Requests and their results: two queues between threads."""
 
     def __init__(self) -> None:
         self.refused = 0
-        self._asked: deque[MarkRequest] = deque()
+        self._requests: deque[MarkRequest] = deque()
         self._settled: deque[tuple[MarkRequest, Event, str]] = deque()
         self._at_disk = 0
 
     def take(self, query: zenoh.Query) -> None:
-        """A query on the key itself; what asks for everything there is does not ask for this."""
+        """Take a query on the key itself; a query by a wildcard is not a mark."""
         if "*" in str(query.key_expr):
             return
         try:
             text = text_of(query.payload)
-            if len(self._asked) + self._at_disk >= MOST_WAITING:
+            if len(self._requests) + self._at_disk >= MOST_WAITING:
                 raise MarkRefused("too many marks at a time; try again in a second")
         except MarkRefused as refusal:
             self.refused += 1
             query.reply_err(str(refusal))
             return
-        self._asked.append(MarkRequest(text, _answerer(query)))
+        self._requests.append(MarkRequest(text, _answerer(query)))
 
-    def asked(self) -> Iterator[MarkRequest]:
-        """Those to be logged now."""
-        while self._asked:
+    def requests(self) -> Iterator[MarkRequest]:
+        """Requests to log now."""
+        while self._requests:
             self._at_disk += 1
-            yield self._asked.popleft()
+            yield self._requests.popleft()
 
     def settle(self, mark: MarkRequest, event: Event, refusal: str) -> None:
         """From any thread: it is on the disk, or why not."""
@@ -73,7 +73,7 @@ class Marks:
 
 
 def text_of(payload: zenoh.ZBytes | None) -> str:
-    """The text of a mark. Raises Refused."""
+    """The text of a mark. Raises MarkRefused."""
     size = 0 if payload is None else len(payload)
     if payload is None or size == 0:
         raise MarkRefused("a mark needs a text: send it as the payload of the query, in UTF-8")

@@ -62,6 +62,7 @@ def walk(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[RecordP
 
 
 def body_of(file: BinaryIO, place: RecordPlace) -> bytes:
+    """The bytes of a record. Raises OSError."""
     file.seek(place.body)
     return file.read(place.end - place.body)
 

@@ -1,4 +1,4 @@
-"""The index at the end of an MCAP file, made from what is in it: for a file whose writer could not."""
+"""Builds the index at the end of an MCAP file from its content, where the writer could not."""
 
 import struct
 import zlib

@@ -12,6 +12,7 @@ import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -33,6 +34,19 @@ PACKAGES = (
     "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
     "scipy", "pyproj", "pydantic",
 )  # fmt: skip
+
+
+class ClockReason(StrEnum):
+    """Why a metadata record "clock" is written; the words stand in it as `why`."""
+
+    START = "start"
+    NEW_FILE = "new file"
+    STEP = "step"  # the computer's clock was set
+    ROTATION = "rotation"  # the file ends, its run goes on in the next one
+    IGNITION_OFF = "ignition off"
+    NO_ROOM = "no room"
+    SLOW_DISK = "the disk does not keep up"
+    END = "end"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +107,8 @@ class LogWriter:
         self._writer.start(profile="", library=f"tilth {software()['version']}")
         self.metadata("machine", _machine_metadata(machine, machine_text))
         self.metadata("tilth", software())
-        told = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
-        self.metadata("run", told | ({"note": run.note} if run.note else {}))
+        run_metadata = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
+        self.metadata("run", run_metadata | ({"note": run.note} if run.note else {}))
 
     def frame(self, frame: Frame) -> None:
         """Log a raw frame."""
@@ -125,9 +139,9 @@ class LogWriter:
         channel = self._register(SNAPSHOT_TOPIC, SNAPSHOT_TOPIC, pb.Snapshot)
         self._writer.add_message(channel, t_ns, snapshot.SerializeToString(), t_ns)
 
-    def clocks(self, clock: Clock, why: str) -> None:
-        """Log what the computer's clocks and the receivers say: at start, at a step of the wall clock, when
-        receivers tell that it is wrong, at the end. utc_minus_t_ns is the best that is known of UTC."""
+    def clocks(self, clock: Clock, why: ClockReason) -> None:
+        """Log what the computer's clocks and the receivers say. utc_minus_t_ns is the best that is known of
+        UTC: it added to a t_ns gives UTC."""
         numbers = {key: str(value) for key, value in asdict(clock.relation()).items()}
         numbers["utc_minus_t_ns"] = str(clock.correction_ns)
         if clock.gnss_ahead_ns is not None:
@@ -135,6 +149,7 @@ class LogWriter:
         self.metadata("clock", {"why": why, "boot_id": boot_id(), **numbers})
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
+        """Write a metadata record."""
         self._writer.add_metadata(name, dict(data))
 
     def flush(self) -> None:

@@ -31,16 +31,16 @@ class Done:
 
     copied: int  # files
     there: int  # that had been copied before
-    left: tuple[str, ...]  # why each other file was not
+    not_copied: tuple[str, ...]  # why each other file was not
 
 
 def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda text: None) -> Done:
-    """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.beside`."""
+    """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.sidecar`."""
     copied = there = 0
-    left: list[str] = []
+    not_copied: list[str] = []
     for path in run.files:
-        beside = run.beside()
-        known = beside.copied.get(path.name)
+        sidecar = run.sidecar()
+        known = sidecar.copied.get(path.name)
         size = path.stat().st_size
         if (
             known is not None
@@ -52,16 +52,16 @@ def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda t
             continue
         why_not = _unready(path)
         if why_not:
-            left.append(why_not)
+            not_copied.append(why_not)
             continue
         progress(path.name)
-        beside.copied[path.name] = copy(path, to)
-        run.note(beside)
+        sidecar.copied[path.name] = copy(path, to)
+        run.write_sidecar(sidecar)
         copied += 1
     if copied:
         with _in_words(to):
-            shutil.copyfile(run.beside_path, to / run.beside_path.name)
-    return Done(copied, there, tuple(left))
+            shutil.copyfile(run.sidecar_path, to / run.sidecar_path.name)
+    return Done(copied, there, tuple(not_copied))
 
 
 def copy(path: Path, to: Path) -> Copied:
@@ -104,7 +104,7 @@ def _unready(path: Path) -> str:
 
 
 def _same(source: BinaryIO, partial: Path) -> int:
-    """How many bytes of what is there already are right, in whole blocks."""
+    """Number of bytes at the start of an interrupted copy that are right, in whole blocks."""
     right = 0
     with partial.open("rb") as file:
         while (block := file.read(_BLOCK)) and block == source.read(len(block)):

@@ -18,6 +18,7 @@ class OpenFile:
         self.begun_ns = begun_ns
 
     def age_ns(self, t_ns: int) -> int:
+        """How long the file has been written at t_ns, ns."""
         return t_ns - self.begun_ns
 
     def is_due(self, t_ns: int, log: Log) -> bool:

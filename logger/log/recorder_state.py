@@ -49,7 +49,7 @@ NEXT: Mapping[tuple[RecorderState, Happening], RecorderState] = {
 """What is not listed changes nothing: a file that is rotated while the disk is slow leaves it slow."""
 
 FAILING = (_S.TRYING, _S.STOPPED, _S.RESTING_UNSURE)
-"""Frames are lost, or may be; said when it begins."""
+"""States in which frames are lost, or may be; entering one is reported."""
 
 
 class RecorderStates:

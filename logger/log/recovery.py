@@ -195,10 +195,10 @@ def _take(content: Content, file: BinaryIO, place: RecordPlace) -> bool:
             case Opcode.MESSAGE_INDEX:
                 _message_index(content, place, MessageIndex.read(stream))
             case Opcode.METADATA:
-                told = Metadata.read(stream)
-                if told.name == "clock":
-                    content.utc_minus_ns = int(told.metadata.get("utc_minus_t_ns", "0"))
-                content.metadata.append(MetadataIndex(place.start, place.end - place.start, told.name))
+                metadata = Metadata.read(stream)
+                if metadata.name == "clock":
+                    content.utc_minus_ns = int(metadata.metadata.get("utc_minus_t_ns", "0"))
+                content.metadata.append(MetadataIndex(place.start, place.end - place.start, metadata.name))
             case Opcode.SCHEMA | Opcode.CHANNEL:
                 _define(content, place.opcode, body)
             case _:

@@ -14,6 +14,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
 from tilth.logger.log.room import Room
@@ -26,8 +27,7 @@ FIRST_RETRY_NS = 1_000_000_000  # after a failure
 LONGEST_RETRY_NS = 5_000_000_000
 SLOW_S = 2.0  # at one write or sync
 MOST_WAITING = 64_000_000  # bytes kept in memory for a disk that does not take them: minutes of a full bus
-ROTATION = "rotation"  # why a file ended: the run goes on in the next one
-MOST_KEPT = 1000  # messages kept while ignition is off
+MOST_RETAINED = 1000  # messages kept while ignition is off
 
 
 class Recording:
@@ -60,7 +60,7 @@ class Recording:
         self._room = Room(folder, machine.log, report)
         self._run = RunFiles(folder, machine.name, note, clock)
         self._file: OpenFile | None = None  # the one that is written
-        self._kept: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_KEPT)
+        self._retained: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_RETAINED)
         self._now_ns = clock.t_ns()  # of the last tick
         self._last_frame_ns = self._now_ns
         self._next_ns = self._now_ns + FLUSH_NS
@@ -95,6 +95,7 @@ class Recording:
 
     @property
     def recording(self) -> bool:
+        """Whether frames are being written."""
         return self._states.recording and self._file is not None and self._file.spool.error is None
 
     @property
@@ -124,6 +125,7 @@ class Recording:
         return None if free is None else max(0.0, free - self._room.keep_free_bytes)
 
     def frame(self, frame: Frame) -> None:
+        """Log a raw frame; after ignition off it begins a new run."""
         self._last_frame_ns = frame.t_ns
         if self._file is None and self.resting:
             self._wake(frame.t_ns)
@@ -133,19 +135,20 @@ class Recording:
             self._file.writer.frame(frame)
 
     def message(self, topic: str, t_ns: int, data: bytes) -> None:
+        """Log the bytes of a publication; `topic` is a row of CHANNELS."""
         if self._file is not None:
             self._file.writer.message(topic, t_ns, data)
         elif self.resting and topic == "/event":
-            self._kept.append((topic, t_ns, data))
+            self._retained.append((topic, t_ns, data))
 
-    def clocks(self, why: str) -> None:
+    def clocks(self, why: ClockReason) -> None:
         """Note in the log what the computer's clocks say."""
         if self._file is not None:
             self._file.writer.clocks(self._clock, why)
 
-    def beside(self, job: Callable[[], None]) -> None:
-        """Let the thread that waits for the disk do something besides the log; what it raises is reported."""
-        self._disk.beside(job, lambda error: self._report("log", _sentence(error, self.folder)))
+    def on_disk_thread(self, job: Callable[[], None]) -> None:
+        """Run a job in the disk thread that the log does not depend on; what it raises is reported."""
+        self._disk.do_independent(job, lambda error: self._report("log", _sentence(error, self.folder)))
 
     def settle(self, then: Callable[[str], None]) -> None:
         """Call `then`, in another thread, when all that was logged is on the disk: with "", or why not."""
@@ -177,7 +180,7 @@ class Recording:
     def close(self) -> None:
         """Finish the file and wait for the disk."""
         if self._file is not None:
-            self._finish(self._file, "end")
+            self._finish(self._file, ClockReason.END)
             self._states.after(Happening.END)
         stopped = self._disk.stop()
         self._look_at_closed(at_end=True)
@@ -198,14 +201,14 @@ class Recording:
             self._recovered(file)
         free = self._disk.free_bytes
         if self._disk.waiting_bytes > MOST_WAITING:
-            self._stop(file, "the disk does not keep up", "the disk does not keep up; use a faster one")
+            self._stop(file, ClockReason.SLOW_DISK, "the disk does not keep up; use a faster one")
         elif free is not None and self._room.is_out(free):
-            self._stop(file, "no room", f"only {free / 1e6:.0f} MB free; make room")
+            self._stop(file, ClockReason.NO_ROOM, f"only {free / 1e6:.0f} MB free; make room")
         elif self._is_silent():
-            self._finish(file, "ignition off")
+            self._finish(file, ClockReason.IGNITION_OFF)
             self._states.after(Happening.IGNITION_OFF)
         elif file.is_due(self._now_ns, self._machine.log) or self._run.correct_name(self._report):
-            self._finish(file, ROTATION)
+            self._finish(file, ClockReason.ROTATION)
             self._open(with_state=True)
 
     def _is_silent(self) -> bool:
@@ -223,14 +226,14 @@ class Recording:
             self._report("log", f"recording again in {name}; {self.missed} frames were not recorded")
         self._states.after(Happening.ON_DISK)
 
-    def _finish(self, file: OpenFile, why: str) -> None:
+    def _finish(self, file: OpenFile, why: ClockReason) -> None:
         file.writer.clocks(self._clock, why)
         file.finish()
         self._run.rename()
         self._file = None
         self.counts.finished(file, self._now_ns)
 
-    def _stop(self, file: OpenFile, why: str, problem: str) -> None:
+    def _stop(self, file: OpenFile, why: ClockReason, problem: str) -> None:
         """Finish a file after which there may be no other for now. why: for the log."""
         self._finish(file, why)
         self._states.failed(Happening.FILE_FAILED, f"{self.folder}: {problem}")
@@ -276,11 +279,11 @@ class Recording:
         if spool.error is not None:
             self._fail(file, spool.error)
             return
-        file.writer.clocks(self._clock, "new file" if run.part > 1 else "start")
+        file.writer.clocks(self._clock, ClockReason.NEW_FILE if run.part > 1 else ClockReason.START)
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())
-        while self._kept:
-            file.writer.message(*self._kept.popleft())
+        while self._retained:
+            file.writer.message(*self._retained.popleft())
         file.flush()
 
     def _wake(self, t_ns: int) -> None:
@@ -295,7 +298,7 @@ class Recording:
             trusted = self._clock.gnss_ahead_ns is not None
             utc_ns = t_ns + self._clock.correction_ns if trusted else None
             current = self._run.name
-            self.beside(lambda: self._room.make(current, utc_ns))
+            self.on_disk_thread(lambda: self._room.make(current, utc_ns))
 
 
 def _sentence(error: Exception, folder: Path) -> str:

@@ -31,8 +31,8 @@ class Copied:
 
 
 @dataclass(slots=True)
-class Beside:
-    """What stands beside a run's files."""
+class Sidecar:
+    """What people and copies add to a run after it: <run>.json next to its files."""
 
     keep: bool = False
     notes: list[str] = field(default_factory=list)
@@ -50,39 +50,40 @@ class StoredRun:
 
     @property
     def missing_parts(self) -> list[int]:
-        """Numbers of those before the last one that are not there."""
+        """Numbers of missing parts before the last one."""
         there = {int(path.stem.rpartition("_")[2]) for path in self.files}
         return sorted(set(range(1, max(there))) - there)
 
     @property
-    def beside_path(self) -> Path:
+    def sidecar_path(self) -> Path:
         return self.folder / f"{self.name}.json"
 
-    def beside(self) -> Beside:
-        """What stands beside it. Raises ValueError where that cannot be understood, and OSError."""
+    def sidecar(self) -> Sidecar:
+        """Read the sidecar. Raises ValueError where it cannot be understood, and OSError."""
         try:
-            plain: dict[str, Any] = json.loads(self.beside_path.read_text(encoding="utf-8"))
+            plain: dict[str, Any] = json.loads(self.sidecar_path.read_text(encoding="utf-8"))
             copied = {name: Copied(**copy) for name, copy in plain["copied"].items()}
-            return Beside(bool(plain["keep"]), [str(note) for note in plain["notes"]], copied)
+            return Sidecar(bool(plain["keep"]), [str(note) for note in plain["notes"]], copied)
         except FileNotFoundError:
-            return Beside()
+            return Sidecar()
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
-                f"{self.beside_path}: cannot be understood ({error}); mend or remove it"
+                f"{self.sidecar_path}: cannot be understood ({error}); mend or remove it"
             ) from None
 
-    def note(self, beside: Beside) -> None:
-        """Write what stands beside it: all or nothing, whatever happens to the power."""
-        new = self.beside_path.with_suffix(".new")
+    def write_sidecar(self, sidecar: Sidecar) -> None:
+        """Write the sidecar: all or nothing, also in a power cut."""
+        new = self.sidecar_path.with_suffix(".new")
         with new.open("w", encoding="utf-8") as stream:
-            json.dump(asdict(beside), stream, indent=1, ensure_ascii=False)
+            json.dump(asdict(sidecar), stream, indent=1, ensure_ascii=False)
             stream.flush()
             os.fsync(stream.fileno())
-        new.replace(self.beside_path)
+        new.replace(self.sidecar_path)
         sync_folder(self.folder)
 
 
 def run_name(machine: str, utc_ns: int) -> str:
+    """<machine>_<UTC>, from ns since 1970."""
     return f"{machine}_{utc_text(utc_ns, STAMP)}"
 
 
@@ -95,6 +96,7 @@ def unused_name(folder: Path, machine: str, utc_ns: int) -> str:
 
 
 def file_name(run: str, part: int) -> str:
+    """<run>_<part>.mcap, the part with three digits."""
     return f"{run}_{part:03d}.mcap"
 
 
@@ -124,17 +126,17 @@ def _started_ns(stamp: str) -> int:
 
 
 def may_go(run: StoredRun, utc_ns: int | None, expire_days: float | None) -> bool:
-    """Whether nothing is lost with it, or nothing that anybody still wants.
+    """Whether the run may be deleted: it was copied off, or has expired.
 
     utc_ns: now, None where that is not known: then no run is too old, and neither is one of unknown time.
     """
     try:
-        beside = run.beside()
+        sidecar = run.sidecar()
     except (ValueError, OSError):
         return False
-    if beside.keep:
+    if sidecar.keep:
         return False
-    copies = (beside.copied.get(path.name) for path in run.files)
+    copies = (sidecar.copied.get(path.name) for path in run.files)
     if all(
         copy is not None and copy.size == path.stat().st_size
         for copy, path in zip(copies, run.files, strict=True)
@@ -151,6 +153,6 @@ def delete(run: StoredRun) -> int:
     for path in run.files:
         size += path.stat().st_size
         path.unlink()
-    run.beside_path.unlink(missing_ok=True)
+    run.sidecar_path.unlink(missing_ok=True)
     sync_folder(run.folder)
     return size

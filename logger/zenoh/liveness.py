@@ -1,25 +1,28 @@
-"""Which sensors are alive: what a person in the cab must see at a glance."""
+"""Tracks which sensors are alive."""
 
 from dataclasses import dataclass
 
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.states import DeviceState
 
 LOST_NS = 1_500_000_000  # receivers send positions at 5 to 10 Hz, the slowest once a second
 FIX_NS = 5_000_000_000  # how long a fix type is believed that came once
 
 
 @dataclass(slots=True)
-class _Heard:
-    source: int = -1
-    any_ns: int = 0
-    data_ns: int = 0
+class _Device:
+    """A receiver or the wheel-angle sensor. Times on the log's clock, ns; 0: never."""
+
+    source: int = -1  # J1939 source address
+    any_ns: int = 0  # the latest measurement of any kind
+    data_ns: int = 0  # the latest position or angle
     fix: FixType | None = None
     fix_ns: int = 0
-    count: int = 0  # of data since `told_ns`
-    told_ns: int = 0
-    fault: str = ""
+    count: int = 0  # of positions or angles since `reported_ns`
+    reported_ns: int = 0
+    fault: DeviceState | None = None  # the latest state that was none to work with
     fault_ns: int = 0
 
 
@@ -27,55 +30,58 @@ class Sensors:
     """The receivers of the machine file and its wheel-angle sensor."""
 
     def __init__(self, machine: Machine) -> None:
-        self._receivers: dict[Mount, _Heard] = {r.mount: _Heard() for r in machine.receiver}
-        self._wheel = _Heard()
+        self._receivers: dict[Mount, _Device] = {r.mount: _Device() for r in machine.receiver}
+        self._wheel = _Device()
 
     def take(self, measurement: Measurement) -> None:
+        """Take a measurement of a receiver or of the wheel angle; others do not count."""
         if isinstance(measurement, WheelAngle):
-            heard = self._wheel
-            heard.data_ns = measurement.t_ns
-            heard.count += 1
+            device = self._wheel
+            device.data_ns = measurement.t_ns
+            device.count += 1
         else:
             mount = measurement.origin.mount
             if mount is None or mount not in self._receivers:
                 return
-            heard = self._receivers[mount]
+            device = self._receivers[mount]
             if isinstance(measurement, Position):
-                heard.data_ns = measurement.t_ns
-                heard.count += 1
+                device.data_ns = measurement.t_ns
+                device.count += 1
             elif isinstance(measurement, Fix):
-                heard.fix, heard.fix_ns = measurement.fix, measurement.t_ns
-        heard.any_ns = measurement.t_ns
-        heard.source = measurement.origin.source
+                device.fix, device.fix_ns = measurement.fix, measurement.t_ns
+        device.any_ns = measurement.t_ns
+        device.source = measurement.origin.source
 
     def receivers(self, t_ns: int) -> list[pb.ReceiverStatus]:
-        """Rates are those since the last call."""
-        return [_status(heard, t_ns, mount.value) for mount, heard in self._receivers.items()]
+        """One row per receiver; rates are those since the last call. t_ns: now."""
+        return [_status(device, t_ns, mount.value) for mount, device in self._receivers.items()]
 
     def wheel_angle(self, t_ns: int) -> pb.ReceiverStatus:
+        """As `receivers`, of the wheel-angle sensor."""
         return _status(self._wheel, t_ns, "")
 
 
-def _status(heard: _Heard, t_ns: int, mount: str) -> pb.ReceiverStatus:
-    """Notes when it was asked and what it found: for the next time."""
-    status = pb.ReceiverStatus(mount=mount, state=_state(heard, t_ns), source=heard.source)
-    if heard.fix is not None and t_ns - heard.fix_ns < FIX_NS:
-        status.fix = heard.fix.value
-    if heard.data_ns:
-        status.age_s = (t_ns - heard.data_ns) * 1e-9
-    if t_ns > heard.told_ns > 0:
-        status.per_s = heard.count / ((t_ns - heard.told_ns) * 1e-9)
-    heard.count, heard.told_ns = 0, t_ns
-    if status.state in ("lost", "no_data"):
-        heard.fault, heard.fault_ns = status.state, t_ns
-    if heard.fault:
-        status.fault, status.fault_age_s = heard.fault, (t_ns - heard.fault_ns) * 1e-9
+def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
+    """Keeps the time and a fault in `device`: the next call counts from here."""
+    state = _state(device, t_ns)
+    status = pb.ReceiverStatus(mount=mount, state=state, source=device.source)
+    if device.fix is not None and t_ns - device.fix_ns < FIX_NS:
+        status.fix = device.fix.value
+    if device.data_ns:
+        status.age_s = (t_ns - device.data_ns) * 1e-9
+    if t_ns > device.reported_ns > 0:
+        status.per_s = device.count / ((t_ns - device.reported_ns) * 1e-9)
+    device.count, device.reported_ns = 0, t_ns
+    if state in (DeviceState.LOST, DeviceState.NO_DATA):
+        device.fault, device.fault_ns = state, t_ns
+    if device.fault is not None:
+        status.fault, status.fault_age_s = device.fault, (t_ns - device.fault_ns) * 1e-9
     return status
 
 
-def _state(heard: _Heard, t_ns: int) -> str:
-    if heard.any_ns == 0:
-        return "waiting"
-    if heard.data_ns and t_ns - heard.data_ns < LOST_NS:
-        return "alive"
-    return "no_data" if t_ns - heard.any_ns < LOST_NS else "lost"
+def _state(device: _Device, t_ns: int) -> DeviceState:
+    if device.any_ns == 0:
+        return DeviceState.WAITING
+    if device.data_ns and t_ns - device.data_ns < LOST_NS:
+        return DeviceState.ALIVE
+    return DeviceState.NO_DATA if t_ns - device.any_ns < LOST_NS else DeviceState.LOST

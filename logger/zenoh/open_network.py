@@ -35,8 +35,8 @@ def is_local(endpoint: str) -> bool:
 
 def ways_in(config: zenoh.Config) -> list[str]:
     """Each in words; none where only this computer or who has a key or password gets in."""
-    password = told(config, "transport/auth/usrpwd/dictionary_file") is not None
-    certified = _CERTIFIED if told(config, "transport/link/tls/enable_mtls") else ()
+    password = setting(config, "transport/auth/usrpwd/dictionary_file") is not None
+    certified = _CERTIFIED if setting(config, "transport/link/tls/enable_mtls") else ()
     verified = _CERTIFIED  # who connects to a router by TLS knows whom it speaks to
     listen, connect = endpoints(config, "listen"), endpoints(config, "connect")
     if _mode(config) == "client":
@@ -59,20 +59,20 @@ def endpoints(config: zenoh.Config, side: str) -> list[str]:
     return list(_of_mode(config, f"{side}/endpoints") or [])
 
 
-def told(config: zenoh.Config, key: str) -> Any:
-    """What the configuration says there, None where nothing."""
+def setting(config: zenoh.Config, key: str) -> Any:
+    """The value at a key of the configuration; None where there is none."""
     with contextlib.suppress(zenoh.ZError, ValueError):
         return json.loads(config.get_json(key))
     return None
 
 
 def _mode(config: zenoh.Config) -> str:
-    return str(told(config, "mode") or "peer")
+    return str(setting(config, "mode") or "peer")
 
 
 def _of_mode(config: zenoh.Config, key: str) -> Any:
     """Some settings may be given for each mode of their own."""
-    value = told(config, key)
+    value = setting(config, key)
     return value.get(_mode(config)) if isinstance(value, dict) else value
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import zenoh
 
-from tilth.logger.zenoh.open_network import endpoints, is_local, told, ways_in
+from tilth.logger.zenoh.open_network import endpoints, is_local, setting, ways_in
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, Zenoh
 
@@ -17,7 +17,7 @@ def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
     Without zenoh.config and zenoh.open it speaks on loopback only. Raises zenoh.ZError, also
     where `refusal` has something to say.
     """
-    config, notes = _own(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
+    config, notes = _local(machine.zenoh) if machine.zenoh.config is None else _shared(machine)
     if refused := _refusal(machine, config):
         raise zenoh.ZError(refused)
     if opened := _opened(config):
@@ -40,7 +40,7 @@ def refusal(machine: Machine) -> str:
     try:
         return _refusal(machine, _shared(machine)[0])
     except zenoh.ZError:
-        return ""  # said by whoever opens it
+        return ""  # reported by the caller that opens it
 
 
 def _refusal(machine: Machine, config: zenoh.Config) -> str:
@@ -86,23 +86,23 @@ def free_endpoint(endpoint: str) -> str:
     return endpoint
 
 
-def _own(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
-    """For this computer: what others could reach is left out unless it is said that it is meant."""
+def _local(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
+    """For this computer only: endpoints that others could reach are left out unless `open` is set."""
     given = (*settings.listen, *settings.connect)
-    left_out = [one for one in given if not (settings.open or is_local(one)) and "/" in one]
+    refused = [one for one in given if not (settings.open or is_local(one)) and "/" in one]
     config = zenoh.Config()
     for key, value in (
         ("mode", "peer"),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
-        ("listen/endpoints", [one for one in settings.listen if one not in left_out] or Zenoh().listen),
-        ("connect/endpoints", [one for one in settings.connect if one not in left_out]),
+        ("listen/endpoints", [one for one in settings.listen if one not in refused] or Zenoh().listen),
+        ("connect/endpoints", [one for one in settings.connect if one not in refused]),
     ):
         config.insert_json5(key, json.dumps(value))
-    if not left_out:
+    if not refused:
         return config, []
     return config, [
-        f"{', '.join(left_out)} is not used, anybody on that network could read and answer; make "
+        f"{', '.join(refused)} is not used, anybody on that network could read and answer; make "
         f"keys with `{command('keys')}` and name them as config in [zenoh], or say there open = true if "
         "that is meant"
     ]
@@ -119,7 +119,7 @@ def _shared(machine: Machine) -> tuple[zenoh.Config, list[str]]:
         raise zenoh.ZError(
             f"{path}: {reason}; give the daemon.json that `{command('keys')}` has made"
         ) from None
-    made = (told(config, "metadata") or {}).get("tilth", {})
+    made = (setting(config, "metadata") or {}).get("tilth", {})
     wanted = (machine.zenoh.prefix, machine.name)
     made_for = (made.get("prefix"), made.get("machine"))
     if made and made_for != wanted:

@@ -1,8 +1,8 @@
-"""Opens a log of CAN frames, whatever wrote it; the kind is told by its content, not by its name.
+"""Opens a log of CAN frames, whatever wrote it; its kind is found from its content, not from its name.
 
 Frames come in file order and are never sorted. Their t_ns are the log's own stamps: nanoseconds since 1970
-where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs and in EBL. A bus is called
-what the log calls it, "can<channel>" where that is a number, "can0" where nothing is said. Remote frames, CAN
+where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs and in EBL. A bus has the
+name it has in the log, "can<channel>" where that is a number, "can0" where there is none. Remote frames, CAN
 FD frames longer than 8 bytes and frames whose stamp is before 1970 or after 2262 are counted in `skipped`.
 """
 
@@ -57,7 +57,7 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> OpenLog:
 
 
 def readable() -> str:
-    """What a person should know who gave something else, in one sentence."""
+    """The kinds of log that can be read, in one sentence."""
     names = list(dict.fromkeys(kind.listed or kind.name for kind in KINDS))
     return f"tilth reads {', '.join(names[:-1])} and {names[-1]}, packed by gzip too"
 
@@ -156,10 +156,10 @@ def _kind(log: OpenLog) -> Kind:
 def _text_kind(log: OpenLog) -> Kind:
     """By the first lines of a text that are no comments."""
     lines = stream.without_zeros(log, _stream(log))
-    left = _SNIFFED
+    remaining = _SNIFFED
     comments = 0
-    told = False
-    while left > 0 and (line := lines.readline(_SNIFFED)):
+    has_text = False
+    while remaining > 0 and (line := lines.readline(_SNIFFED)):
         text = line.decode("utf-8-sig", "replace")
         for kind in KINDS:
             if kind.line is not None and kind.line.match(text):
@@ -169,9 +169,9 @@ def _text_kind(log: OpenLog) -> Kind:
         if text.isspace() or text.startswith("#"):
             comments += 1
         else:
-            left -= len(line)
-            told = True
-    if told:
+            remaining -= len(line)
+            has_text = True
+    if has_text:
         raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {readable()}")
     what = "nothing but comments" if comments else "nothing but zero bytes, as a power cut leaves them"
     raise EmptyLog(f"{log.path}: {what}; no frame is in it")

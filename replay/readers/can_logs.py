@@ -182,6 +182,7 @@ def _local_as_utc(start_s: float) -> float:
 
 
 def trc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """PEAK's TRC, as python-can reads it."""
     import can
 
     logging.getLogger("can.io.trc").setLevel(logging.ERROR)  # of lines that are counted here
@@ -196,6 +197,7 @@ def _silent_in_trc(line: str) -> str:
 
 
 def csv(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """python-can's CSV."""
     import can
 
     lines = _Lines(log, stream, lambda line: "")
@@ -225,12 +227,12 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
 
 
 class _Incomplete(logging.Handler):
-    """Hears asammdf say that a block runs past the end of the file."""
+    """A logging handler that notices asammdf's message about a block that runs past the end of the file."""
 
-    heard = False
+    incomplete_block = False
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.heard = self.heard or "Incomplete block" in record.getMessage()
+        self.incomplete_block = self.incomplete_block or "Incomplete block" in record.getMessage()
 
 
 def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -254,10 +256,11 @@ def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(f"{log.path}: an MF4 file whose index is missing or damaged") from None
     finally:
         logger.removeHandler(ear)
-    log.truncated = log.truncated or ear.heard
+    log.truncated = log.truncated or ear.incomplete_block
 
 
 def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """python-can's SQLite database."""
     import can
 
     try:

@@ -33,6 +33,7 @@ _BYTE_ORDER: Final = b"\x4d\x3c\x2b\x1a"  # how a section begins that has its le
 
 
 def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames of a pcap file. Raises OtherKind for another link type."""
     header = stream.read(24)
     order, unit_ns = PCAP[header[:4]]
     if len(header) < 24:
@@ -44,7 +45,7 @@ def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
             f"{log.path}: a capture of link type {link & _LINK_TYPE}, not of SocketCAN ({SOCKETCAN})"
         )
     for stamp_ns, packet in _records(log, stream, order, unit_ns):
-        yield from _kept(log, _frame(packet, stamp_ns, "can0"))
+        yield from _usable(log, _frame(packet, stamp_ns, "can0"))
 
 
 def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
@@ -64,7 +65,7 @@ def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterat
         yield seconds * 1_000_000_000 + units * unit_ns, packet
 
 
-def _kept(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
+def _usable(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
     if isinstance(found, Frame):
         yield found
     else:
@@ -100,7 +101,7 @@ class _Interface:
 
 @dataclass(slots=True)
 class _CaptureSection:
-    """What a pcapng file has told so far."""
+    """Interfaces defined so far in a section of a pcapng file."""
 
     order: str = "<"
     interfaces: list[_Interface] = field(default_factory=list)
@@ -108,13 +109,14 @@ class _CaptureSection:
 
 
 def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames of a pcapng file, whose sections may have several interfaces."""
     section = _CaptureSection()
     while (block := _block(log, stream, section)) is not None:
         kind, body = block
         if kind == _INTERFACE and len(body) >= 8:
             _add_interface(section, body)
         elif kind in (_OLD_PACKET, _SIMPLE_PACKET, _PACKET_BLOCK):
-            yield from _kept(log, _packet(section, kind, body))
+            yield from _usable(log, _packet(section, kind, body))
     if section.links and SOCKETCAN not in section.links:
         links = ", ".join(map(str, sorted(section.links)))
         raise OtherKind(f"{log.path}: a capture of link type {links}, not of SocketCAN ({SOCKETCAN})")

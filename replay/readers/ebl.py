@@ -9,7 +9,7 @@ A message is its kind, its length, its bytes and a checksum that makes their sum
     0xD0   a message       the same
     0x95   a CAN frame     both: the mark before it; the gateway's counter wraps too soon
 
-0x94, what the gateway was given to send, tells no source; it and all other kinds are counted.
+0x94, what the gateway was given to send, has no source; it and all other kinds are counted.
 """
 
 import struct
@@ -37,6 +37,7 @@ Piece = tuple[int | None, bytes]
 
 
 def ebl(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
+    """Frames and assembled messages, stamped as in the table above."""
     clock = AdapterClock()
     framed = _Messages(log)
     t_ns = 0
@@ -88,10 +89,9 @@ def _pieces(log: OpenLog, stream: BinaryIO) -> Iterator[Piece]:
                 elif mark is not None:
                     log.skip("damaged_mark")
                 mark = bytearray() if code == _SOH else None
-            if mark is None:
-                if part:
-                    yield None, part
-            elif len(mark) <= _MOST:
+            if mark is None and part:
+                yield None, part
+            elif mark is not None and len(mark) <= _MOST:
                 mark += part
     log.truncated = log.truncated or mark is not None or escaped or last == 0
 

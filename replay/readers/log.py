@@ -29,7 +29,7 @@ class ForeignLog(LogError):
 
 
 class OtherKind(ForeignLog):
-    """So, and a person should be told what is read; `readers` adds it."""
+    """The same; the message should list what can be read, which `readers` adds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class RunPlace:
     run: tuple[str, str] = ("", "")  # id, start
     part: int = 0  # from 1
 
-    def told_after(self, last: "RunPlace") -> str:
-        """What a person should know of this log after that one, as the end of a sentence; "": nothing."""
+    def gap_after(self, last: "RunPlace") -> str:
+        """What is missing or wrong between that log and this one, as the end of a sentence; "": nothing."""
         if self.run != last.run:
             return "another run begins here; counts are of all runs, estimates of the last one alone"
         if self.part > last.part + 1:

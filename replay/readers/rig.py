@@ -1,4 +1,4 @@
-"""What a log and a machine file have in common: the machine file stored in a log, the names of the buses."""
+"""Relates a log to a machine file: the machine file stored in a log, and the names of the buses."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -17,10 +17,10 @@ Say = Callable[[str], None]
 
 
 def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machine, str]:
-    """The machine that the first of these logs to tell it was recorded with, and the text of its file.
+    """The machine stored in the first of these logs that has one, and the text of its file.
 
     plausible: as of parse_machine; False for what only reads, and estimates nothing.
-    Raises LogError where none tells it, MachineError.
+    Raises LogError where none has one, MachineError.
     """
     cut: Path | None = None
     for path in paths:
@@ -51,14 +51,14 @@ def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: S
     """
     names = [bus.name for bus in machine.bus]
     first = list(islice(log.records, PEEKED))
-    seen = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
+    log_buses = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
     renames = {bus: name for bus, name in given.items() if bus != name}
-    if not given and len(seen) == len(names) == 1 and seen != names:
-        renames = {seen[0]: names[0]}
-        say(f"{log.path}: its bus {seen[0]} is taken for {names[0]} of the machine file")
-    elif seen and not any(renames.get(bus, bus) in names for bus in seen):
+    if not given and len(log_buses) == len(names) == 1 and log_buses != names:
+        renames = {log_buses[0]: names[0]}
+        say(f"{log.path}: its bus {log_buses[0]} is taken for {names[0]} of the machine file")
+    elif log_buses and not any(renames.get(bus, bus) in names for bus in log_buses):
         say(
-            f"{log.path}: has the buses {', '.join(seen)}, the machine file has {', '.join(names)}; "
+            f"{log.path}: has the buses {', '.join(log_buses)}, the machine file has {', '.join(names)}; "
             "say which is which with --bus LOG=MACHINE"
         )
     records = chain(first, log.records)

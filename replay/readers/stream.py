@@ -54,17 +54,17 @@ class _PieceReader(io.RawIOBase):
 
     def __init__(self, chunks: Iterator[bytes]) -> None:
         self._chunks = chunks
-        self._left = b""
+        self._unread = b""
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: "WriteableBuffer", /) -> int:
         view = memoryview(buffer)
-        self._left = self._left or next(self._chunks, b"")
-        count = min(len(view), len(self._left))
-        view[:count] = self._left[:count]
-        self._left = self._left[count:]
+        self._unread = self._unread or next(self._chunks, b"")
+        count = min(len(view), len(self._unread))
+        view[:count] = self._unread[:count]
+        self._unread = self._unread[count:]
         return count
 
 
@@ -107,9 +107,9 @@ def _up_to_damage(member: "zlib._Decompress", piece: bytes) -> Iterator[bytes]:
             yield found
 
 
-def _limited(log: OpenLog, left: int) -> Iterator[bytes]:
-    while left and (piece := log.file.read(min(left, BUFFER))):
-        left -= len(piece)
+def _limited(log: OpenLog, remaining: int) -> Iterator[bytes]:
+    while remaining and (piece := log.file.read(min(remaining, BUFFER))):
+        remaining -= len(piece)
         yield piece
     log.truncated = True
 

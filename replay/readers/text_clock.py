@@ -1,4 +1,4 @@
-"""What a line of a text log tells of time, as nanoseconds since 1970 where the log has a date."""
+"""Turns the times in lines of a text log into nanoseconds, since 1970 where the log has a date."""
 
 from datetime import UTC, datetime
 from typing import Final
@@ -11,7 +11,7 @@ ZONE: Final = r"(?P<zone>Z|[+-](?:[01]\d|2[0-3])(?::?[0-5]\d)?)?"
 
 
 class TextClock:
-    """Turns what the lines tell, one after the other, into stamps.
+    """Turns the times of the lines, in order, into stamps.
 
     Dates without a zone are read as UTC, so that a log gives the same stamps on every computer. A time of day
     counts from midnight of the last date that the log has told, else of day 0; one that falls by more than

@@ -30,12 +30,12 @@ from tilth.estimator.models.linear_analysis import dominant, steady_gains
 NUMBER = re.compile(r"−?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
-def differences(kept: str, made: str) -> list[str]:
+def differences(retained: str, made: str) -> list[str]:
     """Lines whose words differ, or a number by more than one in its last place."""
     found = []
-    if kept.count("\n") != made.count("\n"):
+    if retained.count("\n") != made.count("\n"):
         return ["another number of lines"]
-    for one, two in zip(kept.splitlines(), made.splitlines(), strict=True):
+    for one, two in zip(retained.splitlines(), made.splitlines(), strict=True):
         same = NUMBER.split(one) == NUMBER.split(two)
         pairs = zip(NUMBER.findall(one), NUMBER.findall(two), strict=False)
         if not same or not all(near(*pair) for pair in pairs):
@@ -50,8 +50,8 @@ def near(one: str, two: str) -> bool:
 
 
 def test_the_page_is_up_to_date() -> None:
-    kept = (DOCS / "dissertation.md").read_text(encoding="utf-8")
-    found = differences(kept, page())
+    retained = (DOCS / "dissertation.md").read_text(encoding="utf-8")
+    found = differences(retained, page())
     assert not found, f"run `{COMMAND}` after an intended change:\n" + "\n".join(found)
 
 

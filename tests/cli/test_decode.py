@@ -205,8 +205,8 @@ def test_it_says_what_it_did_not_decode(answer: Answer, tmp_path: Path) -> None:
     ]
     status, out, err = answer("--json", candump(tmp_path / "x.log", rows))
     assert status == 0 and len(rows_of(out)) == 1
-    told = [line.removeprefix("tilth decode: ") for line in err.splitlines()]
-    assert told == [
+    collected = [line.removeprefix("tilth decode: ") for line in err.splitlines()]
+    assert collected == [
         "12 frames, 1 messages",
         "not decoded: 11 frames (6 PGNs); --help lists what is decoded",
         "not decoded: 65260 Vehicle Identification: 4",
@@ -227,10 +227,10 @@ def test_it_says_what_it_did_not_decode(answer: Answer, tmp_path: Path) -> None:
 def test_help_lists_what_is_decoded(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["decode", "--help"])
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for row in PGNS:
-        assert f"{row.pgn} " in told and row.title in told
-    assert set(WORDS) <= set(re.findall(r"\w+", told))
+        assert f"{row.pgn} " in output and row.title in output
+    assert set(WORDS) <= set(re.findall(r"\w+", output))
 
 
 def test_a_value_that_is_dropped_is_shown_with_its_reason(answer: Answer, tmp_path: Path) -> None:
@@ -261,12 +261,12 @@ def test_names_and_what_is_repeated_are_told(answer: Answer, tmp_path: Path) -> 
     payload = encode(129540, {}, sid=7, groups={"sky": sky})
     frames = frames_of(129540, payload, 70)
     rows = [(1.0, 0x18EEFF1C, claim(NAME)), *[(2.0 + k / 1000, *frame) for k, frame in enumerate(frames)]]
-    claimed, seen = rows_of(answer("--json", candump(tmp_path / "x.log", rows))[1])
+    claimed, observed = rows_of(answer("--json", candump(tmp_path / "x.log", rows))[1])
     assert {key: claimed[key] for key in ("manufacturer", "manufacturer_name", "function_name")} == {
         "manufacturer": 33, "manufacturer_name": "John Deere", "function_name": "navigation",
     }  # fmt: skip
     assert (claimed["industry_group_name"], claimed["identity"]) == ("agriculture and forestry", 123456)
-    assert (seen["sid"], seen["satellites_in_view"], seen["sky"]) == (7, 2, sky)
+    assert (observed["sid"], observed["satellites_in_view"], observed["sky"]) == (7, 2, sky)
 
 
 @pytest.mark.parametrize("path", sorted((DATA / "canboat").glob("*")), ids=lambda path: path.name)
@@ -296,7 +296,7 @@ def test_several_logs_and_what_is_wrong_with_some(answer: Answer, tmp_path: Path
     empty.touch()
     image.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\r")
     cut.write_bytes(log.read_bytes()[:-5])
-    for files, status, told in (
+    for files, status, result in (
         ([log, empty], 1, "empty file; no frame is in it"),
         ([log, image, empty], 2, "not a log of CAN frames"),
         ([cut], 0, "cut off"),
@@ -304,7 +304,7 @@ def test_several_logs_and_what_is_wrong_with_some(answer: Answer, tmp_path: Path
     ):
         found, out, err = answer("--json", *files)
         assert found == status
-        assert told in err
+        assert result in err
         assert bool(out) == (files != [tmp_path])
 
 

@@ -120,16 +120,16 @@ def test_numbers_that_need_no_reference(report: Callable[..., dict[str, Any]]) -
 def test_the_object(answer: Answer) -> None:
     status, out, err = answer(MACHINE, "--json", "--model", "dynamic", *speeds(4.5, 1.0, 4.5), *QUICK)
     assert (status, err, out.count("\n")) == (0, "", 1)
-    said = json.loads(out)
-    assert said["machine"] == "jd7930-parker500"
-    assert list(said["models"]) == ["dynamic"]
-    assert list(said["models"]["dynamic"]) == ["4.5", "1.0"]
-    at = said["models"]["dynamic"]["4.5"]
+    output = json.loads(out)
+    assert output["machine"] == "jd7930-parker500"
+    assert list(output["models"]) == ["dynamic"]
+    assert list(output["models"]["dynamic"]) == ["4.5", "1.0"]
+    at = output["models"]["dynamic"]["4.5"]
     pairs = [tuple(pair) for pair in at["eigenvalues"]]
     assert pairs == sorted(pairs) and len(pairs) == len(at["states"])
     assert np.array(at["a"]).shape == (6, 6) and np.array(at["b"]).shape == (6, 3)
     assert set(at["bound"]["sd"]) == set(PARAMETERS[:3])
-    assert said["parameters"]["C_af"] == {"value": 220e3, "unit": "N/rad"}
+    assert output["parameters"]["C_af"] == {"value": 220e3, "unit": "N/rad"}
 
 
 @pytest.mark.parametrize(
@@ -142,8 +142,8 @@ def test_speeds_are_plain_decimal_text(speed: float, key: str) -> None:
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 def test_every_model_at_the_ends_of_the_range(model: Any) -> None:
     drive = Drive(seconds=2.0)
-    said = rig_report(TABLE_7_2, [model], (0.1, 30.0), drive)["models"][model.name]
-    for at in said.values():
+    output = rig_report(TABLE_7_2, [model], (0.1, 30.0), drive)["models"][model.name]
+    for at in output.values():
         assert at["stable"] and at["observability"]["rank"] == len(at["states"])
         for design in at["lqr"].values():
             assert design["stable"] and max(re for re, _ in design["eigenvalues"]) < 0
@@ -152,29 +152,29 @@ def test_every_model_at_the_ends_of_the_range(model: Any) -> None:
 
 @pytest.mark.parametrize("name", ["dynamic", "relaxation"])
 def test_the_steady_turn_is_the_closed_form(name: str) -> None:
-    said = rig_report(TABLE_7_2, [model_named(name)], (1.0, 7.5), Drive(seconds=2.0))["models"][name]
-    for speed, at in said.items():
+    output = rig_report(TABLE_7_2, [model_named(name)], (1.0, 7.5), Drive(seconds=2.0))["models"][name]
+    for speed, at in output.items():
         turn = at["steady_turn_per_rad"]
         values = [turn[key] for key in ("lateral_velocity", "yaw_rate", "articulation")]
         np.testing.assert_allclose(values, steady_gains(TABLE_7_2, float(speed)), rtol=1e-9)
 
 
 def test_the_wheel_angle_ratio_is_that_of_the_steady_turn() -> None:
-    said = rig_report(TABLE_5_1, [model_named("dynamic")], (7.5,), Drive(seconds=2.0))
-    yaw = said["models"]["dynamic"]["7.5"]["steady_turn_per_rad"]["yaw_rate"]
-    assert said["understeer"]["wheel_angle_ratio"]["7.5"] == pytest.approx(7.5 / 2.9 / yaw)
+    output = rig_report(TABLE_5_1, [model_named("dynamic")], (7.5,), Drive(seconds=2.0))
+    yaw = output["models"]["dynamic"]["7.5"]["steady_turn_per_rad"]["yaw_rate"]
+    assert output["understeer"]["wheel_angle_ratio"]["7.5"] == pytest.approx(7.5 / 2.9 / yaw)
 
 
 @pytest.mark.parametrize("sensors", SENSOR_SETS)
 def test_the_bound_is_that_of_the_drive(sensors: str) -> None:
     drive, model = Drive(sensors=sensors, seconds=6.0), model_named("relaxation")
-    said = rig_report(TABLE_7_2, [model], (4.5,), drive)["models"]["relaxation"]["4.5"]["bound"]
+    output = rig_report(TABLE_7_2, [model], (4.5,), drive)["models"]["relaxation"]["4.5"]["bound"]
     expected = cramer_rao(
         model, TABLE_7_2, 4.5, drive.wheel_angle(), SAMPLE_S, SENSOR_SETS[sensors], disturbances=DISTURBANCES
     )
-    assert said["sd"] == pytest.approx(dict(zip(PARAMETERS, expected.sd.tolist(), strict=True)), rel=1e-6)
-    assert (said["rank"], said["of"]) == (6, 6)
-    assert all(said["sd_zero_unknown"][name] >= 0.999999 * said["sd"][name] for name in PARAMETERS)
+    assert output["sd"] == pytest.approx(dict(zip(PARAMETERS, expected.sd.tolist(), strict=True)), rel=1e-6)
+    assert (output["rank"], output["of"]) == (6, 6)
+    assert all(output["sd_zero_unknown"][name] >= 0.999999 * output["sd"][name] for name in PARAMETERS)
 
 
 def test_more_steering_tells_more(report: Callable[..., dict[str, Any]]) -> None:
@@ -210,11 +210,11 @@ def test_a_rig_that_oversteers(answer: Answer, tmp_path: Path) -> None:
     status, out, _ = answer(machine, "--model", "dynamic", *speeds(4.5, 25), *QUICK)
     assert status == 0
     assert "It OVERSTEERS" in out
-    said = json.loads(answer(machine, "--model", "dynamic", *speeds(4.5, 25), *QUICK, "--json")[1])
-    limit = -said["understeer"]["characteristic_speed_m_per_s"]
+    output = json.loads(answer(machine, "--model", "dynamic", *speeds(4.5, 25), *QUICK, "--json")[1])
+    limit = -output["understeer"]["characteristic_speed_m_per_s"]
     assert 4.5 < limit < 25.0
-    fast = said["models"]["dynamic"]["25.0"]
-    assert said["models"]["dynamic"]["4.5"]["stable"] and not fast["stable"]
+    fast = output["models"]["dynamic"]["25.0"]
+    assert output["models"]["dynamic"]["4.5"]["stable"] and not fast["stable"]
     assert fast["settling_time_s"] is None and fast["lqr"]["with_actuator"]["stable"]
 
 

@@ -128,7 +128,7 @@ def events_of(path: Path, folder: Path) -> list[str]:
     assert main(["replay", str(path), "--out", str(out)]) == 0
     log = open_log(out, ("/event",))
     with log.file:
-        told = [pb.Event.FromString(r.data) for r in log.records if isinstance(r, Logged)]
+        collected = [pb.Event.FromString(r.data) for r in log.records if isinstance(r, Logged)]
     return [
         json.dumps(
             {
@@ -140,7 +140,7 @@ def events_of(path: Path, folder: Path) -> list[str]:
                 "utc_ns": event.utc_ns if event.HasField("utc_ns") else None,
             }
         )
-        for event in told
+        for event in collected
     ]
 
 
@@ -197,9 +197,9 @@ WRONG: tuple[tuple[list[str], int, str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("words", "status", "told"), WRONG)
+@pytest.mark.parametrize(("words", "status", "expected"), WRONG)
 def test_wrong_use_is_told_in_one_line(
-    words: list[str], status: int, told: str, answer: Answer, tmp_path: Path
+    words: list[str], status: int, expected: str, answer: Answer, tmp_path: Path
 ) -> None:
     places = {
         "png": tmp_path / "x.png",
@@ -216,7 +216,7 @@ def test_wrong_use_is_told_in_one_line(
     places["cut"].write_bytes(b"\x89MCAP")
     found, out, err = answer(*(word.format(**places) for word in words))
     assert (found, out) == (status, "")
-    assert told in err and err.count("\n") == 1
+    assert expected in err and err.count("\n") == 1
 
 
 def test_publishing_goes_under_the_replay_prefix_only(live: Live, answer: Answer, tmp_path: Path) -> None:
@@ -228,14 +228,14 @@ def test_publishing_goes_under_the_replay_prefix_only(live: Live, answer: Answer
         "listen/endpoints": json.dumps([endpoint]),
     }.items():
         config.insert_json5(key, value)
-    own = free_endpoint("tcp/127.0.0.1:0")
+    ours = free_endpoint("tcp/127.0.0.1:0")
     machine_file = tmp_path / "m.toml"
-    machine_file.write_text(f'{MACHINE_TEXT}listen = ["{own}"]\nconnect = ["{endpoint}"]\n')  # under [zenoh]
-    heard: list[tuple[str, bytes]] = []
+    machine_file.write_text(f'{MACHINE_TEXT}listen = ["{ours}"]\nconnect = ["{endpoint}"]\n')  # under [zenoh]
+    received: list[tuple[str, bytes]] = []
     with zenoh.open(config) as session:
         token = session.liveliness().declare_subscriber("**")
         session.declare_subscriber(
-            "**", lambda sample: heard.append((str(sample.key_expr), bytes(sample.payload)))
+            "**", lambda sample: received.append((str(sample.key_expr), bytes(sample.payload)))
         )
         # Eight seconds of log in 0.4 s: the two sessions find one another meanwhile.
         status, _, err = answer(
@@ -245,10 +245,10 @@ def test_publishing_goes_under_the_replay_prefix_only(live: Live, answer: Answer
     base = f"tilth/{MACHINE.name}/replay"
     assert status == 0 and f"publishing under {base}" in err
     assert str(alive.key_expr) == f"{base}/alive"
-    assert {key for key, _ in heard} > {f"{base}/pose"}
-    assert all(key.startswith(f"{base}/") for key, _ in heard)
+    assert {key for key, _ in received} > {f"{base}/pose"}
+    assert all(key.startswith(f"{base}/") for key, _ in received)
     poses = {row.data for row in results_of(live.parts[:1])["/pose"]}
-    assert {data for key, data in heard if key == f"{base}/pose"} <= poses
+    assert {data for key, data in received if key == f"{base}/pose"} <= poses
 
 
 def test_a_run_whose_first_file_is_empty(live: Live, answer: Answer, tmp_path: Path) -> None:

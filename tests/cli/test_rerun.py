@@ -28,8 +28,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [*TILTH, "demo", "--seconds", "10", "--json"], cwd=folder, capture_output=True, text=True, check=False
     )
     assert demo.returncode == 0, demo.stderr
-    said = json.loads(demo.stdout)
-    assert said["frames"] > 1000
+    output = json.loads(demo.stdout)
+    assert output["frames"] > 1000
     (log,) = folder.glob("**/*.mcap")
     return log
 
@@ -48,9 +48,9 @@ def topics(log: Path) -> set[str]:
     return {channel.topic for channel in summary.channels.values()}
 
 
-def table(told: str) -> dict[str, str]:
+def table(result: str) -> dict[str, str]:
     """{topic: status} of what `mcap check` says."""
-    rows = [line.split() for line in told.splitlines()]
+    rows = [line.split() for line in result.splitlines()]
     return {words[3]: words[0] for words in rows if len(words) > 3 and words[3].startswith("/")}
 
 

@@ -51,8 +51,8 @@ def sudden(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _truth(log: Path) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads(Path(f"{log}.truth.json").read_text())
-    return told
+    output: dict[str, Any] = json.loads(Path(f"{log}.truth.json").read_text())
+    return output
 
 
 def _table(log: Path) -> dict[str, np.ndarray]:
@@ -78,8 +78,8 @@ def test_an_mcap_log_carries_its_machine_and_replays(
 ) -> None:
     assert machine_in([sudden])[0] == machine
     assert main(["replay", str(sudden), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["poses"] > 10 and not said["truncated"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["poses"] > 10 and not output["truncated"]
 
 
 def test_a_candump_log_replays_with_a_machine_file(
@@ -96,45 +96,45 @@ def test_a_candump_log_replays_with_a_machine_file(
 
 @pytest.mark.parametrize("ending", ["mcap", "log"])
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, ending: str) -> None:
-    said = []
+    messages = []
     for name, seed in (("one", 3), ("two", 3), ("other", 4)):
         folder = tmp_path / name
         folder.mkdir()
         words = ["--out", str(folder / f"run.{ending}"), "--seconds", "1.5", "--seed", str(seed)]
         assert main(["simulate", str(SCENARIOS / "bad_day.toml"), *words]) == 0
-        said.append([path.read_bytes() for path in sorted(folder.iterdir())])
-    assert len(said[0]) == 3
-    assert said[0] == said[1]
-    assert all(one != other for one, other in zip(said[0], said[2], strict=True))
+        messages.append([path.read_bytes() for path in sorted(folder.iterdir())])
+    assert len(messages[0]) == 3
+    assert messages[0] == messages[1]
+    assert all(one != other for one, other in zip(messages[0], messages[2], strict=True))
 
 
 def test_the_truth_names_parameters_rig_events_and_source(sudden: Path, machine: Machine) -> None:
-    told, truth = _truth(sudden), drive(machine, 5, 4.0, parse_scenario(SUDDEN))
-    assert told["parameters"] == pytest.approx(truth.parameters)
-    assert told["nuisances"] == pytest.approx(truth.nuisances)
-    assert told["rig"]["m_i"] == {
+    result, truth = _truth(sudden), drive(machine, 5, 4.0, parse_scenario(SUDDEN))
+    assert result["parameters"] == pytest.approx(truth.parameters)
+    assert result["nuisances"] == pytest.approx(truth.nuisances)
+    assert result["rig"]["m_i"] == {
         "value": pytest.approx(truth.rig.m_i),
         "unit": "kg",
         "meaning": "mass of the implement with its load",
     }
-    assert told["source"]["seed"] == 5
-    assert (told["source"]["scenario"], told["source"]["machine"]) == (SUDDEN, MACHINE.read_text())
-    assert told["source"]["software"]["numpy"] == np.__version__
+    assert result["source"]["seed"] == 5
+    assert (result["source"]["scenario"], result["source"]["machine"]) == (SUDDEN, MACHINE.read_text())
+    assert result["source"]["software"]["numpy"] == np.__version__
     clock = host_clock(truth)
-    whats = [(e["what"], e.get("mount"), e.get("axle")) for e in told["events"]]
+    whats = [(e["what"], e.get("mount"), e.get("axle")) for e in result["events"]]
     assert whats == [
         ("silent", "tractor_rear", None),
         ("soil", None, "front"),
         ("soil", None, "rear"),
         ("soil", None, "implement"),
     ]
-    assert (told["events"][0]["t_ns"], told["events"][0]["end_ns"]) == (clock(1.0), clock(2.0))
+    assert (result["events"][0]["t_ns"], result["events"][0]["end_ns"]) == (clock(1.0), clock(2.0))
 
 
 def test_the_table_is_the_truth_on_the_clock_of_the_log(sudden: Path, machine: Machine) -> None:
-    table, told = _table(sudden), _truth(sudden)
+    table, result = _table(sudden), _truth(sudden)
     truth = drive(machine, 5, 4.0, parse_scenario(SUDDEN))
-    assert list(table) == list(told["table"]["columns"])
+    assert list(table) == list(result["table"]["columns"])
     assert len(table["t_ns"]) == 201
     np.testing.assert_array_equal(table["t_ns"], [host_clock(truth)(t) for t in truth.time[::2]])
     for name, wanted in (
@@ -148,7 +148,7 @@ def test_the_table_is_the_truth_on_the_clock_of_the_log(sudden: Path, machine: M
         np.testing.assert_allclose(table[name], wanted[::2], rtol=1e-7, atol=1e-8, err_msg=name)
     halves = {name: table[name][-1] / table[name][0] for name in PARAMETERS}
     assert halves == pytest.approx({**dict.fromkeys(PARAMETERS, 1.0), "C_af": 0.5, "C_ai": 0.5})
-    changed = told["events"][1]
+    changed = result["events"][1]
     assert table["t_ns"][np.flatnonzero(table["C_af"] < 0.9 * table["C_af"][0])[0]] == pytest.approx(
         changed["t_ns"], abs=5e7
     )
@@ -159,7 +159,7 @@ def test_poses_replayed_from_the_log_are_those_of_the_truth(machine: Machine, tm
     log = tmp_path / "run.log"
     words = ["--out", str(log), "--seconds", "20"]
     assert main(["simulate", str(SCENARIOS / "side_slope.toml"), *words]) == 0
-    table, told = _table(log), _truth(log)
+    table, result = _table(log), _truth(log)
     state = initial(machine)
     poses = [p.value for f in frames(log) for p in step(state, f) if isinstance(p.value, Pose)]
     good = [p for p in poses[20:] if not p.flags]
@@ -169,7 +169,7 @@ def test_poses_replayed_from_the_log_are_those_of_the_truth(machine: Machine, tm
         return float(np.interp(pose.t_ns, table["t_ns"], table[name]))
 
     for pose in good:
-        origin = to_plane(told["origin_deg"], pose.origin_latitude_deg, pose.origin_longitude_deg)
+        origin = to_plane(result["origin_deg"], pose.origin_latitude_deg, pose.origin_longitude_deg)
         for body, letter in ((pose.tractor, "t"), (pose.implement, "i")):
             assert body.x is not None and body.y is not None and body.heading is not None
             assert body.roll is not None and body.forward_velocity is not None
@@ -196,15 +196,15 @@ def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     words = ["--out", str(log), "--seconds", "1", "--json"]
     assert main(["simulate", str(SCENARIOS / "demo.toml"), *words]) == 0
     captured = capsys.readouterr()
-    said = json.loads(captured.out)
+    output = json.loads(captured.out)
     assert captured.err == ""
-    assert said["frames"] == len(log.read_text().splitlines())
-    assert [Path(said[key]).exists() for key in ("log", "truth", "table")] == [True] * 3
-    assert said["parameters"] == _truth(log)["parameters"]
+    assert output["frames"] == len(log.read_text().splitlines())
+    assert [Path(output[key]).exists() for key in ("log", "truth", "table")] == [True] * 3
+    assert output["parameters"] == _truth(log)["parameters"]
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["{bad}", "--out", "{new}"], ["bad.toml", "speeed", "did you mean", "speed"]),
         (["{gone}", "--out", "{new}"], ["gone.toml", "cannot be read"]),
@@ -221,7 +221,7 @@ def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ],
 )
 def test_wrong_use_is_one_sentence_and_exit_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: list[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], expected: list[str]
 ) -> None:
     names = {name: tmp_path / f"{name}.toml" for name in ("good", "bad", "gone", "odd")}
     names |= {"new": tmp_path / "new.mcap", "old": tmp_path / "old.mcap", "blf": tmp_path / "run.blf"}
@@ -238,7 +238,7 @@ def test_wrong_use_is_one_sentence_and_exit_status_2(
         status = left.code
     captured = capsys.readouterr()
     assert (status, captured.out, len(captured.err.splitlines())) == (2, "", 1)
-    for word in told:
+    for word in expected:
         assert word in captured.err
     assert sorted(tmp_path.iterdir()) == before
     assert names["old"].read_bytes() == b"precious"

@@ -35,10 +35,12 @@ ROWS: list[tuple[list[str], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("words", "said"), ROWS, ids=lambda v: " ".join(v) if isinstance(v, list) else "")
+@pytest.mark.parametrize(
+    ("words", "expected"), ROWS, ids=lambda v: " ".join(v) if isinstance(v, list) else ""
+)
 def test_one_line_says_what_to_do(
     words: list[str],
-    said: str,
+    expected: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -59,7 +61,7 @@ def test_one_line_says_what_to_do(
         status = end.code
     out, err = capsys.readouterr()
     assert status == 2 and out == ""
-    assert said in err and err.startswith("tilth") and err.count("\n") == 1
+    assert expected in err and err.startswith("tilth") and err.count("\n") == 1
     assert {path.name for path in tmp_path.iterdir()} == {"folder", "foreign.bin", "other.toml"}
 
 
@@ -81,10 +83,10 @@ def test_logs_of_somebody_else_are_no_traceback(tmp_path: Path) -> None:
     start = "import sys; from tilth.cli import main; "
     start += "sys.exit([main(['logs', folder]) for folder in sys.argv[1:]] != [2, 2])"
     run = write_mcap(tmp_path / "rig_20261121T080000Z_001.mcap", some_frames(10))
-    beside = run.with_name("rig_20261121T080000Z.json")
+    sibling = run.with_name("rig_20261121T080000Z.json")
     closed = tmp_path / "closed"
     closed.mkdir()
-    for path in (beside, closed):
+    for path in (sibling, closed):
         path.touch()
         path.chmod(0)
         if begin:
@@ -93,8 +95,8 @@ def test_logs_of_somebody_else_are_no_traceback(tmp_path: Path) -> None:
     ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     closed.chmod(0o700)
     assert ended.returncode == 0, ended.stderr
-    said = [f"tilth logs: {path}: you may not; ask for access" for path in (beside, closed)]
-    assert [line.partition(",")[0] for line in ended.stderr.splitlines()] == said
+    messages = [f"tilth logs: {path}: you may not; ask for access" for path in (sibling, closed)]
+    assert [line.partition(",")[0] for line in ended.stderr.splitlines()] == messages
 
 
 def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:

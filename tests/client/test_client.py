@@ -43,17 +43,17 @@ def changed(**changes: Any) -> pb.SoilTireEstimate:
 
 
 def with_parameter(i: int, **changes: Any) -> Estimate:
-    told = estimate()
-    rows = list(told.parameters)
+    result = estimate()
+    rows = list(result.parameters)
     rows[i] = replace(rows[i], **changes)
-    return replace(told, parameters=tuple(rows))
+    return replace(result, parameters=tuple(rows))
 
 
 def test_what_the_daemon_says_comes_whole() -> None:
-    told = replace(estimate(7), bound=(0.1,) * 6, determined=("C_af",), advice="turn", condition=3.0)
-    told = replace(told, nuisances={"bias": (0.1, 0.2)}, excitation={"turns": 3.0}, per_mass=(1.0,) * 3)
-    heard = estimate_of(encoded(told), ENCODING)
-    assert replace(heard, per_mass=heard.per_mass[:3]) == told
+    result = replace(estimate(7), bound=(0.1,) * 6, determined=("C_af",), advice="turn", condition=3.0)
+    result = replace(result, nuisances={"bias": (0.1, 0.2)}, excitation={"turns": 3.0}, per_mass=(1.0,) * 3)
+    received = estimate_of(encoded(result), ENCODING)
+    assert replace(received, per_mass=received.per_mass[:3]) == result
 
 
 def lopsided() -> list[float]:
@@ -81,9 +81,9 @@ INVALID: tuple[tuple[dict[str, Any], str], ...] = (
 
 @pytest.mark.parametrize(("changes", "words"), INVALID, ids=lambda v: str(v)[:40])
 def test_a_number_that_cannot_be_is_invalid_and_says_why(changes: dict[str, Any], words: str) -> None:
-    heard = estimate_of(changed(**changes).SerializeToString(), ENCODING)
-    assert heard.parameters[1].status is Status.INVALID and words in heard.parameters[1].reason
-    latest = judge(heard, 0.1, RULE)
+    result = estimate_of(changed(**changes).SerializeToString(), ENCODING)
+    assert result.parameters[1].status is Status.INVALID and words in result.parameters[1].reason
+    latest = judge(result, 0.1, RULE)
     assert not latest.usable[1] and words in latest.reason
     assert latest.theta(NOMINAL)[1] == NOMINAL[1]
     assert np.isfinite(latest.log_covariance(np.eye(6))).all()
@@ -126,17 +126,17 @@ def test_fields_of_a_later_version_are_passed_over() -> None:
 
 def test_a_text_is_one_short_line() -> None:
     event = Event(1, "mark", "a\nb\x1b[31m" + "x" * 9999)
-    heard = event_of(CHANNEL["/event"].encode(event), "application/protobuf;tilth.Event")
-    assert heard.text.startswith("a b [31mx") and len(heard.text) == 500
+    received = event_of(CHANNEL["/event"].encode(event), "application/protobuf;tilth.Event")
+    assert received.text.startswith("a b [31mx") and len(received.text) == 500
 
 
 def test_the_rig_comes_whole() -> None:
     machine = parse_machine(TEXT)
-    heard = rig_of_message(CHANNEL["/rig"].encode(machine), "application/protobuf;tilth.Rig")
-    assert heard.rig == rig_of(machine) and heard.name == machine.name
-    assert heard.prior_log_sd == (0.7,) * 6
-    assert [a.mount for a in heard.antennas] == [r.mount for r in machine.receiver]
-    assert [tuple(a[1:]) for a in heard.antennas] == [r.position for r in machine.receiver]
+    received = rig_of_message(CHANNEL["/rig"].encode(machine), "application/protobuf;tilth.Rig")
+    assert received.rig == rig_of(machine) and received.name == machine.name
+    assert received.prior_log_sd == (0.7,) * 6
+    assert [a.mount for a in received.antennas] == [r.mount for r in machine.receiver]
+    assert [tuple(a[1:]) for a in received.antennas] == [r.position for r in machine.receiver]
     wrong = pb.Rig.FromString(CHANNEL["/rig"].encode(machine))
     wrong.m_t = -1.0
     with pytest.raises(Refused, match="m_t"):
@@ -170,9 +170,9 @@ def test_nothing_heard_is_of_no_use() -> None:
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.ESTIMATED])
 def test_only_an_estimated_one_is_used_with_its_block_of_the_covariance(status: Status) -> None:
-    told = estimate_of(encoded(with_parameter(5, status=status, reason="why")), ENCODING)
-    told = replace(told, log_covariance=tuple(0.01 * (np.eye(6) + 0.5).ravel()))
-    latest = judge(told, 0.1, RULE)
+    result = estimate_of(encoded(with_parameter(5, status=status, reason="why")), ENCODING)
+    result = replace(result, log_covariance=tuple(0.01 * (np.eye(6) + 0.5).ravel()))
+    latest = judge(result, 0.1, RULE)
     assert latest.reason == f"sigma_i: {status.name.lower()}: why"
     theta = latest.theta([1.0] * 6)
     assert theta[:5] == pytest.approx(THETA[:5]) and theta[5] == 1.0
@@ -256,8 +256,8 @@ def test_a_prefix_has_no_wildcards(prefix: str) -> None:
         Client.connect("a", stale=RULE, prefix=prefix)
 
 
-def follow(cautious: Cautious, told: Estimate | None, seconds: float, age_s: float = 0.1) -> list[Any]:
-    return [cautious.step(judge(told, age_s, RULE), 0.1 * i) for i in range(round(seconds * 10) + 1)]
+def follow(cautious: Cautious, result: Estimate | None, seconds: float, age_s: float = 0.1) -> list[Any]:
+    return [cautious.step(judge(result, age_s, RULE), 0.1 * i) for i in range(round(seconds * 10) + 1)]
 
 
 def test_parameters_in_force_begin_at_nominal_and_move_at_the_rate() -> None:
@@ -281,8 +281,8 @@ def test_a_gap_in_calls_is_no_leave_to_jump_further_than_the_rate_allows() -> No
 @pytest.mark.parametrize("scale", [10.0, 0.03])
 def test_bounds_hold_and_say_so(scale: float) -> None:
     rows = [replace(row, value=row.value * scale) for row in estimate().parameters[:3] if row.value]
-    told = replace(estimate(), parameters=(*rows, *estimate().parameters[3:]))
-    last = follow(Cautious(NOMINAL, LIMITS), told, 10.0)[-1]
+    result = replace(estimate(), parameters=(*rows, *estimate().parameters[3:]))
+    last = follow(Cautious(NOMINAL, LIMITS), result, 10.0)[-1]
     bound = 2.0 if scale > 1 else 0.5
     assert last.theta[:3] == pytest.approx(bound * NOMINAL[:3])
     assert all("beyond the bounds of nominal" in note for note in last.notes[:3])
@@ -299,8 +299,8 @@ def test_what_may_not_be_used_goes_back_to_nominal_smoothly() -> None:
 
 
 def test_uncertain_ones_are_not_followed() -> None:
-    told = replace(estimate(scale=1.5), log_covariance=tuple((0.09 * np.eye(6)).ravel()))
-    last = follow(Cautious(NOMINAL, replace(LIMITS, log_sd=0.25)), told, 10.0)[-1]
+    result = replace(estimate(scale=1.5), log_covariance=tuple((0.09 * np.eye(6)).ravel()))
+    last = follow(Cautious(NOMINAL, replace(LIMITS, log_sd=0.25)), result, 10.0)[-1]
     assert last.theta == pytest.approx(NOMINAL) and last.notes[0] == "too uncertain: 30% where 25% is allowed"
 
 
@@ -348,8 +348,8 @@ def test_whatever_comes_what_is_in_force_is_bounded_and_moves_slowly(
         t_s += elapsed_s
         cautious.frozen = frozen
         row = ParameterEstimate(value, value * LOG_SD, status, "why", 0.0)
-        told = replace(estimate(), parameters=(row, *estimate().parameters[1:]))
-        theta = cautious.step(judge(told, age_s, RULE), t_s).theta
+        result = replace(estimate(), parameters=(row, *estimate().parameters[1:]))
+        theta = cautious.step(judge(result, age_s, RULE), t_s).theta
         assert (np.abs(np.log(theta / NOMINAL)) <= math.log(2.0) + 1e-9).all()
         assert (np.abs(np.log(theta / before)) <= 0.1 * elapsed_s + 1e-9).all()
         before = theta

@@ -122,7 +122,7 @@ called.wait()
 
 
 @pytest.mark.parametrize(
-    ("program", "status", "said"),
+    ("program", "status", "expected"),
     [
         (PLAIN, 0, ""),
         (PLAIN + "raise RuntimeError('the controller failed')", 1, ""),
@@ -134,14 +134,14 @@ called.wait()
         (PLAIN.replace("assert client.wait(60.0)", ""), 0, ""),  # at once, perhaps before it is connected
     ],
 )
-def test_it_ends_with_its_program(publisher: Publisher, program: str, status: int, said: str) -> None:
+def test_it_ends_with_its_program(publisher: Publisher, program: str, status: int, expected: str) -> None:
     """A real process each: one that hung would not be started again by its supervisor."""
     endpoint = publisher.endpoint
     text = program.format(name=NAME, endpoint=endpoint, documented=documented(endpoint))
     ended = subprocess.run(
         [sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
-    assert ended.returncode == status and ended.stdout.strip() == said, ended.stderr
+    assert ended.returncode == status and ended.stdout.strip() == expected, ended.stderr
     assert ("the controller failed" in ended.stderr) == (status == 1)
 
 
@@ -207,15 +207,15 @@ def test_strangers_cannot_make_it_use_what_is_not_so(publisher: Publisher) -> No
         Client.connect(NAME, stale=RULE, endpoint=publisher.endpoint) as client,
     ):
         assert client.wait(PATIENCE_S)
-        told = client.latest().estimate
-        assert told is not None
+        result = client.latest().estimate
+        assert result is not None
         hostile = (
             (KEY, b"\xff" * 100, ENCODING, "not a SoilTireEstimate"),
             (KEY, b"x" * 1_000_000, ENCODING, "too many"),
             (KEY, encoded(estimate()), zenoh.Encoding("text/html"), "text/html"),
-            ("**", encoded(estimate(told.t_ns + 1)), ENCODING, "not to this machine alone"),
+            ("**", encoded(estimate(result.t_ns + 1)), ENCODING, "not to this machine alone"),
             (f"tilth/*/{KEY.rpartition('/')[2]}", encoded(estimate()), ENCODING, "not to this machine"),
-            (KEY, encoded(estimate(told.t_ns - 1)), ENCODING, "older than the last"),
+            (KEY, encoded(estimate(result.t_ns - 1)), ENCODING, "older than the last"),
         )
         until(lambda: (stranger.put(KEY, b""), refused(client, "encoding"))[1])  # until there is a way in
         for key, data, encoding, words in hostile:

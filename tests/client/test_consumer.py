@@ -58,8 +58,8 @@ def test_it_reads_what_the_daemon_publishes_and_knows_when_that_is_too_old(
 
 @pytest.mark.rust
 def test_wrong_use_is_told(consumer: Path) -> None:
-    told = subprocess.run([consumer], capture_output=True, text=True, check=False)
-    assert told.returncode == 2 and "ENDPOINT" in told.stderr
+    result = subprocess.run([consumer], capture_output=True, text=True, check=False)
+    assert result.returncode == 2 and "ENDPOINT" in result.stderr
 
 
 def test_the_one_in_python_takes_what_is_absent_for_no_number(publisher: Publisher) -> None:
@@ -73,8 +73,8 @@ def test_the_one_in_python_takes_what_is_absent_for_no_number(publisher: Publish
         absent = next(line for line in lines if "nan" in line)
         assert absent.startswith("C_af=nan sd=nan ESTIMATED nan s; C_ar=nan ") and "=0" not in absent
         running.kill()
-    told = subprocess.run([sys.executable, PYTHON], capture_output=True, text=True, check=False)
-    assert told.returncode == 2 and "ENDPOINT" in told.stderr
+    result = subprocess.run([sys.executable, PYTHON], capture_output=True, text=True, check=False)
+    assert result.returncode == 2 and "ENDPOINT" in result.stderr
 
 
 @pytest.mark.parametrize("message", pb.DESCRIPTOR.message_types_by_name.values(), ids=lambda m: m.name)

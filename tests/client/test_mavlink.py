@@ -125,7 +125,7 @@ def test_mavproxy_reads_the_same_numbers(tmp_path: Path) -> None:
         "--non-interactive", "--default-modules=link,misc", f"--state-basedir={tmp_path}",
         "--cmd=watch NAMED_VALUE_FLOAT DEBUG_FLOAT_ARRAY",
     ]  # fmt: skip
-    heard: dict[str, float] = {}
+    received: dict[str, float] = {}
     array: list[float] = []
     with (
         Publisher() as publisher,
@@ -140,28 +140,30 @@ def test_mavproxy_reads_the_same_numbers(tmp_path: Path) -> None:
         assert mavproxy.stdout is not None
         for line in mavproxy.stdout:
             if found := re.search(r"name : (\w+), value : (\S+)}", line):
-                heard[found[1]] = float(found[2])
+                received[found[1]] = float(found[2])
             elif found := re.search(r"name : tilth, .*data : \[(.*)\]", line):
                 array = [float(number) for number in found[1].split(",")]
-            told = [heard.get(name, math.nan) for name in (*PARAMETERS, "sigma_i_ag")] + (array or [math.nan])
-            if not any(map(math.isnan, told)):
+            result = [received.get(name, math.nan) for name in (*PARAMETERS, "sigma_i_ag")] + (
+                array or [math.nan]
+            )
+            if not any(map(math.isnan, result)):
                 break
         watchdog.cancel()
         mavproxy.kill()
     values = dict(zip(PARAMETERS, THETA, strict=True))
-    assert {name: heard[name] for name in PARAMETERS} == pytest.approx(values, rel=1e-6)
-    assert {heard[f"{name}_st"] for name in PARAMETERS} == {float(Status.ESTIMATED)}
+    assert {name: received[name] for name in PARAMETERS} == pytest.approx(values, rel=1e-6)
+    assert {received[f"{name}_st"] for name in PARAMETERS} == {float(Status.ESTIMATED)}
     assert array[1:25:4] == pytest.approx(THETA, rel=1e-6)
 
 
 @pytest.mark.parametrize("status", Status)
 def test_a_number_is_there_only_while_it_may_be_used(status: Status) -> None:
     row = ParameterEstimate(150e3, 15e3, status, "because", 7.0)
-    told = estimate(parameters=(row,) * 6)
-    named = numbers(judge(told, 2.0, RULE))
+    result = estimate(parameters=(row,) * 6)
+    named = numbers(judge(result, 2.0, RULE))
     assert math.isnan(named["C_ai"]) == math.isnan(named["C_ai_sd"]) == (status is not Status.ESTIMATED)
     assert (named["C_ai_st"], named["C_ai_ag"], named[AGE]) == (status, 9.0, 2.0)
-    silent = numbers(judge(told, 4.0, RULE))
+    silent = numbers(judge(result, 4.0, RULE))
     assert math.isnan(silent["C_ai"]) and silent["C_ai_st"] != Status.ESTIMATED
 
 
@@ -173,7 +175,7 @@ def test_before_the_first_estimate_all_are_nan_and_names_fit_the_message() -> No
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("--to", "udpin:0.0.0.0:14550"), "it sends only; give udpout:HOST:PORT"),
         (("--to", "/dev/ttyACM0"), "a serial port is reached through mavlink-router or MAVProxy"),
@@ -184,8 +186,8 @@ def test_before_the_first_estimate_all_are_nan_and_names_fit_the_message() -> No
     ],
 )
 def test_wrong_use_is_told_in_one_line(
-    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(("mavlink", *words)) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert expected in error and error.count("\n") == 1

@@ -80,19 +80,19 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     keys = tmp_path / "daemon.json"
     keys.write_text("{}")
 
-    said = box.setup("install", wheel)
-    assert said.returncode == 1 and "say with --machine which rig this is" in said.stderr
-    said = box.setup("upgrade", wheel)
-    assert said.returncode == 1 and "nothing is installed yet" in said.stderr
+    result = box.setup("install", wheel)
+    assert result.returncode == 1 and "say with --machine which rig this is" in result.stderr
+    result = box.setup("upgrade", wheel)
+    assert result.returncode == 1 and "nothing is installed yet" in result.stderr
     assert not box.root.exists()
 
-    said = box.setup("install", wheel, "--machine", machine, "--keys", keys)
-    assert said.returncode == 0, said.stderr
-    assert "release 1) is current" in said.stdout and "not used" not in said.stdout
+    result = box.setup("install", wheel, "--machine", machine, "--keys", keys)
+    assert result.returncode == 0, result.stderr
+    assert "release 1) is current" in result.stdout and "not used" not in result.stdout
     assert (box.root / "etc/tilth/machine.toml").read_text() == machine.read_text()
     assert (box.root / "etc/tilth/daemon.json").stat().st_mode & 0o777 == 0o640
     assert box.tilth("--help").returncode == 0
-    assert (box.root / KERNELS).is_dir() and "in advance failed" not in said.stdout + said.stderr
+    assert (box.root / KERNELS).is_dir() and "in advance failed" not in result.stdout + result.stderr
     for name in UNITS:
         assert (box.root / "etc/systemd/system" / name).read_text() == (SYSTEM / name).read_text()
     log = box.root / "var/lib/tilth/logs/a.mcap"
@@ -100,16 +100,16 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     log.write_text("a season")
 
     assert box.setup("rollback").returncode == 1  # there is none before
-    said = box.setup("upgrade", wheel)
-    assert said.returncode == 0 and (box.release("current"), box.release("previous")) == ("2", "1")
+    result = box.setup("upgrade", wheel)
+    assert result.returncode == 0 and (box.release("current"), box.release("previous")) == ("2", "1")
     for bad, words in ((tmp_path / "bad.whl", "no wheel of Tilth"), (tmp_path / "empty", "give a wheel")):
         bad.write_text("") if bad.suffix else bad.mkdir()
-        said = box.setup("upgrade", bad)
-        assert said.returncode == 1 and words in said.stderr
+        result = box.setup("upgrade", bad)
+        assert result.returncode == 1 and words in result.stderr
     installed = box.root / "etc/tilth/machine.toml"
     installed.write_text(TEXT.replace("[tractor]", "[traktor]"))
-    said = box.setup("rollback")
-    assert said.returncode == 1 and 'did you mean "tractor"' in said.stderr
+    result = box.setup("rollback")
+    assert result.returncode == 1 and 'did you mean "tractor"' in result.stderr
     assert (box.release("current"), box.release("previous")) == ("2", "1")
     assert {path.name for path in (box.root / "opt/tilth/releases").iterdir()} == {"1", "2"}
     installed.write_text(machine.read_text())
@@ -130,8 +130,8 @@ def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path)
     box = Box(tmp_path, without_tilth(tmp_path / "needed"), kernels=True)
     machine = tmp_path / "machine.toml"
     machine.write_text(TEXT)
-    said = box.setup("install", wheel, "--machine", machine)
-    assert said.returncode == 0 and said.stdout.count("compiling kernels, once per machine") == 1
+    result = box.setup("install", wheel, "--machine", machine)
+    assert result.returncode == 0 and result.stdout.count("compiling kernels, once per machine") == 1
     unit = (SYSTEM / "tilth.service").read_text()
     assert f"Environment=NUMBA_CACHE_DIR=/{KERNELS} " in unit and "CacheDirectory=tilth\n" in unit
     logs = str(tmp_path / "logs")
@@ -193,20 +193,20 @@ def test_an_adapter_keeps_its_name(properties: dict[str, str], condition: str) -
 def test_an_adapter_that_nothing_tells_apart_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Failed, match="neither serial number nor path"):
         adapter_rule({}, "0", "can_tractor")
-    for words, said in (
+    for words, output in (
         (("can0", "can7"), "the kernel gives such names itself"),
         (("can0", "../x"), "letters, digits and underscores"),
         (("nothing9", "can_tractor"), "no such interface"),
     ):
         done = Box(tmp_path, tmp_path).setup("adapter", *words)
-        assert done.returncode == 1 and said in done.stderr
+        assert done.returncode == 1 and output in done.stderr
 
 
 MACHINE = '[[bus]]\ninterface = "socketcan"\nchannel = "can0"\nbitrate = 500000\n'
 
 
 @pytest.mark.parametrize(
-    ("words", "text", "status", "said"),
+    ("words", "text", "status", "expected"),
     [
         (["can7"], MACHINE, 0, "can7 is no socketcan [[bus]]"),
         (["can0"], MACHINE.replace("500000", '"fast"'), 1, "give bits per second, such as 250000"),
@@ -221,7 +221,7 @@ def test_what_keeps_a_bus_down_is_said(
     words: list[str],
     text: str | None,
     status: int,
-    said: str,
+    expected: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -232,7 +232,7 @@ def test_what_keeps_a_bus_down_is_said(
         pytest.skip("this computer has a can0")
     assert can_up.main([*words, str(path)]) == status
     out, err = capsys.readouterr()
-    assert said in out + err
+    assert expected in out + err
 
 
 def test_the_bit_rate_is_the_machine_files() -> None:

@@ -104,23 +104,23 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
         lambda query: query.reply(f"{BASE}/mark", b"noted") if "*" not in str(query.key_expr) else None,
     )
     with open_session(config=folder / "witness.json") as witness:
-        until(lambda: asked(witness, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(witness, f"{BASE}/status") == [b"well"], lambda: None)
         witness.declare_subscriber(f"{BASE}/**", lambda sample: one.witness.put(sample.payload.to_bytes()))
         yield one
     session.close()
 
 
-def asked(session: zenoh.Session, key: str) -> list[bytes]:
+def answers_to(session: zenoh.Session, key: str) -> list[bytes]:
     replies = [reply.ok for reply in session.get(key, payload=b"a stone", timeout=PATIENCE_S)]
     return [one.payload.to_bytes() for one in replies if one is not None]
 
 
-def others(heard: "SimpleQueue[bytes]") -> Callable[[zenoh.Sample], None]:
+def others(received: "SimpleQueue[bytes]") -> Callable[[zenoh.Sample], None]:
     """Keeps what a session has not put itself."""
 
     def keep(sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT and sample.payload.to_bytes() != b"forged":
-            heard.put(sample.payload.to_bytes())
+            received.put(sample.payload.to_bytes())
 
     return keep
 
@@ -139,20 +139,20 @@ def misbehave(session: zenoh.Session) -> None:
 def test_who_was_invited_hears_and_only_the_operator_marks(net: Net, name: str) -> None:
     net.samples.clear()
     net.queries.clear()
-    heard: SimpleQueue[bytes] = SimpleQueue()
+    received: SimpleQueue[bytes] = SimpleQueue()
     with open_session(config=net.folder / f"{name}.json") as session:
-        until(lambda: asked(session, f"{BASE}/status") == [b"well"], lambda: None)
-        assert asked(session, f"{BASE}/*") == [b"well"] and asked(session, "other/**") == []
-        session.declare_subscriber(f"{BASE}/**", others(heard))
+        until(lambda: answers_to(session, f"{BASE}/status") == [b"well"], lambda: None)
+        assert answers_to(session, f"{BASE}/*") == [b"well"] and answers_to(session, "other/**") == []
+        session.declare_subscriber(f"{BASE}/**", others(received))
         misbehave(session)
         noted = [b"noted"] if name == "olga" else []
-        assert asked(session, f"{BASE}/mark") == noted  # at once: refused is not unanswered
+        assert answers_to(session, f"{BASE}/mark") == noted  # at once: refused is not unanswered
         assert (f"{BASE}/mark" in net.queries) is (name == "olga")
         assert net.forged() == []
         net.session.put(f"{BASE}/status", b"well")
-        assert heard.get(timeout=PATIENCE_S) == net.witness.get(timeout=PATIENCE_S) == b"well"
+        assert received.get(timeout=PATIENCE_S) == net.witness.get(timeout=PATIENCE_S) == b"well"
         until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
-        assert heard.empty() and net.witness.empty() and "other/**" not in net.queries
+        assert received.empty() and net.witness.empty() and "other/**" not in net.queries
 
 
 REFUSED = [
@@ -169,20 +169,20 @@ def test_who_was_not_invited_gets_nothing_changes_nothing_and_is_told_why(
 ) -> None:
     net.samples.clear()
     net.queries.clear()
-    heard: SimpleQueue[bytes] = SimpleQueue()
+    received: SimpleQueue[bytes] = SimpleQueue()
     with open_session(config=net.folder / f"{name}.json") as session:
-        session.declare_subscriber(f"{BASE}/**", others(heard))
+        session.declare_subscriber(f"{BASE}/**", others(received))
         misbehave(session)
         verdict = try_key(net.folder / f"{name}.json")  # takes longer than a session would need
         assert not verdict.opens and reason in verdict.text
         misbehave(session)
         for key in ("status", "mark", "**"):
-            assert asked(session, f"{BASE}/{key}") == [b"forged"] * (key == "**")  # its own answer
+            assert answers_to(session, f"{BASE}/{key}") == [b"forged"] * (key == "**")  # its own answer
         net.session.put(f"{BASE}/status", b"well")
         assert net.queries == [] and net.forged() == []
         assert net.witness.get(timeout=PATIENCE_S) == b"well"
         until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
-        assert heard.empty() and net.witness.empty()
+        assert received.empty() and net.witness.empty()
 
 
 def test_a_key_is_tried_by_its_holder(net: Net, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -215,12 +215,12 @@ def test_noise_and_floods_at_the_door_leave_the_daemon_at_its_work(net: Net) -> 
     ):
         secured.sendall(noise)
     with open_session(config=net.folder / "olga.json") as flooding:
-        until(lambda: asked(flooding, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(flooding, f"{BASE}/status") == [b"well"], lambda: None)
         net.queries.clear()
         big = [r for r in flooding.get(f"{BASE}/mark", payload=b"x" * 3_000_000, timeout=1.0) if r.ok]
         assert big == [] and f"{BASE}/mark" not in net.queries
         with open_session(config=net.folder / "rita.json") as reader:
-            until(lambda: asked(reader, f"{BASE}/status") == [b"well"], lambda: None)
+            until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"], lambda: None)
 
 
 def test_the_daemon_takes_its_keys_from_the_machine_file(tmp_path: Path) -> None:
@@ -234,15 +234,15 @@ def test_the_daemon_takes_its_keys_from_the_machine_file(tmp_path: Path) -> None
     assert sink.endpoints == [f"tls/0.0.0.0:{port}"] and sink.note == ""
     with open_session(config=tmp_path / "keys" / "rita.json") as reader:
         sink.put("/status", b"well")
-        until(lambda: asked(reader, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"], lambda: None)
     with open_session(f"tcp/127.0.0.1:{port}") as plain:
-        assert asked(plain, f"{BASE}/status") == []
+        assert answers_to(plain, f"{BASE}/status") == []
     sink.close()
     another = machine.model_copy(update={"machine": machine.machine.model_copy(update={"name": "mt700"})})
     assert f"was made for {BASE}, this is tilth/mt700: nobody may hear it" in try_session(another)
-    for bad, said in ((tmp_path / "no.json", "no such file"), (file, "tilth keys")):
+    for bad, output in ((tmp_path / "no.json", "no such file"), (file, "tilth keys")):
         settings = machine.zenoh.model_copy(update={"config": str(bad)})
-        with pytest.raises(zenoh.ZError, match=said):
+        with pytest.raises(zenoh.ZError, match=output):
             try_session(machine.model_copy(update={"zenoh": settings}))
     file.write_text(TEXT.replace('prefix = "tilth"', 'listen = ["tcp/127.0.0.1:1"]\nconfig = "x"'))
     with pytest.raises(MachineError, match="give config, or listen and connect"):
@@ -291,7 +291,7 @@ def test_keys_are_made_listed_renewed_and_revoked(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         ([], "give the FOLDER"),
         (["KEYS"], "make keys first, with --machine and --host"),
@@ -313,7 +313,7 @@ def test_keys_are_made_listed_renewed_and_revoked(tmp_path: Path, capsys: pytest
     ],
 )
 def test_wrong_use_is_one_line_that_says_what_to_do(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "machine.toml").write_text(TEXT)
     made = make_folder(tmp_path / "made", 7447)
@@ -322,7 +322,7 @@ def test_wrong_use_is_one_line_that_says_what_to_do(
     places = {"KEYS": tmp_path / "keys", "MADE": made, "MACHINE": tmp_path / "machine.toml"}
     assert main(["keys", *(str(places.get(word, word)) for word in words)]) == 2
     err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1
+    assert expected in err and err.count("\n") == 1
     assert {path.name: path.read_bytes() for path in made.iterdir()} == before
     assert not (tmp_path / "keys").exists()
 
@@ -349,15 +349,15 @@ def test_an_operator_marks_a_reader_is_told_why_not_and_garbage_changes_nothing(
         command = ["mark", "a stone", "--config"]
         assert main([*command, str(folder / "olga.json")]) == 0
         assert "marked: a stone" in capsys.readouterr().out
-        for words, said in (
+        for words, output in (
             ([*command, str(folder / "rita.json")], "rita may hear and not mark; ask for an operator's key"),
             (["mark", "x", "--machine", str(file)], "this machine wants a key"),
             ([*command, str(folder / "ca.pem")], "no key of a person or program"),
         ):
             assert main(words) == 2
-            assert said in capsys.readouterr().err
+            assert output in capsys.readouterr().err
         with open_session(config=folder / "olga.json") as olga:
-            until(lambda: bool(asked(olga, f"{BASE}/status")), lambda: None)
+            until(lambda: bool(answers_to(olga, f"{BASE}/status")), lambda: None)
             for payload in (b"", b"\xff\xfe", b"\x00\x1b[2J", b"x" * 5000, b"x" * 2_000_000):
                 replies = list(olga.get(f"{BASE}/mark", payload=payload, timeout=2.0))
                 assert not any(reply.ok for reply in replies)

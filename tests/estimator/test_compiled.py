@@ -127,7 +127,7 @@ from types import FunctionType
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.planted import constants, kernels
 
-told = {}
+results = {}
 for name, function in vars(kernels).items():
     if isinstance(function, FunctionType) and function.__module__ == kernels.__name__:
         kernel = Kernel(function)
@@ -135,17 +135,17 @@ for name, function in vars(kernels).items():
             value = kernel(1.0, constants.Pair(first=3.0, second=4.0))
         else:
             value = kernel(1.0)
-        told[name] = value, kernel.how, sum(kernel._run.stats.cache_hits.values())
-print(json.dumps(told))
+        results[name] = value, kernel.how, sum(kernel._run.stats.cache_hits.values())
+print(json.dumps(results))
 """
-Told = dict[str, tuple[float, str, int]]  # kernel -> value, how, taken from what was kept
+Results = dict[str, tuple[float, str, int]]  # kernel -> value, how, taken from what was kept
 BEFORE = {"enum": 0.5, "enum_of_a_module": 0.5, "named_tuple_given": 3.0}
 AFTER = {"enum": 0.7, "enum_of_a_module": 0.7, "named_tuple_given": 3.0}
 NAMES = [line[4 : line.index("(")] for line in KERNELS.splitlines() if line.startswith("def ")]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Told]:
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Results]:
     """As written, once more, and with other constants."""
     root = tmp_path_factory.mktemp("kernels")
     package = root / "planted"
@@ -156,26 +156,24 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Told]:
     return [_run(root, package, text) for text in (CONSTANTS, CONSTANTS, CHANGED)]
 
 
-def _run(root: Path, package: Path, constants: str) -> Told:
+def _run(root: Path, package: Path, constants: str) -> Results:
     (package / "constants.py").write_text(constants)
-    kept = {"NUMBA_CACHE_DIR": str(root / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {"NUMBA_CACHE_DIR": str(root / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         [sys.executable, "-c", RUN, str(root)],
-        env={**os.environ, **kept},
+        env={**os.environ, **environment},
         check=False,
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    told: Told = {name: tuple(one) for name, one in json.loads(done.stdout).items()}
-    assert list(told) == NAMES
-    return told
+    results: Results = {name: tuple(one) for name, one in json.loads(done.stdout).items()}
+    assert list(results) == NAMES
+    return results
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_constant_that_has_changed_is_seen_and_one_that_has_not_costs_no_compiling(
-    runs: list[Told], name: str
-) -> None:
+def test_a_changed_constant_recompiles_and_an_unchanged_one_does_not(runs: list[Results], name: str) -> None:
     first, again, changed = (run[name] for run in runs)
     assert first == (BEFORE.get(name, 1.0), "compiled and kept", 0)
     assert again == (BEFORE.get(name, 1.0), "compiled and kept", 1)
@@ -218,10 +216,10 @@ REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("body", "scope", "told"), REFUSED)
+@pytest.mark.parametrize(("body", "scope", "results"), REFUSED)
 @pytest.mark.parametrize("numba", [True, False], ids=["numba", "without"])
 def test_what_the_digest_cannot_hold_is_refused_at_the_first_call(
-    body: str, scope: dict[str, Any], told: str, numba: bool, monkeypatch: pytest.MonkeyPatch
+    body: str, scope: dict[str, Any], results: str, numba: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not numba:
         monkeypatch.setitem(sys.modules, "numba", None)  # an import of it fails
@@ -229,7 +227,7 @@ def test_what_the_digest_cannot_hold_is_refused_at_the_first_call(
     for _ in range(2):
         with pytest.raises(NotDigestible, match="the kernel f of typed_in reads") as error:
             fresh(1.0)
-        assert told in str(error.value)
+        assert results in str(error.value)
 
 
 def test_variables_of_the_function_around_it_are_refused_at_once() -> None:

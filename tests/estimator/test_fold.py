@@ -82,12 +82,12 @@ def test_a_stored_state_goes_on_exactly(cut_s: float) -> None:
 
 def test_every_publication_has_a_channel_and_a_payload_that_parses() -> None:
     _, out = whole()
-    seen = set()
+    topics = set()
     for publication in out:
         message = CHANNEL[publication.topic].message
         parsed = message.FromString(payload(publication))
         assert parsed.ByteSize() > 0
-        seen.add(publication.topic)
+        topics.add(publication.topic)
     assert {
         "/pose",
         "/soil_tire",
@@ -96,7 +96,7 @@ def test_every_publication_has_a_channel_and_a_payload_that_parses() -> None:
         "/gnss/tractor_front",
         "/drawing/frames",
         "/drawing/bodies",
-    } <= seen
+    } <= topics
 
 
 def test_poses_follow_the_simulated_rig() -> None:

@@ -1,4 +1,4 @@
-"""A change of behaviour shows as a diff of a small file, which `--refresh` writes anew."""
+"""A change of behaviour shows as a diff of a small file, which `--refresh` rewrites."""
 
 import csv
 import io
@@ -56,9 +56,9 @@ def test_the_demo_behaves_as_it_did(request: pytest.FixtureRequest) -> None:
         GOLDEN.parent.mkdir(exist_ok=True)
         GOLDEN.write_text(text.getvalue())
     with GOLDEN.open() as file:
-        wanted = list(csv.reader(file))
-    assert len(rows) == len(wanted) and rows[0] == wanted[0]
-    for row, golden in zip(rows[1:], wanted[1:], strict=True):
+        expected = list(csv.reader(file))
+    assert len(rows) == len(expected) and rows[0] == expected[0]
+    for row, golden in zip(rows[1:], expected[1:], strict=True):
         for name, new, old in zip(rows[0], row, golden, strict=True):
             same = new == old or (
                 new and old and name != "flags" and abs(float(new) - float(old)) <= COLUMNS[name]

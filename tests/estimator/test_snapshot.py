@@ -15,7 +15,7 @@ from tilth.estimator.methods import consistency
 from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
 from tilth.estimator.methods.stored_state import consistency_json, consistency_of
 from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
@@ -62,7 +62,7 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
     state = changed(row.initial(MACHINE))
     text = json.dumps(row.to_json(state))
     again = row.from_json(json.loads(text))
-    assert type(again) is type(state) and to_plain(again) == to_plain(state)
+    assert type(again) is type(state) and to_json_data(again) == to_json_data(state)
     assert json.dumps(row.to_json(again)) == text
     assert len(json.loads(text)) == len(fields(state))
 
@@ -70,28 +70,28 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
 def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
     state = consistency.initial(MACHINE)
     changed(state.open)
-    state.confirmed, state.accused, state.lacks = True, True, "little"
+    state.confirmed, state.open_restarted, state.missing = True, True, "little"
     state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
     state.findings = {"a": consistency.Finding("a", "is wrong")}
     again = consistency_of(json.loads(json.dumps(consistency_json(state))))
-    assert to_plain(again) == to_plain(state)
+    assert to_json_data(again) == to_json_data(state)
 
 
-def test_it_is_plain_json_of_a_version_and_not_long() -> None:
-    plain = json.loads(stored())
-    assert plain["version"] == VERSION
-    assert set(plain["estimators"]) == {row.method for row in ESTIMATORS}
+def test_it_is_json_of_a_version_and_not_long() -> None:
+    document = json.loads(stored())
+    assert document["version"] == VERSION
+    assert set(document["estimators"]) == {row.method for row in ESTIMATORS}
     # All that the fold remembers, but for the machine file and what follows from the rest.
-    assert set(plain) == {"version"} | {f.name for f in fields(State)} - {"machine", "estimates"}
-    del plain["estimators"]["pem_two_step"]  # which few ask for
-    assert len(json.dumps(plain, separators=(",", ":"))) < 200_000
+    assert set(document) == {"version"} | {f.name for f in fields(State)} - {"machine", "estimates"}
+    del document["estimators"]["pem_two_step"]  # which few ask for
+    assert len(json.dumps(document, separators=(",", ":"))) < 200_000
     assert snapshot(restore(MACHINE, stored())) == stored()
 
 
 def spoilt(change: Callable[[dict[str, Any]], object]) -> str:
-    plain = json.loads(stored())
-    change(plain)
-    return json.dumps(plain)
+    document = json.loads(stored())
+    change(document)
+    return json.dumps(document)
 
 
 Change = Callable[[dict[str, Any]], object]
@@ -128,11 +128,11 @@ REFUSED: tuple[tuple[str, Change, str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("change", "told"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
-def test_what_is_not_whole_is_refused_with_a_reason(change: Change, told: str) -> None:
+@pytest.mark.parametrize(("change", "names"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
+def test_what_is_not_whole_is_refused_with_a_reason(change: Change, names: str) -> None:
     with pytest.raises(NotRestorable) as error:
         restore(MACHINE, spoilt(change))
-    assert told in str(error.value)
+    assert names in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_what_is_no_stored_state_is_refused_too(text: str) -> None:
             take(MACHINE, text)
 
 
-def test_a_state_of_before_the_machine_file_asked_for_a_method_is_taken_up() -> None:
+def test_a_state_from_before_a_method_was_enabled_is_restored() -> None:
     usual: Machine = demo_machine()
     again = restore(MACHINE, snapshot(initial(usual)))
     assert set(again.estimators) == {row.method for row in ESTIMATORS}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.state_json import SHORT, from_plain, to_plain
+from tilth.estimator.state_json import LONGEST_LIST, from_json_data, to_json_data
 
 
 @dataclass
@@ -24,7 +24,9 @@ SHAPES = ((0,), (3,), (4, 4), (17,), (50, 8), (0, 8), (2, 3, 4))
 def test_an_array_comes_back_to_the_bit(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(4)
     array = rng.standard_normal(shape) * 10.0 ** rng.integers(-300, 300, shape)
-    again = from_plain(Thing, json.loads(json.dumps(to_plain(Thing(array, (1.0, 2.0, 3.0), [array])))))
+    again = from_json_data(
+        Thing, json.loads(json.dumps(to_json_data(Thing(array, (1.0, 2.0, 3.0), [array]))))
+    )
     assert again.pair == (1.0, 2.0, 3.0)
     for found in (again.array, again.parts[0]):
         assert found.tobytes() == array.tobytes()
@@ -35,27 +37,27 @@ def test_an_array_comes_back_to_the_bit(shape: tuple[int, ...]) -> None:
 def test_columns_and_numbers_that_are_none_come_back() -> None:
     array = np.asfortranarray(np.arange(40.0).reshape(5, 8))
     array[0, 0], array[1, 1], array[2, 2] = np.nan, np.inf, -0.0
-    again = from_plain(Thing, json.loads(json.dumps(to_plain(Thing(array)))))
+    again = from_json_data(Thing, json.loads(json.dumps(to_json_data(Thing(array)))))
     assert again.array.tobytes() == np.ascontiguousarray(array).tobytes()
 
 
 def test_numbers_that_arithmetic_made_are_numbers() -> None:
     made = [np.bool_(True), np.int64(3), np.float64(0.1), np.float64(0.1) < 1.0]
-    assert json.dumps(to_plain(made)) == "[true, 3, 0.1, true]"
+    assert json.dumps(to_json_data(made)) == "[true, 3, 0.1, true]"
 
 
 def test_long_arrays_are_short_text_and_lists_are_still_read() -> None:
     array = np.linspace(0.0, 1.0, 1000)
-    plain = to_plain(Thing(array))
-    assert len(json.dumps(plain)) < 1000 * 8 * 4 / 3 + 200
-    assert from_plain(Thing, {**plain, "array": array.tolist()}).array.tobytes() == array.tobytes()
-    assert isinstance(to_plain(np.zeros(SHORT)), list)
+    data = to_json_data(Thing(array))
+    assert len(json.dumps(data)) < 1000 * 8 * 4 / 3 + 200
+    assert from_json_data(Thing, {**data, "array": array.tolist()}).array.tobytes() == array.tobytes()
+    assert isinstance(to_json_data(np.zeros(LONGEST_LIST)), list)
 
 
 @pytest.mark.parametrize(
     "spoilt", [{"shape": [7]}, {"base64": "AAA="}, {"base64": "%"}, {"base64": 5}, {"shape": ["x"]}]
 )
 def test_a_spoilt_array_is_refused(spoilt: dict[str, object]) -> None:
-    plain = to_plain(Thing(np.zeros(20)))
+    data = to_json_data(Thing(np.zeros(20)))
     with pytest.raises(ValueError):
-        from_plain(Thing, {**plain, "array": {**plain["array"], **spoilt}})
+        from_json_data(Thing, {**data, "array": {**data["array"], **spoilt}})

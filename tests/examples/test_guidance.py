@@ -90,7 +90,7 @@ def pose(at_s: float, x: float = 20.0, y: float = 0.0, **changes: object) -> Pos
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
-def told(controller: Controller, now: float) -> tuple[str, float]:
+def command_at(controller: Controller, now: float) -> tuple[str, float]:
     ((can_id, data),) = controller.command(now)
     assert split(can_id).pgn == COMMAND
     words = row(COMMAND).layout.decode(data, {})
@@ -99,21 +99,25 @@ def told(controller: Controller, now: float) -> tuple[str, float]:
 
 def test_it_steers_only_by_poses_that_are_whole_and_fresh(line: Plan, nominal: Rig) -> None:
     subject = Controller(line, nominal, ORIGIN_DEG)
-    assert told(subject, 0.1) == ("not_intended", 0.0)
+    assert command_at(subject, 0.1) == ("not_intended", 0.0)
     subject.pose(pose(0.1, wheel_angle=None), 0.1)
-    assert (told(subject, 0.2)[0], subject.reason, subject.unusable) == ("not_intended", "no pose yet", 1)
+    assert (command_at(subject, 0.2)[0], subject.reason, subject.unusable) == (
+        "not_intended",
+        "no pose yet",
+        1,
+    )
     subject.pose(pose(0.2), 0.2)
-    assert (told(subject, 0.3)[0], subject.reason) == ("intended", "")
+    assert (command_at(subject, 0.3)[0], subject.reason) == ("intended", "")
     subject.pose(pose(0.1), 0.1)  # an old one changes nothing
-    assert told(subject, 0.4)[0] == "intended"
-    assert told(subject, 1.4)[0] == "not_intended"
+    assert command_at(subject, 0.4)[0] == "intended"
+    assert command_at(subject, 1.4)[0] == "not_intended"
     assert subject.reason == "the last pose is 1.2 s old"
 
 
 def test_off_the_line_to_the_left_it_steers_to_the_right_at_a_limited_rate(line: Plan, nominal: Rig) -> None:
     subject = Controller(line, nominal, ORIGIN_DEG)
     subject.pose(pose(0.0, y=-0.5), 0.0)
-    bends = [told(subject, 0.1 * k)[1] for k in range(8)]
+    bends = [command_at(subject, 0.1 * k)[1] for k in range(8)]
     assert bends[-1] > 0.001
     angles = np.arctan(nominal.wheelbase * np.array(bends))
     assert np.abs(np.diff(angles)).max() < math.radians(20.0) * 0.1 + 1e-3
@@ -194,9 +198,9 @@ def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_tur
     work = replace(WORK, rows=2, length=15.0)
     errors = {}
     for mode in ("fixed", "knowing"):
-        line, truth, heard = run(machine, 1, scenario, work, mode)
-        assert heard.refused == {}
-        assert heard.ended == "the plan is done"
+        line, truth, received = run(machine, 1, scenario, work, mode)
+        assert received.refused == {}
+        assert received.ended == "the plan is done"
         off, at = cross_track(line, truth)
         errors[mode] = np.sqrt(np.mean(off[line.row[at] < 0] ** 2))
     assert errors["knowing"] < 0.15

@@ -38,7 +38,7 @@ from tilth.simulator.traffic import simulate
 from tilth.schemas.flow import Mount
 
 def compiled():
-    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and one.how != "not called yet"]
+    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and one.called]
     return {one.function.__qualname__: (one.how, len(one._run.signatures)) for one in kernels}
 
 machine = demo_machine()
@@ -91,10 +91,10 @@ def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Kernel, "__call__", never)
     fold = GuardedFold(MACHINE)
     fold.ready = False
-    told = {p.topic for frame in simulate(MACHINE, 3, 12.0) for p, _ in fold.take(frame)}
+    result = {p.topic for frame in simulate(MACHINE, 3, 12.0) for p, _ in fold.take(frame)}
     fold.renew()
     assert fold.faults == 0 and fold.poses > 50 and not fold.ready
-    assert "/pose" in told and not any(topic.startswith("/soil_tire") for topic in told)
+    assert "/pose" in result and not any(topic.startswith("/soil_tire") for topic in result)
 
 
 def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,9 +127,9 @@ def nowhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     for folder in (ROOT / ".typing" / "tilth").iterdir():
         if folder.name != "estimator":
             (root / "tilth" / folder.name).symlink_to(folder.resolve())
-    own = root / "tilth" / "estimator"
-    shutil.copytree(ROOT / "estimator", own, ignore=shutil.ignore_patterns("__pycache__"))
-    for folder in (root, own, *(room for room in own.iterdir() if room.is_dir())):
+    ours = root / "tilth" / "estimator"
+    shutil.copytree(ROOT / "estimator", ours, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in (root, ours, *(room for room in ours.iterdir() if room.is_dir())):
         (folder / "__pycache__").write_text("in the way")
     in_the_way = str(root / "__pycache__")
     return {
@@ -163,9 +163,9 @@ def demo(environment: dict[str, str], folder: Path) -> tuple[dict[str, Any], str
         [*command, "--log", str(folder)], env=environment, check=False, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    said: dict[str, Any] = json.loads(done.stdout)
-    assert said["frames_lost"] == 0 and said["poses"] >= 25 and "stamp" not in said["rejected"], said
-    return said, done.stderr
+    output: dict[str, Any] = json.loads(done.stdout)
+    assert output["frames_lost"] == 0 and output["poses"] >= 25 and "stamp" not in output["rejected"], output
+    return output, done.stderr
 
 
 def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
@@ -189,42 +189,48 @@ def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
 
 
 @pytest.mark.cold
-@pytest.mark.parametrize("kept", [True, False], ids=["kept", "nowhere"])
+@pytest.mark.parametrize("expected", [True, False], ids=["expected", "nowhere"])
 def test_the_first_start_on_a_new_computer_records_from_the_first_second(
-    tmp_path: Path, nowhere: dict[str, str], kept: bool, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, nowhere: dict[str, str], expected: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    said, told = demo(own if kept else nowhere, tmp_path / "logs")
-    logs = [Path(name) for name in said["log"]]  # one, unless this computer is very busy
+    ours = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    output, result = demo(ours if expected else nowhere, tmp_path / "logs")
+    logs = [Path(name) for name in output["log"]]  # one, unless this computer is very busy
     frame_s, ready_s, estimate_s = seconds_of(logs)
     assert frame_s < 3.0 and 5.0 < ready_s <= estimate_s < ready_s + 3.0
-    assert said["duration_s"] > ready_s + 4.0  # its time counts from then
-    assert told.count("compiled: compiling kernels") == told.count("compiled: kernels were compiled for") == 1
-    assert told.count("set NUMBA_CACHE_DIR to a folder") == (not kept)
-    assert " s left" in told
+    assert output["duration_s"] > ready_s + 4.0  # its time counts from then
+    assert (
+        result.count("compiled: compiling kernels")
+        == result.count("compiled: kernels were compiled for")
+        == 1
+    )
+    assert result.count("set NUMBA_CACHE_DIR to a folder") == (not expected)
+    assert " s left" in result
     statuses = [one for log in logs for one in records_of(log, "/status", Status)]
-    left = [one.ready_in_s for one in statuses if one.HasField("ready_in_s")]
-    assert len(left) > 1 and left[-1] < max(left) and not statuses[-1].preparing
+    remaining = [one.ready_in_s for one in statuses if one.HasField("ready_in_s")]
+    assert len(remaining) > 1 and remaining[-1] < max(remaining) and not statuses[-1].preparing
     assert max(one.longest_turn_s for one in statuses if one.preparing) < 2.0  # the loop is not held up
-    assert main(["replay", *said["log"], "--verify", "--json"]) == 0
+    assert main(["replay", *output["log"], "--verify", "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
-    assert again["verify"]["difference"] is None and again["verify"]["compared"] > said["measurements"]
-    assert all(again[key] == said[key] for key in ("frames", "measurements", "poses", "estimates"))
-    if kept:  # the second start finds them
-        said, told = demo(own, tmp_path / "logs")
-        assert "compil" not in told and seconds_of([Path(name) for name in said["log"]])[0] < 3.0
+    assert again["verify"]["difference"] is None and again["verify"]["compared"] > output["measurements"]
+    assert all(again[key] == output[key] for key in ("frames", "measurements", "poses", "estimates"))
+    if expected:  # the second start finds them
+        output, result = demo(ours, tmp_path / "logs")
+        assert "compil" not in result and seconds_of([Path(name) for name in output["log"]])[0] < 3.0
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "expected"),
     [
         ([], 2, "usage: python -m tilth.logger.compiling MACHINE.toml\n"),
         (["nowhere.toml"], 2, "nowhere.toml: the machine file cannot be read (no such file"),
         ([str(MACHINE_FILE)], 0, ""),
     ],
 )
-def test_it_is_a_command_too(words: list[str], status: int, said: str) -> None:
+def test_it_is_a_command_too(words: list[str], status: int, expected: str) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tilth.logger.compiling", *words], check=False, capture_output=True, text=True
     )
-    assert done.returncode == status and done.stderr.startswith(said) and bool(done.stderr) == bool(said)
+    assert (
+        done.returncode == status and done.stderr.startswith(expected) and bool(done.stderr) == bool(expected)
+    )

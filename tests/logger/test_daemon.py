@@ -127,16 +127,16 @@ def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> 
     port = free_port()
     machine, text = rig(tmp_path, udp_bus("can0", port), log="rotate_minutes = 0.03")
     sent = list(simulate(machine, 5, 4.0))
-    shown = Shown()
+    displayed = Shown()
     began = threading.Event()
 
     def stop() -> bool:
-        if not began.is_set() and shown.status.buses and shown.status.buses[0].state == "open":
+        if not began.is_set() and displayed.status.buses and displayed.status.buses[0].state == "open":
             began.set()
             sender.begin([port], [(0, f, (f.t_ns - sent[0].t_ns) * 1e-9) for f in sent])
-        return shown.status.frames == len(sent)
+        return displayed.status.frames == len(sent)
 
-    summary = run_daemon(machine, text, seconds=PATIENCE_S, status=shown, stop=stop)
+    summary = run_daemon(machine, text, seconds=PATIENCE_S, status=displayed, stop=stop)
     sender.finish()
     assert summary.frames == summary.recorded == len(sent) and summary.lost == summary.not_recorded == 0
     got = [frame for path in summary.log_files for frame in logged_frames(path)]
@@ -157,10 +157,10 @@ def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> 
         identical = [row for row in live if CHANNEL[row[0]].identical]
         assert identical == [row for row in again if CHANNEL[row[0]].identical]
     assert summary.measurements > 1000 and summary.poses > 0 and summary.faults == 0
-    assert {r.state for r in shown.status.receivers} == {
+    assert {r.state for r in displayed.status.receivers} == {
         "alive"
-    } and shown.status.wheel_angle.state == "alive"
-    assert {r.fix for r in shown.status.receivers} == {"rtk_fixed"}
+    } and displayed.status.wheel_angle.state == "alive"
+    assert {r.fix for r in displayed.status.receivers} == {"rtk_fixed"}
 
 
 def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: can.BusABC) -> None:
@@ -170,7 +170,7 @@ def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: 
     with session(machine.zenoh.listen) as other:
         key = f"tilth/{machine.name}/status"
 
-        def told() -> pb.Status:
+        def last_status() -> pb.Status:
             return pb.Status.FromString(answers(other, key).get(key, (b"", ""))[0])
 
         ended_s = [time.monotonic()]
@@ -179,8 +179,8 @@ def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: 
             daemon.turn()
             ended_s.append(time.monotonic())
 
-        until(lambda: told().frames == 1 and told().uptime_s > 2.0, turn)
-        last = told()
+        until(lambda: last_status().frames == 1 and last_status().uptime_s > 2.0, turn)
+        last = last_status()
     summary = daemon.close()
     assert last.recording and last.log_file == str(summary.log_files[0]) and last.log_bytes > 0
     assert [bus.name for bus in last.buses] == ["can0"] and len(last.receivers) == 4
@@ -214,9 +214,9 @@ def test_signals_and_a_crash(commands: tuple[dict[str, Command], int], sender: S
         assert f"2500 frames, 0 measurements, 0 poses\nLog: {command.log}\n" in out
         assert [frame.data for frame in logged_frames(command.log)] == [frame.data for frame in sent]
     started["KILL"].process.wait(PATIENCE_S)
-    left = salvaged(started["KILL"].log.read_bytes())
-    assert [frame.data for frame in left] == [frame.data for frame in sent[: len(left)]]
-    assert len(left) >= 1000
+    remaining = salvaged(started["KILL"].log.read_bytes())
+    assert [frame.data for frame in remaining] == [frame.data for frame in sent[: len(remaining)]]
+    assert len(remaining) >= 1000
 
 
 # ---- what goes wrong ----
@@ -233,25 +233,25 @@ def test_a_fault_in_the_estimators_costs_no_frame(
         return fold.step(state, frame)
 
     monkeypatch.setattr(guarded_fold, "step", breaks)
-    shown = Shown()
+    displayed = Shown()
     for frame in numbered(10):
         say(talker, frame)  # nobody listens yet
-    daemon = Daemon(machine, text, tmp_path, None, shown)
-    until(lambda: daemon.turn() == 0 and shown.status.buses[0].state == "open", lambda: None)
+    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    until(lambda: daemon.turn() == 0 and displayed.status.buses[0].state == "open", lambda: None)
     for frame in numbered(10):
         say(talker, frame)
-    until(lambda: daemon.turn() == 0 and bool(shown.events), lambda: None)
+    until(lambda: daemon.turn() == 0 and bool(displayed.events), lambda: None)
     summary = daemon.close()
     (path,) = summary.log_files
     assert [f.data for f in logged_frames(path)] == [f.data for f in numbered(10)] and summary.faults == 1
-    (event,) = [event for event in shown.events if event.kind == "fault"]
+    (event,) = [event for event in displayed.events if event.kind == "fault"]
     assert "ZeroDivisionError: a model" in event.text
-    (told,) = records_of(path, "/soil_tire", pb.SoilTireEstimate)
-    assert {row.status for row in told.parameters} == {int(Status.INVALID)}
-    assert all("ZeroDivisionError" in row.reason and not row.HasField("value") for row in told.parameters)
+    (estimate,) = records_of(path, "/soil_tire", pb.SoilTireEstimate)
+    assert {row.status for row in estimate.parameters} == {int(Status.INVALID)}
+    assert all("ZeroDivisionError" in row.reason and not row.HasField("value") for row in estimate.parameters)
     replay = GuardedFold(machine)  # fails at the same frame and says the same
     again = [data for f in logged_frames(path) for p, data in replay.take(f) if p.topic == "/soil_tire"]
-    assert again == [told.SerializeToString()] and replay.faults == 1
+    assert again == [estimate.SerializeToString()] and replay.faults == 1
 
 
 def test_after_a_fault_the_fold_pauses_and_its_counts_stay(
@@ -278,17 +278,17 @@ def test_a_log_folder_that_cannot_be_written_does_not_stop_the_rest(
 ) -> None:
     (tmp_path / "logs").write_text("in the way")
     machine, text = rig(tmp_path / "logs", VIRTUAL)
-    shown = Shown()
-    daemon = Daemon(machine, text, tmp_path / "logs", "", shown)
+    displayed = Shown()
+    daemon = Daemon(machine, text, tmp_path / "logs", "", displayed)
     with session(machine.zenoh.listen) as other:
         key = f"tilth/{machine.name}/event"
         until(lambda: key in answers(other, key), daemon.turn)
         assert b"not recording" in answers(other, key)[key][0]
     say(talker, numbered(1)[0])
-    until(lambda: shown.status.frames == 1, daemon.turn)
+    until(lambda: displayed.status.frames == 1, daemon.turn)
     summary = daemon.close()
     assert summary.frames == summary.not_recorded == 1 and summary.log_files == ()
-    assert not shown.status.recording and "not recording" in shown.status.problems[0]
+    assert not displayed.status.recording and "not recording" in displayed.status.problems[0]
 
 
 @pytest.mark.usefixtures("watched_by_hand")
@@ -297,18 +297,18 @@ def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
 ) -> None:
     missing = '[[bus]]\nname = "can9"\ninterface = "socketcan"\nchannel = "nosuchcan9"\n\n'
     machine, text = rig(tmp_path, VIRTUAL, missing)
-    shown = Shown()
-    daemon = Daemon(machine, text, tmp_path, None, shown)
-    until(lambda: bool(shown.events), daemon.turn)
+    displayed = Shown()
+    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    until(lambda: bool(displayed.events), daemon.turn)
     say(talker, numbered(1)[0])
-    until(lambda: shown.status.frames == 1, daemon.turn)
+    until(lambda: displayed.status.frames == 1, daemon.turn)
     summary = daemon.close()
-    assert "can9" in shown.events[0].text and "nosuchcan9" in shown.events[0].text
-    assert any(problem.startswith("bus can9 failed") for problem in shown.status.problems)
+    assert "can9" in displayed.events[0].text and "nosuchcan9" in displayed.events[0].text
+    assert any(problem.startswith("bus can9 failed") for problem in displayed.status.problems)
     assert [frame.bus for frame in logged_frames(summary.log_files[0])] == ["can0"]
-    told = [(event.kind, event.text) for event in records_of(summary.log_files[0], "/event", pb.Event)]
-    assert told == [(event.kind, event.text) for event in shown.events]
-    assert told[1:] == [("bus", "can0: its frames are stamped by the driver behind python-can")]
+    collected = [(event.kind, event.text) for event in records_of(summary.log_files[0], "/event", pb.Event)]
+    assert collected == [(event.kind, event.text) for event in displayed.events]
+    assert collected[1:] == [("bus", "can0: its frames are stamped by the driver behind python-can")]
 
 
 class SteppingClock(Clock):
@@ -328,14 +328,14 @@ def test_a_step_of_the_clock_is_noted_and_the_log_goes_on_evenly(
 ) -> None:
     monkeypatch.setattr(daemon_module, "Clock", SteppingClock)
     machine, text = rig(tmp_path, VIRTUAL)
-    shown = Shown()
-    daemon = Daemon(machine, text, tmp_path, None, shown)
-    until(lambda: bool(shown.events), daemon.turn)
+    displayed = Shown()
+    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    until(lambda: bool(displayed.events), daemon.turn)
     for frame in numbered(3):
         say(talker, frame)
-    until(lambda: shown.status.frames == 3, daemon.turn)
+    until(lambda: displayed.status.frames == 3, daemon.turn)
     summary = daemon.close()
-    assert shown.events[0].kind == "clock" and "set by +3600.000 s" in shown.events[0].text
+    assert displayed.events[0].kind == "clock" and "set by +3600.000 s" in displayed.events[0].text
     times = [frame.t_ns for frame in logged_frames(summary.log_files[0])]
     assert times == sorted(times) and times[-1] - times[0] < 1_000_000_000
     assert clock_records(summary.log_files[0]) == ["start", "step", "end"]
@@ -369,7 +369,7 @@ def test_a_wrong_machine_file_is_one_sentence_and_exit_status_2(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         ([], "COMMAND"),
         (["rum"], "run"),
@@ -382,11 +382,11 @@ def test_a_wrong_machine_file_is_one_sentence_and_exit_status_2(
         ),
     ],
 )
-def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_one_line(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(words)
     out, err = capsys.readouterr()
-    assert end.value.code == 2 and out == "" and err.count("\n") == 1 and said in err and "--help" in err
+    assert end.value.code == 2 and out == "" and err.count("\n") == 1 and expected in err and "--help" in err
 
 
 def test_a_terminal_that_goes_away_does_not_stop_the_log(tmp_path: Path, talker: can.BusABC) -> None:

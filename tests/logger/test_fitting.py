@@ -17,8 +17,8 @@ from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
-from tilth.estimator.state_json import to_plain
-from tilth.logger.fitting import LATE, UNDECIDED, InPlace, Retold, Worker
+from tilth.estimator.state_json import to_json_data
+from tilth.logger.fitting import LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import IDENTICAL, Comparison
@@ -82,7 +82,7 @@ class Pocket:
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
-        known = (method, json.dumps(to_plain(job)))
+        known = (method, json.dumps(to_json_data(job)))
         if known not in MADE:  # most runs here are of the same drive
             MADE[known] = self._worker.made(method, job)
         return MADE[known]
@@ -105,13 +105,13 @@ def a_job() -> pem.Job:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[str]:
+def events() -> list[str]:
     return []
 
 
 @pytest.fixture(scope="module")
-def worker(told: list[str]) -> Iterator[Worker]:
-    made = Worker(MACHINE, lambda kind, text: told.append(f"{kind}: {text}"))
+def worker(events: list[str]) -> Iterator[Worker]:
+    made = Worker(MACHINE, lambda kind, text: events.append(f"{kind}: {text}"))
     yield made
     made.close()
 
@@ -122,7 +122,7 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     # Not to the bit: here linear algebra has as many threads as there are cores.
     assert np.allclose(found.mean, here.mean, atol=1e-6)
     assert (found.iterations, found.rows, found.advice) == (here.iterations, here.rows, here.advice)
-    assert to_plain(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_plain(found)
+    assert to_json_data(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_json_data(found)
     assert worker.seconds is not None and worker.seconds > 0.0
 
 
@@ -148,10 +148,10 @@ def test_the_first_of_two_methods_does_not_take_the_others_place(worker: Worker)
 NO_RECORD: Any = None
 
 
-def test_a_fit_that_cannot_be_made_is_told_and_ends_nobody(worker: Worker, told: list[str]) -> None:
-    told.clear()
+def test_a_fit_that_cannot_be_made_is_told_and_ends_nobody(worker: Worker, events: list[str]) -> None:
+    events.clear()
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=7, record=NO_RECORD)) is None
-    assert told == ["fit: a fit of pem failed: AttributeError: 'NoneType' object has no attribute 'rows'"]
+    assert events == ["fit: a fit of pem failed: AttributeError: 'NoneType' object has no attribute 'rows'"]
     assert InPlace(MACHINE).made(pem.METHOD, replace(a_job(), record=NO_RECORD)) is None
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=8)) is not None
 
@@ -163,33 +163,33 @@ def kill(worker: Worker) -> None:
     process.wait()
 
 
-def test_a_process_that_dies_takes_one_fit_with_it(worker: Worker, told: list[str]) -> None:
-    told.clear()
+def test_a_process_that_dies_takes_one_fit_with_it(worker: Worker, events: list[str]) -> None:
+    events.clear()
     kill(worker)
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=11)) is None
-    assert len(told) == 1 and LOST in told[0]
+    assert len(events) == 1 and LOST in events[0]
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=12)) is not None
 
 
 def test_in_a_replay_it_takes_none() -> None:
-    said: list[str] = []
-    worker = Worker(MACHINE, lambda kind, text: said.append(text), patient=True)
+    messages: list[str] = []
+    worker = Worker(MACHINE, lambda kind, text: messages.append(text), patient=True)
     try:
         assert worker.made(pem.METHOD, a_job()) is not None
         kill(worker)
         assert worker.made(pem.METHOD, replace(a_job(), asked_ns=1)) is not None
-        assert said == []
+        assert messages == []
     finally:
         worker.close()
 
 
-def test_a_fit_that_never_ends_is_given_up_at_the_next(worker: Worker, told: list[str]) -> None:
-    told.clear()
+def test_a_fit_that_never_ends_is_given_up_at_the_next(worker: Worker, events: list[str]) -> None:
+    events.clear()
     worker.ask(pem.METHOD, replace(a_job(), asked_ns=21, record=_endless()))
     while worker._busy == 0:
         continue
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=22)) is not None
-    assert len(told) == 1 and LOST in told[0]
+    assert len(events) == 1 and LOST in events[0]
 
 
 def _endless() -> Any:
@@ -200,12 +200,12 @@ def _endless() -> Any:
 
 
 def test_an_end_in_the_middle_of_a_fit_waits_for_nothing() -> None:
-    said: list[str] = []
-    worker = Worker(MACHINE, lambda kind, text: said.append(text))
+    messages: list[str] = []
+    worker = Worker(MACHINE, lambda kind, text: messages.append(text))
     worker.ask(pem.METHOD, replace(a_job(), record=_endless()))
     worker.close()
     assert worker._process is None
-    assert said == []
+    assert messages == []
 
 
 # Live is replay
@@ -243,27 +243,27 @@ class Once:
         self.stage = 0
 
     def __call__(self, fold: GuardedFold) -> bool:
-        own = fold.state.estimators[pem.METHOD]
-        decided = own.decided not in (OPEN, AWAITED)
-        used = own.fits + own.late > 0
+        ours = fold.state.estimators[pem.METHOD]
+        decided = ours.decided not in (OPEN, AWAITED)
+        used = ours.fits + ours.late > 0
         known = decided or used
-        reached = (own.job is not None or known, own.decided == AWAITED or known, known, used)
+        reached = (ours.job is not None or known, ours.decided == AWAITED or known, known, used)
         before, self.stage = self.stage, max(self.stage, sum(reached))
         return self.stage > before
 
 
 def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
     comparison = Comparison()
-    said: list[str] = []
-    replay(paths, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=said.append)
+    messages: list[str] = []
+    replay(paths, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=messages.append)
     assert comparison.compared > 0
-    return comparison.difference, said
+    return comparison.difference, messages
 
 
 def outcomes(paths: Sequence[Path]) -> dict[str, list[FitOutcome]]:
     logged = results_of(paths, frozenset({FIT_TOPIC})).get(FIT_TOPIC, [])
-    told = [FitOutcome.FromString(row.data) for row in logged]
-    return {method: [one for one in told if one.method == method] for method in METHODS}
+    logged_outcomes = [FitOutcome.FromString(row.data) for row in logged]
+    return {method: [one for one in logged_outcomes if one.method == method] for method in METHODS}
 
 
 @pytest.mark.parametrize(
@@ -283,11 +283,11 @@ def test_a_run_with_a_fit_gives_its_own_bytes_again(
     live = record(tmp_path, rows, Pocket(worker, late, by_s), Once())
     awaits = by_s is not None and pem.METHOD in late
     assert len(live.parts) == (5 if awaits else 4)
-    for method, told in outcomes(live.parts).items():
-        *waits, last = [(one.adopted, one.awaited) for one in told]
+    for method, logged_outcomes in outcomes(live.parts).items():
+        *waits, last = [(one.adopted, one.awaited) for one in logged_outcomes]
         assert waits == [(False, True)] * (by_s is not None and method in late)
         assert last == (by_s is not None or method not in late, False)
-        assert (told[-1].late_ns > 0) == bool(waits)
+        assert (logged_outcomes[-1].late_ns > 0) == bool(waits)
     assert replayed(live.parts) == ("", [])
     for part in live.parts[1:-1] if late == (pem.METHOD,) else ():
         assert replayed([part]) == ("", [])
@@ -298,8 +298,8 @@ def test_a_late_fit_is_used_says_by_how_much_and_the_next_window_follows_it(
 ) -> None:
     """What it learned is the same, and so is what it is worth; only the instant is another."""
     events = [Event.FromString(row.data).text for row in results_of([late], frozenset({"/event"}))["/event"]]
-    (said,) = [text for text in events if text.startswith("a fit was ready 0.3 s late")]
-    assert "it is used from here" in said
+    (messages,) = [text for text in events if text.startswith("a fit was ready 0.3 s late")]
+    assert "it is used from here" in messages
     rows = results_of([late], frozenset({"/soil_tire/pem"}))["/soil_tire/pem"]
     after = SoilTireEstimate.FromString(rows[-1].data)
     excitation = {one.name: one.value for one in after.excitation}
@@ -317,19 +317,19 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     rows = driven()
     for row in rows:
         fold.take(row)
-    own = fold.state.estimators[pem.METHOD]
-    job = own.job
-    assert own.decided == AWAITED and job is fitter.jobs[pem.METHOD]
-    own.closed = job.record  # the next window
-    assert pem.wanted(own, job.asked_ns + 40 * SECOND) is None and own.closed is not None
+    ours = fold.state.estimators[pem.METHOD]
+    job = ours.job
+    assert ours.decided == AWAITED and job is fitter.jobs[pem.METHOD]
+    ours.closed = job.record  # the next window
+    assert pem.request_fit(ours, job.asked_ns + 40 * SECOND) is None and ours.closed is not None
     later = job.asked_ns + pem.LATENCY_NS + GIVE_UP_NS
     assert fold.decided(later) == []
-    (told,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
-    assert (told.adopted, told.awaited, told.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
+    (decided_fit,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
+    assert (decided_fit.adopted, decided_fit.awaited, decided_fit.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
     told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
     assert any("not ready 300 s after it was due and is given up" in getattr(v, "text", "") for v in told_of)
-    asked = pem.wanted(own, later + 2)
-    assert asked is not None and own.closed is None
+    requested = pem.request_fit(ours, later + 2)
+    assert requested is not None and ours.closed is None
 
 
 def test_a_state_in_which_fits_could_not_be_awaited_is_refused_with_a_reason() -> None:
@@ -364,18 +364,24 @@ def late(tmp_path_factory: pytest.TempPathFactory, worker: Worker) -> Path:
 def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(in_time: Path) -> None:
     rows = list(open_log(in_time, IDENTICAL).records)
     at = next(k for k, row in enumerate(rows) if isinstance(row, Logged) and row.topic == FIT_TOPIC)
-    told = rows[at]
+    logged_fit = rows[at]
     before = [row for row in rows[:at] if isinstance(row, Frame)][-2:]
-    assert isinstance(told, Logged)
-    outcome = FitOutcome.FromString(told.data)
-    assert before[0].t_ns < outcome.asked_ns + pem.LATENCY_NS <= before[1].t_ns == told.t_ns == outcome.t_ns
+    assert isinstance(logged_fit, Logged)
+    outcome = FitOutcome.FromString(logged_fit.data)
+    assert (
+        before[0].t_ns
+        < outcome.asked_ns + pem.LATENCY_NS
+        <= before[1].t_ns
+        == logged_fit.t_ns
+        == outcome.t_ns
+    )
     used, first = rows[at + 1 : at + 3]  # at the next frame
     assert isinstance(used, Frame)
     assert isinstance(first, Logged) and first.topic == "/soil_tire/pem"
 
 
 def test_the_same_run_twice_and_another_with_its_stamps(late: Path, in_time: Path) -> None:
-    assert all(len(told) == 2 for told in outcomes([late]).values())
+    assert all(len(fits) == 2 for fits in outcomes([late]).values())
     assert replayed([late, late, in_time])[0] == ""
 
 
@@ -390,24 +396,24 @@ def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
 
 
 def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
-    retold = Retold(MACHINE, lambda kind, text: None)
+    replayed = ReplayedFits(MACHINE, lambda kind, text: None)
     job = a_job()
     try:
-        assert retold.outcome(pem.METHOD, job, 10) is not None
-        retold.own = True
-        assert retold.outcome(pem.METHOD, job, 10) is UNDECIDED
-        assert retold.outcome(pem.METHOD, job, 10) is UNDECIDED
-        retold.tell(pem.METHOD, job.asked_ns, False)
-        assert retold.outcome(pem.METHOD, job, 10) is None
-        assert retold.outcome(pem.METHOD, job, 20) is UNDECIDED
-        assert retold.outcome(pem.METHOD, job, 21) is not None
-        retold.tell(pem.METHOD, job.asked_ns, False, True)
-        assert retold.outcome(pem.METHOD, job, 30) is LATE
-        assert retold.outcome(pem.METHOD, job, 99, True) is UNDECIDED
-        retold.tell(pem.METHOD, job.asked_ns, True)
-        assert retold.outcome(pem.METHOD, job, 99, True) is not None
+        assert replayed.outcome(pem.METHOD, job, 10) is not None
+        replayed.holds_outcomes = True
+        assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
+        assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
+        replayed.add_outcome(pem.METHOD, job.asked_ns, False)
+        assert replayed.outcome(pem.METHOD, job, 10) is None
+        assert replayed.outcome(pem.METHOD, job, 20) is UNDECIDED
+        assert replayed.outcome(pem.METHOD, job, 21) is not None
+        replayed.add_outcome(pem.METHOD, job.asked_ns, False, True)
+        assert replayed.outcome(pem.METHOD, job, 30) is LATE
+        assert replayed.outcome(pem.METHOD, job, 99, True) is UNDECIDED
+        replayed.add_outcome(pem.METHOD, job.asked_ns, True)
+        assert replayed.outcome(pem.METHOD, job, 99, True) is not None
     finally:
-        retold.close()
+        replayed.close()
 
 
 def test_a_fault_between_asking_and_using_forgets_the_fit() -> None:

@@ -34,7 +34,7 @@ class ByHand:
     ready = False
     text = "compiling kernels"
     seconds = 12.0
-    left_s = 7.5
+    remaining_s = 7.5
 
     def __init__(self, machine: Machine, report: Callable[[str, str], None]) -> None:
         self.closed = False
@@ -43,7 +43,7 @@ class ByHand:
         self.closed = True
 
     def done(self) -> None:
-        self.ready, self.text, self.left_s = True, "", None  # type: ignore[assignment]
+        self.ready, self.text, self.remaining_s = True, "", None  # type: ignore[assignment]
 
 
 class Shown(NoDisplay):
@@ -96,9 +96,9 @@ class Drive:
         return self.daemon.close()
 
     def again(self, paths: tuple[Path, ...]) -> tuple[ReplaySummary, Comparison, list[str]]:
-        comparison, said = Comparison(), list[str]()
+        comparison, output = Comparison(), list[str]()
         outputs = ReplayOutputs(comparison=comparison)
-        return replay(paths, self.machine, self.text, outputs=outputs, say=said.append), comparison, said
+        return replay(paths, self.machine, self.text, outputs=outputs, say=output.append), comparison, output
 
 
 @pytest.fixture(autouse=True)
@@ -138,14 +138,14 @@ def test_estimates_begin_where_the_log_says_and_a_replay_begins_there(
     summary = drive.end()
     assert any("compiled for 12 s while frames were recorded" in text for text in drive.shown.events)
     assert summary.recorded == len(SENT) and summary.faults == 0 and summary.poses > 3
-    (not_yet, before, _), (ready, at, seen) = marks(summary.log_files)
+    (not_yet, before, _), (ready, at, observed) = marks(summary.log_files)
     assert (not_yet, before, ready, at) == (False, 0, True, HALF)
-    assert seen == {"/pose"}  # and estimates only after it
+    assert observed == {"/pose"}  # and estimates only after it
     assert summary.estimates["tracker"].t_ns > 0
-    replayed, comparison, said = drive.again(summary.log_files)
+    replayed, comparison, output = drive.again(summary.log_files)
     assert comparison.difference == "" and comparison.compared > summary.measurements
     assert replayed.poses == summary.poses
-    assert [text for text in said if f"{HALF} frames came before the estimators were ready" in text]
+    assert [text for text in output if f"{HALF} frames came before the estimators were ready" in text]
     assert len(summary.log_files) >= (4 if log else 1)
     for path in summary.log_files[1:]:
         assert drive.again((path,))[1].difference == ""
@@ -159,9 +159,9 @@ def test_a_run_that_ends_before_has_all_frames_and_says_why_there_is_no_estimate
     by_hand = drive.daemon.parts.estimation.preparing
     summary = drive.end()
     assert isinstance(by_hand, ByHand) and by_hand.closed
-    replayed, comparison, said = drive.again(summary.log_files)
+    replayed, comparison, output = drive.again(summary.log_files)
     assert (comparison.difference, replayed.frames) == ("", HALF)
-    assert any("ends before the estimators were ready" in text for text in said)
+    assert any("ends before the estimators were ready" in text for text in output)
     assert all(p.age_s is None for one in replayed.estimates.values() for p in one.parameters)
 
 

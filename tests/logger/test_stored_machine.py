@@ -72,10 +72,10 @@ def test_what_is_rare_is_said_once(old_log: Path, tmp_path: Path, capsys: pytest
             'interface = "socketcan"\nchannel = "can0"', 'interface = "virtual"\nchannel = "tilth-rare"'
         )
     )
-    said = "the hitch stands ahead of the rear axle"
+    output = "the hitch stands ahead of the rear axle"
     assert main(["replay", str(old_log), "--machine", str(rare)]) == 0
-    assert capsys.readouterr().err.count(said) == 1
+    assert capsys.readouterr().err.count(output) == 1
     main(["run", str(rare), "--no-zenoh", "--plain", "--log", str(tmp_path / "logs"), "--seconds", "0.3"])
-    assert capsys.readouterr().out.count(said) == 1
+    assert capsys.readouterr().out.count(output) == 1
     main(["check", str(rare), "--seconds", "0.1"])
-    assert f"WARNING  machine file: tractor.c = 1 m: rare, {said}" in capsys.readouterr().out
+    assert f"WARNING  machine file: tractor.c = 1 m: rare, {output}" in capsys.readouterr().out

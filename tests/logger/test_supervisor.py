@@ -27,7 +27,7 @@ class Systemd:
         self._socket.bind("\0" + address[1:] if address.startswith("@") else address)
         self._socket.setblocking(False)
 
-    def heard(self) -> list[str]:
+    def received(self) -> list[str]:
         """All that has come and was not heard yet."""
         words = []
         while True:
@@ -50,14 +50,14 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]
 
 def test_the_loop_itself_says_that_it_lives(systemd: Systemd) -> None:
     supervisor = Supervisor({"NOTIFY_SOCKET": systemd.told, "WATCHDOG_USEC": "8000000"})
-    assert systemd.heard() == []  # nothing before the first turn
+    assert systemd.received() == []  # nothing before the first turn
     for t_ns in (10, 11, 2_000_000_009, 2_000_000_010):
         supervisor.turned(t_ns)
-    assert systemd.heard() == ["READY=1", "WATCHDOG=1", "WATCHDOG=1"]
+    assert systemd.received() == ["READY=1", "WATCHDOG=1", "WATCHDOG=1"]
     supervisor.status("one\nline, whatever \0 the words")
-    assert systemd.heard() == ["STATUS=one line, whatever \0 the words"]
+    assert systemd.received() == ["STATUS=one line, whatever \0 the words"]
     supervisor.stopping()
-    assert systemd.heard() == ["STOPPING=1"] and supervisor.failures == 0
+    assert systemd.received() == ["STOPPING=1"] and supervisor.failures == 0
     supervisor.close()
 
 
@@ -76,14 +76,14 @@ def test_only_whom_systemd_watches_beats(environment: dict[str, str], beats: boo
     systemd = Systemd(str(tmp_path / "notify"))
     supervisor = Supervisor({"NOTIFY_SOCKET": systemd.told, **environment})
     supervisor.turned(1)
-    assert ("WATCHDOG=1" in systemd.heard()) is beats
+    assert ("WATCHDOG=1" in systemd.received()) is beats
     supervisor.close()
     systemd.close()
 
 
 def test_nobody_there_and_nobody_who_listens_costs_nothing_but_a_count(tmp_path: Path) -> None:
-    for told in ("", "not/absolute"):
-        silent = Supervisor({"NOTIFY_SOCKET": told, "WATCHDOG_USEC": "1000"})
+    for result in ("", "not/absolute"):
+        silent = Supervisor({"NOTIFY_SOCKET": result, "WATCHDOG_USEC": "1000"})
         silent.turned(1)
         assert silent.failures == 0
     gone = Supervisor({"NOTIFY_SOCKET": str(tmp_path / "nobody"), "WATCHDOG_USEC": "1000"})
@@ -92,9 +92,9 @@ def test_nobody_there_and_nobody_who_listens_costs_nothing_but_a_count(tmp_path:
     deaf = Systemd(str(tmp_path / "deaf"))
     supervisor = Supervisor({"NOTIFY_SOCKET": deaf.told})
     until(lambda: supervisor.failures > 0, lambda: supervisor.status("x"))  # its queue is full; no wait
-    deaf.heard()
+    deaf.received()
     supervisor.turned(1)
-    assert deaf.heard() == ["READY=1"]
+    assert deaf.received() == ["READY=1"]
     gone.turned(2)  # READY is said again until it is heard
     assert gone.failures == 3
     supervisor.close()
@@ -113,7 +113,7 @@ def test_a_run_is_ready_beats_tells_and_stops_and_a_hung_one_falls_silent(tmp_pa
     machine, text = rig(tmp_path, VIRTUAL)
     supervisor = Supervisor({"NOTIFY_SOCKET": systemd.told, "WATCHDOG_USEC": "40000"})
     daemon = Daemon(machine, text, tmp_path, None, NoDisplay(), supervisor=supervisor)
-    assert systemd.heard() == []
+    assert systemd.received() == []
     words: list[str] = []
     with can.Bus(interface="virtual", channel="tilth-supervisor") as bus:
         frame = numbered(1)[0]
@@ -121,20 +121,20 @@ def test_a_run_is_ready_beats_tells_and_stops_and_a_hung_one_falls_silent(tmp_pa
 
         def turn() -> None:
             daemon.turn()
-            words.extend(systemd.heard())
+            words.extend(systemd.received())
 
         until(lambda: words.count("WATCHDOG=1") > 5, turn)
         # No thread beats in its place: while the loop does not come round, nothing is said.
-        until(lambda: daemon.uptime_s > 0.5, lambda: words.extend(systemd.heard()))
+        until(lambda: daemon.uptime_s > 0.5, lambda: words.extend(systemd.received()))
         beaten = words.count("WATCHDOG=1")
-        until(lambda: daemon.uptime_s > 0.6, lambda: words.extend(systemd.heard()))
+        until(lambda: daemon.uptime_s > 0.6, lambda: words.extend(systemd.received()))
         assert words.count("WATCHDOG=1") == beaten
         summary = daemon.close()
-    words += systemd.heard()
+    words += systemd.received()
     assert summary.recorded == summary.frames == 1
-    told = [word for word in words if word.startswith("STATUS=")]
-    assert "READY=1" in words[:2] and told[-1].startswith("STATUS=recording, 0.0 MB, 1 frames")
-    assert words.index("STOPPING=1") < len(words) - words[::-1].index(told[-1])
+    collected = [word for word in words if word.startswith("STATUS=")]
+    assert "READY=1" in words[:2] and collected[-1].startswith("STATUS=recording, 0.0 MB, 1 frames")
+    assert words.index("STOPPING=1") < len(words) - words[::-1].index(collected[-1])
     systemd.close()
 
 
@@ -160,15 +160,15 @@ def test_the_heartbeat_on_zenoh_counts_what_went_wrong(tmp_path: Path) -> None:
         session(machine.zenoh.listen) as other,
     ):
 
-        def told() -> pb.Status:
+        def last_status() -> pb.Status:
             daemon.turn()
             return pb.Status.FromString(answers(other, key).get(key, (b"", ""))[0])
 
-        until(lambda: any(one.state == "open" for one in told().buses), lambda: None)
+        until(lambda: any(one.state == "open" for one in last_status().buses), lambda: None)
         for frame in numbered(3):
             bus.send(can.Message(arbitration_id=frame.can_id, is_extended_id=True, data=frame.data))
-        until(lambda: told().frames == 3, lambda: None)
-        status = told()
+        until(lambda: last_status().frames == 3, lambda: None)
+        status = last_status()
     daemon.close()
     assert status.health == "bad" and not status.recording
     assert {row.reason: row.count for row in status.faults} == {"not_recorded": 3}

@@ -14,7 +14,7 @@ from loopback import rig
 
 from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
-from tilth.estimator.fold import go_on, keep
+from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.snapshot import restore, snapshot
@@ -41,14 +41,14 @@ def teach(state: fold.State, informed_ns: int) -> None:
     """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
     for method in (pem.METHOD, tracker.METHOD, steady_state.METHOD):
-        own, memory = state.estimators[method], ROW[method].memory
+        ours, memory = state.estimators[method], ROW[method].memory
         assert memory is not None
-        known = memory.learned(own)
+        known = memory.learned(ours)
         sd = np.sqrt(np.diag(known.covariance))
         root = 0.1 * sd[:, None] * rng.normal(size=(len(sd), len(sd))) / np.sqrt(len(sd))
         covariance = root @ root.T + np.diag((0.01 * sd) ** 2)
-        memory.resume(own, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
-        own.informed_ns = informed_ns
+        memory.resume(ours, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
+        ours.informed_ns = informed_ns
     state.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
@@ -72,14 +72,14 @@ def sds(state: fold.State) -> np.ndarray[Any, np.dtype[np.float64]]:
 @pytest.mark.parametrize("row", [row for row in ESTIMATORS if row.memory], ids=lambda row: row.method)
 def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
     before, after = taught(), fold.initial(MACHINE)
-    assert go_on(after, keep(before, NOW), 0.0, NOW)[row.method] == ""
+    assert resume(after, save_learned(before, NOW), 0.0, NOW)[row.method] == ""
     memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
     assert new.informed_ns == old.informed_ns
-    stays = [k for k, name in enumerate(memory.names) if name not in memory.passing]
+    stays = [k for k, name in enumerate(memory.names) if name not in memory.per_run]
     learned, fresh = memory.learned(new), memory.learned(row.initial(MACHINE))
     assert learned.mean[stays] == pytest.approx(memory.learned(old).mean[stays], abs=1e-9)
     assert learned.counts == memory.learned(old).counts
-    for name in memory.passing:
+    for name in memory.per_run:
         k = memory.names.index(name)
         assert learned.covariance[k, k] == pytest.approx(fresh.covariance[k, k])
     assert from_json(after) == after.estimators.keys()
@@ -92,24 +92,24 @@ def from_json(state: fold.State) -> Any:
 def test_what_was_learned_while_the_machine_file_is_in_doubt_is_not_kept() -> None:
     state = taught()
     state.consistency.confirmed = False
-    assert keep(state, NOW) == {}
+    assert save_learned(state, NOW) == {}
 
 
 def test_what_was_kept_was_confirmed() -> None:
     state = fold.initial(MACHINE)
-    go_on(state, {}, 0.0, NOW)
+    resume(state, {}, 0.0, NOW)
     assert not state.consistency.confirmed
-    go_on(state, keep(taught(), NOW), 0.0, NOW)
+    resume(state, save_learned(taught(), NOW), 0.0, NOW)
     assert state.consistency.confirmed
 
 
 def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
-    kept = keep(taught(), NOW)
+    retained = save_learned(taught(), NOW)
     six = sds(taught())[unknowns.SIX]
     aged = []
     for seconds in (0.0, DOUBLES_S, 2.0 * DOUBLES_S, 100.0 * DOUBLES_S):
         state = fold.initial(MACHINE)
-        go_on(state, kept, seconds, NOW)
+        resume(state, retained, seconds, NOW)
         aged.append(sds(state)[unknowns.SIX])
     assert aged[0] == pytest.approx(six, rel=1e-6)
     assert np.all(aged[1] < 2.0 * six) and np.all(aged[1] > 1.3 * six)
@@ -121,17 +121,17 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
 
 def test_a_scalar_fades_by_the_formula() -> None:
     state = taught()
-    own = state.estimators[pem.METHOD]
-    own.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
-    kept, after = keep(state, NOW), fold.initial(MACHINE)
-    go_on(after, kept, DOUBLES_S, NOW)
-    prior = own.prior_sd[0]
+    ours = state.estimators[pem.METHOD]
+    ours.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
+    retained, after = save_learned(state, NOW), fold.initial(MACHINE)
+    resume(after, retained, DOUBLES_S, NOW)
+    prior = ours.prior_sd[0]
     assert sds(after)[0] == pytest.approx(prior / np.sqrt(0.25 * 100.0 + 0.75))
 
 
 def test_a_number_of_yesterday_is_stale_and_as_old_as_it_is() -> None:
     state = fold.initial(MACHINE)
-    go_on(state, keep(taught(), NOW), 36_000.0, NOW)
+    resume(state, save_learned(taught(), NOW), 36_000.0, NOW)
     given = pem.estimate(state.estimators[pem.METHOD], MACHINE, NOW).parameters[0]
     assert given.status is Status.STALE
     assert given.value is not None
@@ -139,7 +139,7 @@ def test_a_number_of_yesterday_is_stale_and_as_old_as_it_is() -> None:
 
 
 def test_nothing_learned_is_nothing_kept() -> None:
-    assert keep(fold.initial(MACHINE), NOW) == {}
+    assert save_learned(fold.initial(MACHINE), NOW) == {}
 
 
 SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
@@ -152,12 +152,12 @@ SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("change", "told"), SPOILT)
-def test_what_is_spoilt_is_not_used(change: dict[str, Any], told: str) -> None:
-    kept = keep(taught(), NOW)
+@pytest.mark.parametrize(("change", "expected"), SPOILT)
+def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: str) -> None:
+    retained = save_learned(taught(), NOW)
     state = fold.initial(MACHINE)
-    why_not = go_on(state, {**kept, "pem": replace(kept["pem"], **change)}, 0.0, NOW)
-    assert told in why_not["pem"]
+    why_not = resume(state, {**retained, "pem": replace(retained["pem"], **change)}, 0.0, NOW)
+    assert expected in why_not["pem"]
     assert why_not["steady_state"] == ""
     assert np.array_equal(state.estimators["pem"].mean, fold.initial(MACHINE).estimators["pem"].mean)
 
@@ -167,7 +167,7 @@ def test_what_is_spoilt_is_not_used(change: dict[str, Any], told: str) -> None:
 
 def stored(tmp_path: Path) -> Path:
     path = warm_start_file.path_of(tmp_path, MACHINE)
-    warm_start_file.write(path, warm_start_file.text_of(MACHINE, keep(taught(), NOW), NOW))
+    warm_start_file.write(path, warm_start_file.text_of(MACHINE, save_learned(taught(), NOW), NOW))
     return path
 
 
@@ -176,11 +176,11 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
     found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
-    kept, elapsed_s = found
+    retained, elapsed_s = found
     assert elapsed_s == 7.0
-    for method, wanted in keep(taught(), NOW).items():
-        assert kept[method].mean.tobytes() == wanted.mean.tobytes()
-        assert kept[method].covariance.tobytes() == wanted.covariance.tobytes()
+    for method, wanted in save_learned(taught(), NOW).items():
+        assert retained[method].mean.tobytes() == wanted.mean.tobytes()
+        assert retained[method].covariance.tobytes() == wanted.covariance.tobytes()
 
 
 def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "expected"),
     [
         ("mass = 9391.0", "mass = 9400.0", "[tractor] of the machine file changed"),
         ("mass = { value = 2127.0", "mass = { value = 2500.0", "[implement] of the machine file changed"),
@@ -198,16 +198,16 @@ def test_no_file_is_nothing_and_a_clock_that_went_back_is_a_day(tmp_path: Path) 
         ('prefix = "tilth"', 'prefix = "other"', ""),
     ],
 )
-def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = MACHINE_TEXT.replace(old, new, 1)
     assert text != MACHINE_TEXT
     path = stored(tmp_path)
-    if not told:
+    if not expected:
         assert warm_start_file.read(path, parse_machine(text), NOW) is not None
         return
     with pytest.raises(NotUsable) as caught:
         warm_start_file.read(path, parse_machine(text), NOW)
-    assert told in str(caught.value)
+    assert expected in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -256,10 +256,10 @@ def talker() -> Iterator[can.BusABC]:
 
 def a_run(folder: Path, described: tuple[Machine, str] | None = None, **options: Any) -> tuple[Daemon, Told]:
     machine, text = described or rig(folder, VIRTUAL)
-    told = Told()
-    daemon = Daemon(machine, text, folder, None, told, **options)
+    result = Told()
+    daemon = Daemon(machine, text, folder, None, result, **options)
     daemon.turn(0.0)
-    return daemon, told
+    return daemon, result
 
 
 def now(frames: list[Frame]) -> list[Frame]:
@@ -270,13 +270,13 @@ def now(frames: list[Frame]) -> list[Frame]:
 def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     tmp_path: Path, talker: can.BusABC
 ) -> None:
-    first, told = a_run(tmp_path, keep=True)
-    assert told.events == []
+    first, result = a_run(tmp_path, keep=True)
+    assert result.events == []
     teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
-    second, told = a_run(tmp_path, second_rig, keep=True)
-    assert [text[:38] for text in told.of_warm_start()] == ["steady_state, tracker, pem go on from "]
+    second, result = a_run(tmp_path, second_rig, keep=True)
+    assert [text[:38] for text in result.of_warm_start()] == ["steady_state, tracker, pem go on from "]
     assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)
@@ -294,14 +294,14 @@ def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: c
     first, _ = a_run(tmp_path, keep=True)
     teach(first.parts.estimation.fold.state, Clock().t_ns())
     first.close()
-    fresh, told = a_run(tmp_path, keep=True, fresh=True)
-    assert told.events == [] and fresh.parts.estimation.fold.state.estimators["pem"].fits == 0
+    fresh, result = a_run(tmp_path, keep=True, fresh=True)
+    assert result.events == [] and fresh.parts.estimation.fold.state.estimators["pem"].fits == 0
     fresh.close()
     path = next(tmp_path.glob("*.warm.json"))  # still that of the first: the fresh run learned nothing
     plain = json.loads(path.read_text())
     path.write_text(json.dumps({**plain, "sections": {**plain["sections"], "implement": "another"}}))
-    other, told = a_run(tmp_path, keep=True)
-    assert ["[implement] of the machine file changed" in text for text in told.of_warm_start()] == [True]
+    other, result = a_run(tmp_path, keep=True)
+    assert ["[implement] of the machine file changed" in text for text in result.of_warm_start()] == [True]
     assert other.parts.estimation.fold.state.estimators["pem"].fits == 0
     other.close()
 

@@ -67,18 +67,18 @@ class Viewer:
             assert time.monotonic() < deadline, {topic: len(rows) for topic, rows in self.heard.items()}
             self._take(self._socket.recv(timeout=PATIENCE_S))
 
-    def _take(self, told: str | bytes) -> None:
-        if isinstance(told, str):
-            said = json.loads(told)
-            if said["op"] == "serverInfo":
-                self.info = said
-            elif said["op"] == "advertise":
-                self.channels |= {row["topic"]: row for row in said["channels"]}
-        elif told[0] == MESSAGE:
-            subscription, t_ns = struct.unpack_from("<IQ", told, 1)
-            self.heard[self._topics[subscription]].append((t_ns, told[13:]))
-        elif told[0] == TIME:
-            self.times.append(struct.unpack_from("<Q", told, 1)[0])
+    def _take(self, result: str | bytes) -> None:
+        if isinstance(result, str):
+            output = json.loads(result)
+            if output["op"] == "serverInfo":
+                self.info = output
+            elif output["op"] == "advertise":
+                self.channels |= {row["topic"]: row for row in output["channels"]}
+        elif result[0] == MESSAGE:
+            subscription, t_ns = struct.unpack_from("<IQ", result, 1)
+            self.heard[self._topics[subscription]].append((t_ns, result[13:]))
+        elif result[0] == TIME:
+            self.times.append(struct.unpack_from("<Q", result, 1)[0])
 
     def decoded(self, topic: str) -> list[Any]:
         """By the schema that the server told."""
@@ -175,7 +175,7 @@ def test_a_viewer_of_another_origin_is_refused_as_by_the_page(
     port, refused = guarded
     refused.clear()
     headers = [f"Host: {host or f'127.0.0.1:{port}'}", *([f"Origin: {origin}"] if origin else [])]
-    assert asked(port, headers) == status
+    assert status_of(port, headers) == status
     assert refused == ([] if status == 101 else [origin or ""])
 
 
@@ -185,7 +185,7 @@ def test_what_is_no_request_ends(guarded: tuple[int, list[str]]) -> None:
         with socket.create_connection(("127.0.0.1", port), timeout=10) as raw, suppress(ConnectionError):
             raw.sendall(nonsense)
             assert b"400" in raw.recv(100)
-    assert asked(port, [f"Host: localhost:{port}"]) == 101
+    assert status_of(port, [f"Host: localhost:{port}"]) == 101
 
 
 def test_the_server_behind_is_on_no_address_that_a_page_could_guess() -> None:
@@ -203,7 +203,7 @@ def guarded() -> Iterator[tuple[int, list[str]]]:
     server.stop()
 
 
-def asked(port: int, headers: list[str]) -> int:
+def status_of(port: int, headers: list[str]) -> int:
     """The status that a handshake with these headers is answered with."""
     key = base64.b64encode(bytes(16)).decode()
     lines = ["GET / HTTP/1.1", *headers, "Upgrade: websocket", "Connection: Upgrade"]
@@ -218,7 +218,7 @@ def asked(port: int, headers: list[str]) -> int:
 
 
 @pytest.mark.parametrize(
-    ("topic", "data", "encoding", "told"),
+    ("topic", "data", "encoding", "expected"),
     [
         ("/pose", b"\xff\xff", "", "not a Pose"),
         ("/pose", b"x" * 100_000, "", "too many bytes"),
@@ -230,24 +230,24 @@ def asked(port: int, headers: list[str]) -> int:
     ],
 )
 def test_what_is_no_message_is_refused(
-    serving: tuple[FoxgloveServer, zenoh.Session], topic: str, data: bytes, encoding: str, told: str
+    serving: tuple[FoxgloveServer, zenoh.Session], topic: str, data: bytes, encoding: str, expected: str
 ) -> None:
-    server, own = serving
+    server, ours = serving
     served, refused = server.served, server.refused.total()
-    own.put(f"{BASE}{topic}", data, encoding=encoding or CHANNEL[topic].encoding)
+    ours.put(f"{BASE}{topic}", data, encoding=encoding or CHANNEL[topic].encoding)
     until(lambda: server.refused.total() == refused + 1)
-    assert [*server.refused][-1].startswith(f"{topic}: {told}")
-    own.put(f"{BASE}/pose", pb.Pose(t_ns=5).SerializeToString(), encoding=CHANNEL["/pose"].encoding)
+    assert [*server.refused][-1].startswith(f"{topic}: {expected}")
+    ours.put(f"{BASE}/pose", pb.Pose(t_ns=5).SerializeToString(), encoding=CHANNEL["/pose"].encoding)
     until(lambda: server.served == served + 1)
 
 
 @pytest.fixture
 def serving() -> Iterator[tuple[FoxgloveServer, zenoh.Session]]:
     """A server that hears its own session."""
-    with open_session("tcp/127.0.0.1:1") as own:
+    with open_session("tcp/127.0.0.1:1") as ours:
         server = FoxgloveServer("127.0.0.1", 0)
-        server.follow(own, BASE)
-        yield server, own
+        server.follow(ours, BASE)
+        yield server, ours
         server.stop()
 
 
@@ -272,7 +272,7 @@ def _opened(rig: FieldRig) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (("--port", "65536"), "give a number from 0 to 65535"),
         (("--host", "203.0.113.1", "--port", "0"), "give others"),
@@ -281,11 +281,11 @@ def _opened(rig: FieldRig) -> Any:
     ],
 )
 def test_wrong_use_is_told_in_one_line(
-    words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(("foxglove", *words)) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert expected in error and error.count("\n") == 1
 
 
 def test_without_the_extra_it_says_what_to_install(

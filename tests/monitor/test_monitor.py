@@ -142,20 +142,20 @@ def test_a_malformed_header_is_a_400_and_no_traceback(stage: Stage, tmp_path: Pa
            b"\xff\xfe", b"http://[", b"%00", b"localhost, localhost", b"[v1.x]", b"\xe2\x80\xae")  # fmt: skip
     stream = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
     stream += base64.b64encode(bytes(16)) + b"\r\n"
-    with (tmp_path / "stderr").open("w+") as said:
-        with closing(Monitor("--connect", stage.endpoint, stderr=said.fileno())) as one:
+    with (tmp_path / "stderr").open("w+") as output:
+        with closing(Monitor("--connect", stage.endpoint, stderr=output.fileno())) as one:
             here = one.address.encode()
             for path, more in ((b"/", b""), (b"/live", stream)):
-                asked = [(b"Host: %b" % value, value) for value in odd]
-                asked += [(b"Host: %b\r\nOrigin: %b" % (here, value), value) for value in odd]
-                asked += [(b"Host: %b\r\nHost: evil.example" % here, b"two hosts"), (b"X: y", b"no host")]
-                for head, value in asked:
+                requested = [(b"Host: %b" % value, value) for value in odd]
+                requested += [(b"Host: %b\r\nOrigin: %b" % (here, value), value) for value in odd]
+                requested += [(b"Host: %b\r\nHost: evil.example" % here, b"two hosts"), (b"X: y", b"no host")]
+                for head, value in requested:
                     request = b"GET %b HTTP/1.1\r\n%b\r\n%b\r\n" % (path, head, more)
                     assert raw_status(one.address, request) == 400, (path, head, value)
                 good = b"GET %b HTTP/1.1\r\nHost: %b\r\n%b\r\n" % (path, here, more)
                 assert raw_status(one.address, good) in (101, 200)
-        said.seek(0)
-        assert said.read() == ""
+        output.seek(0)
+        assert output.read() == ""
 
 
 def raw_status(address: str, request: bytes) -> int:
@@ -166,13 +166,13 @@ def raw_status(address: str, request: bytes) -> int:
 
 
 def test_a_page_for_the_networks_says_its_addresses_and_who_may_mark(stage: Stage) -> None:
-    own = network_addresses()
+    ours = network_addresses()
     with closing(Monitor("--connect", stage.endpoint, "--host", "0.0.0.0")) as one:
         assert one.process.stdout is not None
-        said = [one.url, *(one.process.stdout.readline().strip() for _ in range(max(len(own), 1)))]
+        messages = [one.url, *(one.process.stdout.readline().strip() for _ in range(max(len(ours), 1)))]
         port = one.url.rstrip("/").rpartition(":")[2]
-        assert said[:-1] == [f"http://{address}:{port}/" for address in own or ["127.0.0.1"]]
-        assert "everybody" in said[-1] and "may see the page and mark" in said[-1]
+        assert messages[:-1] == [f"http://{address}:{port}/" for address in ours or ["127.0.0.1"]]
+        assert "everybody" in messages[-1] and "may see the page and mark" in messages[-1]
         assert one.ask("/")[0] == 200  # by that very address
 
 
@@ -193,8 +193,8 @@ def test_a_mark_is_confirmed_by_the_daemon_or_not_there(stage: Stage, monitor: M
         stage.order(refusal="")
     for text, words in (("", "write something"), (" \n", "write something"), (7, "write something"),
                         ("ü" * 513, "1026 bytes"), ("x" * 10_000, "too long")):  # fmt: skip
-        told = monitor.mark(text)
-        assert not told["noted"] and words in told["text"]
+        result = monitor.mark(text)
+        assert not result["noted"] and words in result["text"]
     for data in (b"", b"[]", b"{", b"[" * 5000, b"\xff"):
         assert monitor.ask("/mark", data, content_type="application/json")[0] == 400
     assert "as JSON" in monitor.mark("x", content_type="text/plain")["text"]
@@ -253,13 +253,13 @@ def test_hostile_payloads_are_counted_and_said(stage: Stage, monitor: Monitor) -
 
 def test_a_first_word_is_waited_for_before_anything_is_said_to_be_wrong() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-    with closing(DaemonData(endpoint, None, "tilth", "", False)) as heard:
-        view = View(heard, endpoint)
+    with closing(DaemonData(endpoint, None, "tilth", "", False)) as received:
+        view = View(received, endpoint)
         for now_s in (100.0, 100.0 + WAIT_S - 0.1):
-            said = json.loads(view.turn(now_s).text)["new"]
-            assert said["waiting"] and said["notes"] == []
-        said = json.loads(view.turn(100.0 + WAIT_S).text)["new"]
-        assert not said["waiting"] and "No daemon is heard" in said["notes"][0]
+            output = json.loads(view.turn(now_s).text)["new"]
+            assert output["waiting"] and output["notes"] == []
+        output = json.loads(view.turn(100.0 + WAIT_S).text)["new"]
+        assert not output["waiting"] and "No daemon is heard" in output["notes"][0]
 
 
 def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_version() -> None:
@@ -280,7 +280,7 @@ def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_versio
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--connect", "nonsense"], "an endpoint looks like"),
         (["--port", "99999"], "from 0 to 65535"),
@@ -290,11 +290,11 @@ def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_versio
     ],
 )
 def test_wrong_use_is_told_in_one_line(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["monitor", "--port", "0", *words]) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert expected in error and error.count("\n") == 1
 
 
 def test_a_port_that_is_taken(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
@@ -336,9 +336,11 @@ def test_rows_are_in_order_whatever_comes_and_the_last_is_there(times: list[floa
 def test_a_message_becomes_what_json_can_hold() -> None:
     status = pb.Status(version="1\n\x1b[2J", uptime_s=math.nan, problems=["x" * 9999] * 100)
     status.wheel_angle.state = "alive"
-    told = plain(status)
-    json.dumps(told, allow_nan=False)
-    assert told["version"] == "1  [2J" and told["uptime_s"] is None and told["wheel_angle"]["per_s"] == 0.0
-    assert len(told["problems"]) == 64 and len(told["problems"][0]) == 500
-    assert "disk_free_bytes" not in told
+    result = plain(status)
+    json.dumps(result, allow_nan=False)
+    assert (
+        result["version"] == "1  [2J" and result["uptime_s"] is None and result["wheel_angle"]["per_s"] == 0.0
+    )
+    assert len(result["problems"]) == 64 and len(result["problems"][0]) == 500
+    assert "disk_free_bytes" not in result
     assert plain(pb.Pose())["flags"] == []

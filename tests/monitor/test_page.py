@@ -71,7 +71,7 @@ class Faults:
         self.told: list[str] = []
         context.on("weberror", lambda fault: self.told.append(str(fault.error)))
         context.on("console", self._said)
-        context.on("request", lambda asked: self._asked(asked.url, address))
+        context.on("request", lambda requested: self._asked(requested.url, address))
 
     def _said(self, line: ConsoleMessage) -> None:
         if line.type == "error":
@@ -252,28 +252,28 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
     with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
         page, _ = opened(browser, monitor, "phone")
         expect_run(page, "RECORDING", "good")
-        told = page.locator("#marks-told p")
+        result = page.locator("#marks-told p")
         for text in ("soft", "wet", "stone", "turn"):
             page.get_by_role("button", name=f"Mark: {text}").tap()
-            expect(told.filter(has_text=f"{text}: ✔ It is in the log.")).to_be_in_viewport()
+            expect(result.filter(has_text=f"{text}: ✔ It is in the log.")).to_be_in_viewport()
             expect(page.locator("#events li", has_text=f"mark {text}")).to_have_count(1)
-        expect(told).to_have_count(0, timeout=SOON_MS)  # what is in the log need not be said for ever
+        expect(result).to_have_count(0, timeout=SOON_MS)  # what is in the log need not be said for ever
         stage.order(refusal="the disk is full")
         until(lambda: monitor.mark("once more")["text"] == "the disk is full")
         page.get_by_role("button", name="Mark: wet").tap()
-        expect(told).to_have_text("wet: ✘ Not in the log: the disk is full")
+        expect(result).to_have_text("wet: ✘ Not in the log: the disk is full")
         stage.order(refusal="")
         until(lambda: monitor.mark("once more")["noted"])
         page.get_by_role("button", name="Mark: soft").tap()
-        expect(told).to_have_text(["wet: ✘ Not in the log: the disk is full", "soft: ✔ It is in the log."])
+        expect(result).to_have_text(["wet: ✘ Not in the log: the disk is full", "soft: ✔ It is in the log."])
         page.get_by_role("button", name="Mark: wet").tap()
-        expect(told.filter(has_text="✘")).to_have_count(0)
+        expect(result.filter(has_text="✘")).to_have_count(0)
         monitor.process.send_signal(signal.SIGSTOP)
         expect_run(page, "NO CONNECTION", "bad")
         page.get_by_role("button", name="Mark: turn").tap()
-        expect(told.filter(has_text="turn")).to_have_text("turn: asking the daemon …")
+        expect(result.filter(has_text="turn")).to_have_text("turn: asking the daemon …")
         monitor.process.send_signal(signal.SIGCONT)
-        expect(told.filter(has_text="turn")).to_have_text("turn: ✔ It is in the log.", timeout=SOON_MS)
+        expect(result.filter(has_text="turn")).to_have_text("turn: ✔ It is in the log.", timeout=SOON_MS)
         page.context.close()
 
 
@@ -322,19 +322,19 @@ def test_a_daemon_that_prepares_is_waited_for_in_words(
 ) -> None:
     page, _ = opened(browser, stage[1])
     expect_run(page, "● RECORDING", "good")
-    said = page.locator("#preparing")
-    expect(said).to_be_hidden()
+    output = page.locator("#preparing")
+    expect(output).to_be_hidden()
     stage[0].order(preparing="compiling", ready_in_s=40.0)
-    expect(said).to_have_text(
+    expect(output).to_have_text(
         "Compiling, about 40 s left. Frames are recorded meanwhile; results follow.", timeout=SOON_MS
     )
     expect_run(page, "● RECORDING", "good")
     picture(request, page, "page-preparing")
     stage[0].order(ready_in_s=None, recording=False)
-    expect(said).to_have_text("Compiling. Results follow.", timeout=SOON_MS)
+    expect(output).to_have_text("Compiling. Results follow.", timeout=SOON_MS)
     expect_run(page, "NOT RECORDING", "bad")
     stage[0].order(preparing="", recording=True)
-    expect(said).to_be_hidden(timeout=SOON_MS)
+    expect(output).to_be_hidden(timeout=SOON_MS)
     page.context.close()
 
 

@@ -56,9 +56,9 @@ def contrast(one: Array, other: Array) -> float:
 @pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("eyes", EYES)
 def test_implement_and_the_states_of_the_track_are_apart(theme: str, eyes: str) -> None:
-    seen = {name: lab(np.asarray(EYES[eyes]) @ linear(value)) for name, value in THEMES[theme].items()}
+    observed = {name: lab(np.asarray(EYES[eyes]) @ linear(value)) for name, value in THEMES[theme].items()}
     for other in ("q0", "q1", "q2", "tractor", "event", "grid"):
-        assert np.linalg.norm(seen["implement"] - seen[other]) > APART, other
+        assert np.linalg.norm(observed["implement"] - observed[other]) > APART, other
 
 
 @pytest.mark.parametrize("theme", THEMES)

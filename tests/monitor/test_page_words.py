@@ -34,10 +34,10 @@ TELLING = np.zeros((len(NAMES), len(NAMES)))  # information of a drive that tell
 TELLING[SIX, SIX] = np.eye(6) * 1e3
 
 
-def heard(scale: float = 1.0, since_s: float = 300.0, invalid: str = "") -> Fields:
+def received(scale: float = 1.0, since_s: float = 300.0, invalid: str = "") -> Fields:
     """An estimate as the page's server hears it."""
-    told = CHANNEL["/soil_tire"].encode(estimate(10**18, since_s, scale, since_s, invalid))
-    return plain(pb.SoilTireEstimate.FromString(told))
+    payload = CHANNEL["/soil_tire"].encode(estimate(10**18, since_s, scale, since_s, invalid))
+    return plain(pb.SoilTireEstimate.FromString(payload))
 
 
 RIG = plain(pb.Rig.FromString(CHANNEL["/rig"].encode(MACHINE)))
@@ -104,14 +104,14 @@ def test_a_word_is_said_only_where_all_of_the_interval_agrees(ratio: float, with
 
 
 def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
-    came = heard()
+    came = received()
     before = json.dumps(came)
-    told = words.shown(came, RIG)
+    page = words.page_estimate(came, RIG)
     sd = [math.sqrt(variance) for variance in came["log_covariance"][::7]]
-    for name, within, own in zip(PARAMETERS, told["within"], sd, strict=True):
-        assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * own, rel=1e-4))
-    assert came["bound"][2] == pytest.approx(0.09) and told["known"][2] == "±18 %"
-    assert came["bound"][4] is None and told["known"][4] is None
+    for name, within, ours in zip(PARAMETERS, page["within"], sd, strict=True):
+        assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * ours, rel=1e-4))
+    assert came["bound"][2] == pytest.approx(0.09) and page["known"][2] == "±18 %"
+    assert came["bound"][4] is None and page["known"][4] is None
     assert json.dumps(came) == before
     sds = [prior["log_sd"] for prior in RIG["priors"]]
     assert [prior["within"] for prior in words.priors(RIG)["priors"]] == pytest.approx(
@@ -121,33 +121,33 @@ def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
 
 
 def test_soft_soil_and_a_contradiction_in_words() -> None:
-    assert [one["word"] for one in words.shown(heard(0.6), RIG)["ground"]] == ["soft"] * 3
-    assert [one["word"] for one in words.shown(heard(), RIG)["ground"]] == ["as usual"] * 3
+    assert [one["word"] for one in words.page_estimate(received(0.6), RIG)["ground"]] == ["soft"] * 3
+    assert [one["word"] for one in words.page_estimate(received(), RIG)["ground"]] == ["as usual"] * 3
     why = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
-    told = words.shown(heard(invalid=why), RIG)
-    assert told["withdrawn"] == [f"Numbers withdrawn: {why}"]
-    assert {one["word"] for one in told["ground"]} == {"withdrawn"}
-    assert told["advised"] == "" and told["value"] == [None] * 6
+    page = words.page_estimate(received(invalid=why), RIG)
+    assert page["withdrawn"] == [f"Numbers withdrawn: {why}"]
+    assert {one["word"] for one in page["ground"]} == {"withdrawn"}
+    assert page["advised"] == "" and page["value"] == [None] * 6
 
 
 def test_some_numbers_withdrawn_are_named_and_an_invalid_value_is_not_shown() -> None:
-    came = heard()
+    came = received()
     came["parameters"][1] |= {"status": 3, "reason": "why"}
     came["parameters"][2] |= {"status": 7, "reason": ""}
-    told = words.shown(came, RIG)
-    assert told["withdrawn"] == [
+    page = words.page_estimate(came, RIG)
+    assert page["withdrawn"] == [
         "Numbers withdrawn (C_ar): why",
         "Numbers withdrawn (C_ai): the daemon gives no reason",
     ]
-    assert told["value"][1] is None and told["value"][2] is None and told["value"][0] is not None
+    assert page["value"][1] is None and page["value"][2] is None and page["value"][0] is not None
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 5e-324, 1e308, None])
 @pytest.mark.parametrize("variance", [0.0, 1e300, -1.0, None])
 def test_numbers_that_no_rig_has_break_nothing(value: float | None, variance: float | None) -> None:
-    came = heard()
+    came = received()
     came["log_covariance"] = [variance] * 36
     for one in came["parameters"]:
         one |= {"value": value, "sd": 1e300, "status": 1, "reason": "±" + "9" * 400 + " %"}
     came["bound"] = [1e300, None, -1.0]
-    json.dumps(words.shown(came, RIG), allow_nan=False)
+    json.dumps(words.page_estimate(came, RIG), allow_nan=False)

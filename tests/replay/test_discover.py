@@ -269,9 +269,9 @@ def test_a_log_is_looked_into(machine: Machine, tmp_path: Path, capsys: pytest.C
     out = tmp_path / "draft.toml"
     assert main(["discover", str(log), "--out", str(out)]) == 0
     assert out.read_text() == answer["machine_file"]
-    shown = capsys.readouterr()
-    assert "A00017000421E240" in shown.out
-    assert str(out) in shown.err
+    output = capsys.readouterr()
+    assert "A00017000421E240" in output.out
+    assert str(out) in output.err
     assert main(["discover", str(log), "--out", str(out)]) == 2  # never overwritten
 
 

@@ -98,14 +98,14 @@ def test_what_is_plotted_is_a_number_in_the_log(found: dict[str, Descriptor], pa
 
 
 def test_the_layout_shows_all_of_its_panels() -> None:
-    def shown(part: Any) -> set[str]:
-        return {part} if isinstance(part, str) else shown(part["first"]) | shown(part["second"])
+    def part_names(part: Any) -> set[str]:
+        return {part} if isinstance(part, str) else part_names(part["first"]) | part_names(part["second"])
 
-    assert shown(json.loads(LAYOUT.read_text())["layout"]) == set(PANELS)
+    assert part_names(json.loads(LAYOUT.read_text())["layout"]) == set(PANELS)
 
 
 @pytest.fixture(scope="module")
-def told(log: Path, found: dict[str, Descriptor]) -> dict[str, list[Any]]:
+def messages_of(log: Path, found: dict[str, Descriptor]) -> dict[str, list[Any]]:
     """Topic -> messages of the log, decoded by nothing but its own schemas."""
     kinds = {topic: message_factory.GetMessageClass(schema) for topic, schema in found.items()}
     messages: dict[str, list[Any]] = defaultdict(list)
@@ -123,10 +123,10 @@ def _placed(transforms: Any) -> dict[str, Matrix]:
     placed: dict[str, Matrix] = {"world": np.eye(4)}
     for one in transforms:
         at, q = one.translation, one.rotation
-        own = np.eye(4)
-        own[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-        own[:3, 3] = at.x, at.y, at.z
-        placed[one.child_frame_id] = placed[one.parent_frame_id] @ own
+        ours = np.eye(4)
+        ours[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        ours[:3, 3] = at.x, at.y, at.z
+        placed[one.child_frame_id] = placed[one.parent_frame_id] @ ours
     return placed
 
 
@@ -134,11 +134,11 @@ def _to_world(placed: dict[str, Matrix], frame: str, *point: float) -> Matrix:
     return np.asarray((placed[frame] @ [*point, 1.0])[:3])
 
 
-def test_the_frames_of_a_moment_are_its_pose(told: dict[str, list[Any]]) -> None:
-    poses = {pose.t_ns: pose for pose in told["/pose"]}
-    assert len(poses) > 50 and len(told["/drawing/frames"]) > 50
+def test_the_frames_of_a_moment_are_its_pose(messages_of: dict[str, list[Any]]) -> None:
+    poses = {pose.t_ns: pose for pose in messages_of["/pose"]}
+    assert len(poses) > 50 and len(messages_of["/drawing/frames"]) > 50
     gaps = []
-    for message in told["/drawing/frames"]:
+    for message in messages_of["/drawing/frames"]:
         (t_ns,) = {one.timestamp.ToNanoseconds() for one in message.transforms}
         pose, placed = poses[t_ns], _placed(message.transforms)
         for name in ("tractor", "implement"):
@@ -160,10 +160,10 @@ def test_the_frames_of_a_moment_are_its_pose(told: dict[str, list[Any]]) -> None
     assert np.abs(np.median(gaps, axis=0)) == pytest.approx([0.0, 0.0, 0.0], abs=0.1)
 
 
-def test_the_bodies_have_the_lengths_of_the_machine_file(told: dict[str, list[Any]]) -> None:
-    frames = _placed(told["/drawing/frames"][-1].transforms)
-    assert len(told["/drawing/bodies"]) >= 3  # for who opens the log in its midst
-    first, *others = told["/drawing/bodies"]
+def test_the_bodies_have_the_lengths_of_the_machine_file(messages_of: dict[str, list[Any]]) -> None:
+    frames = _placed(messages_of["/drawing/frames"][-1].transforms)
+    assert len(messages_of["/drawing/bodies"]) >= 3  # for who opens the log in its midst
+    first, *others = messages_of["/drawing/bodies"]
     assert all(len(other.entities) == len(first.entities) for other in others)
     entities = {entity.id: entity for entity in first.entities}
     assert len(entities) == len(first.entities)
@@ -188,9 +188,9 @@ def test_the_bodies_have_the_lengths_of_the_machine_file(told: dict[str, list[An
     assert frame.size.x == pytest.approx(LENGTHS["a"] + LENGTHS["b"])
 
 
-def test_the_panel_of_the_bodies_follows_a_frame_that_there_is(told: dict[str, list[Any]]) -> None:
+def test_the_panel_of_the_bodies_follows_a_frame_that_there_is(messages_of: dict[str, list[Any]]) -> None:
     panel = PANELS["3D!bodies"]
-    frames = set(_placed(told["/drawing/frames"][-1].transforms))
+    frames = set(_placed(messages_of["/drawing/frames"][-1].transforms))
     assert panel["followTf"] in frames and panel["layers"]["ground"]["frameId"] in frames
     assert set(panel["topics"]) == {"/drawing/bodies"}
 

@@ -40,9 +40,9 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Live:
 def run(
     paths: Sequence[Path], comparison: Comparison | None = None, writer: LogWriter | None = None
 ) -> tuple[ReplaySummary, list[str]]:
-    said: list[str] = []
+    messages: list[str] = []
     outputs = ReplayOutputs(writer=writer, comparison=comparison)
-    return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=said.append), said
+    return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=messages.append), messages
 
 
 # Live is replay
@@ -50,7 +50,7 @@ def run(
 
 def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     comparison = Comparison()
-    summary, said = run(live.parts, comparison=comparison)
+    summary, output = run(live.parts, comparison=comparison)
     assert comparison.difference == ""
     assert comparison.compared > 0.9 * live.results > 1000
     assert (summary.frames, summary.truncated, summary.faults) == (len(live.rows), False, 0)
@@ -58,7 +58,7 @@ def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     assert summary.measurements > 0.3 * summary.frames
     assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
     assert set(summary.estimates) == {row.method for row in rows_for(MACHINE)} | {"recommended"}
-    assert said == []
+    assert output == []
 
 
 @pytest.mark.parametrize("part", [0, 1, 2])
@@ -93,10 +93,10 @@ def test_out_holds_frames_and_results_and_replays(live: Live, tmp_path: Path) ->
 
 def test_a_state_of_another_machine_file_is_not_taken(live: Live) -> None:
     text = MACHINE_TEXT.replace("mass = 9391.0", "mass = 9400.0")
-    said: list[str] = []
-    other = replay(live.parts[1:], parse_machine(text), text, say=said.append)
+    messages: list[str] = []
+    other = replay(live.parts[1:], parse_machine(text), text, say=messages.append)
     assert other.frames > 0
-    assert len(said) == 1 and "another machine file" in said[0]
+    assert len(messages) == 1 and "another machine file" in messages[0]
 
 
 def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> None:
@@ -106,9 +106,9 @@ def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> 
     for row in live.rows[:3000]:
         writer.frame(row)
     writer.close()
-    summary, said = run([path])
+    summary, output = run([path])
     assert summary.poses > 0
-    assert len(said) == 1 and "another version" in said[0]
+    assert len(output) == 1 and "another version" in output[0]
 
 
 def with_state(live: Live, path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
@@ -141,20 +141,20 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
 ) -> None:
     path, out = with_state(live, tmp_path / "x.mcap", change), tmp_path / "out.mcap"
     writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
-    summary, said = run([path], writer=writer)
+    summary, output = run([path], writer=writer)
     writer.close()
     assert summary.faults == 0 and summary.poses > 20
-    told = [event.text for event in summary.events if event.kind == "stored_state"]
-    assert len(told) == len(said) == (reason != "")
-    for text in (*told, *said):
+    collected = [event.text for event in summary.events if event.kind == "stored_state"]
+    assert len(collected) == len(output) == (reason != "")
+    for text in (*collected, *output):
         assert reason in text and text.endswith("; going on without it")
-    kept = [
+    retained = [
         pb.Event.FromString(row.data).kind
         for row in results_of([out], frozenset({"/event"})).get("/event", [])
     ]
-    assert kept.count("stored_state") == len(told)
-    again, said = run([out])  # which begins with what was still known
-    assert (again.poses, said) == (summary.poses, [])
+    assert retained.count("stored_state") == len(collected)
+    again, output = run([out])  # which begins with what was still known
+    assert (again.poses, output) == (summary.poses, [])
 
 
 def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refused(
@@ -164,8 +164,8 @@ def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refuse
         plain["version"] = VERSION - 1
 
     whole, _ = run(live.parts[:2])
-    refused, said = run([live.parts[0], with_state(live, tmp_path / "x.mcap", older)])
-    assert len(said) == 1 and "another version" in said[0]
+    refused, output = run([live.parts[0], with_state(live, tmp_path / "x.mcap", older)])
+    assert len(output) == 1 and "another version" in output[0]
     assert (refused.estimates, refused.poses) == (whole.estimates, whole.poses)
 
 
@@ -173,7 +173,7 @@ def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refuse
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         ("value", "tractor.heading was"),
         ("time", "computed again for"),
@@ -181,11 +181,11 @@ def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refuse
         ("twice", "/pose"),
     ],
 )
-def test_one_altered_result_is_found(live: Live, tmp_path: Path, change: str, told: str) -> None:
+def test_one_altered_result_is_found(live: Live, tmp_path: Path, change: str, expected: str) -> None:
     comparison = Comparison()
     run([altered(live, tmp_path, "/pose", 10, change)], comparison=comparison)
     assert comparison.difference.startswith("/pose")
-    assert told in comparison.difference
+    assert expected in comparison.difference
 
 
 def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
@@ -205,13 +205,13 @@ def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
 def cut_before_a_pose(live: Live, path: Path) -> Path:
     """The first part as the disk kept it that filled up between a frame and the pose that came of it."""
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, live.rows[0].t_ns))
-    seen = 0
+    observed = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):
             writer.frame(row)
         elif isinstance(row, Logged):
-            seen += row.topic == "/pose"
-            if seen == 20:
+            observed += row.topic == "/pose"
+            if observed == 20:
                 break
             writer.message(row.topic, row.t_ns, row.data)
     writer.flush()
@@ -222,10 +222,10 @@ def cut_before_a_pose(live: Live, path: Path) -> Path:
 def test_a_gap_in_the_middle_of_a_run_is_no_difference(live: Live, tmp_path: Path) -> None:
     comparison = Comparison()
     cut = cut_before_a_pose(live, tmp_path / "cut.mcap")
-    summary, said = run([cut, *live.parts[1:]], comparison=comparison)
+    summary, output = run([cut, *live.parts[1:]], comparison=comparison)
     assert (comparison.difference, summary.truncated) == ("", True)
     assert comparison.compared > 600
-    assert said == [f"{cut}: cut off; replayed as far as it is whole"]
+    assert output == [f"{cut}: cut off; replayed as far as it is whole"]
 
 
 # Several runs, and parts out of order
@@ -238,17 +238,17 @@ def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> N
     out = tmp_path / "out.mcap"
     writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     comparison = Comparison()
-    both, said = run([*live.parts, *other.parts], comparison=comparison, writer=writer)
+    both, output = run([*live.parts, *other.parts], comparison=comparison, writer=writer)
     writer.close()
     first, second = run(live.parts)[0], run(other.parts)[0]
     assert comparison.difference == ""
     assert both.estimates == second.estimates != first.estimates
     for count in ("frames", "measurements", "poses", "duration_ns"):
         assert getattr(both, count) == getattr(first, count) + getattr(second, count)
-    assert said == [f"{other.parts[0]}: {ANOTHER}"]
+    assert output == [f"{other.parts[0]}: {ANOTHER}"]
     comparison = Comparison()
-    again, said = run([out], comparison=comparison)
-    assert (comparison.difference, said, again.estimates) == ("", [], both.estimates)
+    again, output = run([out], comparison=comparison)
+    assert (comparison.difference, output, again.estimates) == ("", [], both.estimates)
 
 
 def test_another_run_cut_before_its_first_frame_leaves_the_estimates(live: Live, tmp_path: Path) -> None:
@@ -268,15 +268,15 @@ NOT_IN_ORDER: tuple[tuple[tuple[int, ...], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("order", "told"), NOT_IN_ORDER)
+@pytest.mark.parametrize(("order", "expected"), NOT_IN_ORDER)
 def test_a_part_out_of_order_is_told_and_replays_as_it_ran(
-    live: Live, other: Live, order: tuple[int, ...], told: str
+    live: Live, other: Live, order: tuple[int, ...], expected: str
 ) -> None:
     paths = [(*live.parts, other.parts[1])[k] for k in order]
     comparison = Comparison()
-    _, said = run(paths, comparison=comparison)
+    _, output = run(paths, comparison=comparison)
     assert comparison.difference == ""
-    assert said[-1] == f"{paths[-1]}: {told}"
+    assert output[-1] == f"{paths[-1]}: {expected}"
 
 
 # Logs of others
@@ -318,19 +318,19 @@ def test_other_formats_give_the_same_result(live: Live, tmp_path: Path) -> None:
 
 def test_the_one_bus_of_a_log_is_that_of_the_machine_file(live: Live, tmp_path: Path) -> None:
     path = as_candump(live.rows[:4000], tmp_path / "x.log")
-    summary, said = run([path])
+    summary, output = run([path])
     assert summary.measurements > 1000
-    assert said == [f"{path}: its bus slcan0 is taken for can0 of the machine file"]
+    assert output == [f"{path}: its bus slcan0 is taken for can0 of the machine file"]
 
 
 def test_two_buses_are_not_guessed_but_can_be_named(live: Live, tmp_path: Path) -> None:
     path = as_candump(live.rows[:4000], tmp_path / "x.log")
     other = as_candump(live.rows[:10], tmp_path / "y.log", "slcan1")
     path.write_text(other.read_text() + path.read_text())
-    summary, said = run([path])
+    summary, output = run([path])
     assert summary.poses == 0
     assert summary.rejected["unknown_source"] > 500
-    assert len(said) == 1 and "slcan1, slcan0" in said[0] and "--bus LOG=MACHINE" in said[0]
+    assert len(output) == 1 and "slcan1, slcan0" in output[0] and "--bus LOG=MACHINE" in output[0]
     named = replay([path], MACHINE, MACHINE_TEXT, buses={"slcan0": "can0"})
     assert named.poses > 5
 
@@ -343,11 +343,11 @@ def test_a_clock_that_steps_back(live: Live, tmp_path: Path) -> None:
     ]
     parts = record(tmp_path, rows, 1).parts
     comparison = Comparison()
-    summary, said = run(parts, comparison=comparison)
+    summary, output = run(parts, comparison=comparison)
     assert (summary.frames, comparison.difference) == (len(rows), "")
     assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
     assert summary.rejected["clock_step"] == 1
-    assert len(said) == 1 and "stepped back" in said[0]
+    assert len(output) == 1 and "stepped back" in output[0]
 
 
 def test_frames_of_a_second_clock_are_neither_steps_nor_time(live: Live, tmp_path: Path) -> None:
@@ -359,8 +359,8 @@ def test_frames_of_a_second_clock_are_neither_steps_nor_time(live: Live, tmp_pat
         mixed.append(row)
         if i % 7 == 0:
             mixed.append(replace(row, t_ns=row.t_ns - 7_456_000_000, can_id=0x18FF0001))
-    summary, said = run([as_candump(mixed, tmp_path / "mixed.log")])
-    assert len(said) == 1 and "is taken for can0" in said[0]
+    summary, output = run([as_candump(mixed, tmp_path / "mixed.log")])
+    assert len(output) == 1 and "is taken for can0" in output[0]
     assert summary.rejected["other_time"] == len(mixed) - len(rows)
     assert (summary.poses, summary.duration_ns) == (alone.poses, alone.duration_ns)
     assert summary.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
@@ -374,9 +374,9 @@ def test_a_clock_that_was_set_ahead_is_not_time_that_passed(live: Live, tmp_path
     assert foreign.duration_ns == pytest.approx(SECONDS * 1e9, rel=0.01)
     parts = record(tmp_path, rows, 1).parts
     comparison = Comparison()
-    own, _ = run(parts, comparison=comparison)
+    ours, _ = run(parts, comparison=comparison)
     assert comparison.difference == ""
-    assert own.duration_ns == pytest.approx(SECONDS * 1e9 + hour, rel=0.001)
+    assert ours.duration_ns == pytest.approx(SECONDS * 1e9 + hour, rel=0.001)
 
 
 def test_a_cut_log_replays_as_far_as_it_is_whole(live: Live, tmp_path: Path) -> None:
@@ -384,19 +384,19 @@ def test_a_cut_log_replays_as_far_as_it_is_whole(live: Live, tmp_path: Path) -> 
     path = tmp_path / "cut.mcap"
     path.write_bytes(content[: len(content) // 2] + bytes(500))
     comparison = Comparison()
-    summary, said = run([path], comparison=comparison)
+    summary, output = run([path], comparison=comparison)
     assert summary.truncated
     assert 0 < summary.frames < len(live.rows) // 3
     assert comparison.difference == ""
-    assert said == [f"{path}: cut off; replayed as far as it is whole"]
+    assert output == [f"{path}: cut off; replayed as far as it is whole"]
 
 
 def test_an_empty_log_among_others_is_passed_over(live: Live, tmp_path: Path) -> None:
     empty = tmp_path / "empty.mcap"
     empty.touch()
-    summary, said = run([live.parts[0], empty, live.parts[1]])
+    summary, output = run([live.parts[0], empty, live.parts[1]])
     assert summary.frames > len(live.rows) // 2
-    assert said == [f"{empty}: an empty file; no frame is in it"]
+    assert output == [f"{empty}: an empty file; no frame is in it"]
     with pytest.raises(EmptyLog):
         run([empty])
 
@@ -420,11 +420,11 @@ def test_a_fault_of_the_fold_costs_no_frame(
     path = tmp_path / "out.mcap"
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
     comparison = Comparison()
-    summary, said = run([part], writer=writer, comparison=comparison)
+    summary, output = run([part], writer=writer, comparison=comparison)
     writer.close()
     assert (summary.faults, summary.frames, comparison.difference) == (1, 6000, "")
     assert list(frames(path)) == rows
-    assert len(said) == 1 and "planted" in said[0]
+    assert len(output) == 1 and "planted" in output[0]
 
 
 # Pace

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from tilth.cli import main
 from tilth.logger.clock import Clock
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -22,29 +22,29 @@ NAME = "rig_20260301T080000Z"
 
 
 def status(t_ns: int, state: str, **faults: int) -> bytes:
-    told = pb.Status(t_ns=t_ns, uptime_s=1.0)
-    told.buses.add(name="can0")
-    told.receivers.add(mount="tractor_front", state=state)
-    told.wheel_angle.state = state
+    result = pb.Status(t_ns=t_ns, uptime_s=1.0)
+    result.buses.add(name="can0")
+    result.receivers.add(mount="tractor_front", state=state)
+    result.wheel_angle.state = state
     for reason, count in faults.items():
-        told.faults.add(reason=reason, count=count)
-    return told.SerializeToString()
+        result.faults.add(reason=reason, count=count)
+    return result.SerializeToString()
 
 
-def parts_of(folder: Path, *states: str, ends: str = "end", **faults: int) -> list[Path]:
+def parts_of(folder: Path, *states: str, ends: ClockReason = ClockReason.END, **faults: int) -> list[Path]:
     """A run of a second a part; the state of its sensors at each one's end."""
     folder.mkdir(exist_ok=True)
     clock, rows, paths = Clock(), numbered(1000 * len(states)), []
     for number, state in enumerate(states, 1):
         path = folder / f"{NAME}_{number:03d}.mcap"
         writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns))
-        writer.clocks(clock, "start" if number == 1 else "new file")
-        own = rows[1000 * (number - 1) : 1000 * number]
-        for row in own[:-1]:
+        writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
+        ours = rows[1000 * (number - 1) : 1000 * number]
+        for row in ours[:-1]:
             writer.frame(row)
-        writer.message("/status", own[-1].t_ns, status(own[-1].t_ns, state, **faults))
-        writer.frame(own[-1])
-        writer.clocks(clock, ends if number == len(states) else "rotation")
+        writer.message("/status", ours[-1].t_ns, status(ours[-1].t_ns, state, **faults))
+        writer.frame(ours[-1])
+        writer.clocks(clock, ends if number == len(states) else ClockReason.ROTATION)
         writer.close()
         paths.append(path)
     return paths
@@ -81,7 +81,7 @@ def test_a_run_is_judged_by_all_its_parts(tmp_path: Path, capsys: pytest.Capture
 def test_frames_that_no_longer_come_do_not_make_a_healthy_run_a_lost_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    paths = parts_of(tmp_path / "logs", "alive", ends="rotation")
+    paths = parts_of(tmp_path / "logs", "alive", ends=ClockReason.ROTATION)
     t_ns = numbered(1)[0].t_ns + 60_000_000_000
     path = paths[0].with_name(f"{NAME}_002.mcap")
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", 2, t_ns))
@@ -96,12 +96,12 @@ def test_a_clock_that_was_set_costs_nothing_and_says_so(
 ) -> None:
     paths = parts_of(tmp_path / "logs", "alive", "alive", clock_stepped=1, not_published=7)
     assert main(["verify", *map(str, paths)]) == 0
-    said = capsys.readouterr().out
-    assert "whole, nothing dropped" in said and "not_published: 7" in said
+    output = capsys.readouterr().out
+    assert "whole, nothing dropped" in output and "not_published: 7" in output
     assert main(["verify", "--json", *map(str, paths)]) == 0
-    (told,) = json.loads(capsys.readouterr().out)
-    assert told["good"] and told["duration_s"] == pytest.approx(2.0, abs=0.01)
-    assert told["began"] == "2026-09-21T14:13:20Z" and told["heard"]["/can/can0"]["longest_gap_s"] == 0.0
+    (fields,) = json.loads(capsys.readouterr().out)
+    assert fields["good"] and fields["duration_s"] == pytest.approx(2.0, abs=0.01)
+    assert fields["began"] == "2026-09-21T14:13:20Z" and fields["heard"]["/can/can0"]["longest_gap_s"] == 0.0
     (lossy,) = survey(parts_of(tmp_path / "lossy", "alive", not_recorded=1))
     assert not lossy.good
 
@@ -110,7 +110,7 @@ def test_what_is_being_written_is_neither_unfinished_nor_damaged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "logs"
-    done = parts_of(folder, "alive", ends="rotation")
+    done = parts_of(folder, "alive", ends=ClockReason.ROTATION)
     rows = numbered(2000)[1000:]
     path = folder / f"{NAME}_002.mcap"
     begun = folder / f"{NAME}_003.mcap"
@@ -130,16 +130,16 @@ def test_what_is_being_written_is_neither_unfinished_nor_damaged(
         assert (row["frames"], row["alive"], row["events"]) == (2000, 2, {"mark": 1})
         assert row["duration_s"] == pytest.approx(2.0, abs=0.01)
         assert main(["verify", str(done[0]), str(path)]) == 0
-        said = capsys.readouterr().out
-        assert "being written" in said and "whole, nothing dropped" in said and "unfinished" not in said
+        output = capsys.readouterr().out
+        assert "being written" in output and "whole, nothing dropped" in output and "unfinished" not in output
         assert main(["verify", str(begun)]) == 0
         assert "is being written; nothing is in it yet" in capsys.readouterr().out
     row, line = listed(folder, capsys)  # as a power cut leaves it
     assert not row["recording"] and row["unfinished"] == 2 and row["frames"] == 2000
     assert "unfinished: " in line and "tilth recover" in line
     assert main(["verify", str(done[0]), str(path)]) == 1
-    said = capsys.readouterr().out
-    assert "002.mcap: was left unfinished; `" in said and "tilth recover` finishes it" in said
+    output = capsys.readouterr().out
+    assert "002.mcap: was left unfinished; `" in output and "tilth recover` finishes it" in output
 
 
 def test_other_files_in_the_folder_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -161,12 +161,12 @@ def test_other_files_in_the_folder_are_told_apart(tmp_path: Path, capsys: pytest
     assert row["no_log"] == [f"{NAME}_002.mcap", f"{NAME}_003.mcap"] and "002.mcap is no log of tilth" in line
     paths = sorted(map(str, folder.glob("*.mcap")))
     assert main(["verify", *paths]) == 1
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in (
         "002.mcap: is no log of tilth", "003.mcap: is no MCAP file",
         "004.mcap: is empty: nothing of it reached the disk", "whole, nothing dropped",
     ):  # fmt: skip
-        assert words in said, (words, said)
+        assert words in output, (words, output)
 
 
 def test_a_missing_end_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

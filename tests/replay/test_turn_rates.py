@@ -28,11 +28,11 @@ def compass(tau: float, seconds: float = SECONDS, gap_s: float = 0.0) -> list[Fr
         rate = 0.25 * math.cos(0.35 * t) + 0.1 * math.cos(1.1 * t)
         heading = 1.0 + 0.25 / 0.35 * math.sin(0.35 * t) + 0.1 / 1.1 * math.sin(1.1 * t)
         held = rate if tau == 0.0 or k == 0 else held + (1.0 - math.exp(-dt / tau)) * (rate - held)
-        told = [(127250, {"heading_rad": (heading + rng.normal(0.0, 0.003)) % (2 * math.pi)})]
+        collected = [(127250, {"heading_rad": (heading + rng.normal(0.0, 0.003)) % (2 * math.pi)})]
         if k % 2 == 0:
-            told.append((127251, {"yaw_rate_radps": held + rng.normal(0.0, 0.001)}))
+            collected.append((127251, {"yaw_rate_radps": held + rng.normal(0.0, 0.001)}))
         at_ns = START_NS + round((t + (gap_s if t > seconds / 2 else 0.0)) * 1e9)
-        for pgn, values in told:
+        for pgn, values in collected:
             for can_id, data in frames_of(pgn, encode(pgn, values), SOURCE):
                 out.append(Frame(at_ns, at_ns, "can0", can_id, True, False, data))
     return out
@@ -57,7 +57,7 @@ def test_a_time_constant_is_found(tau: float, gap_s: float) -> None:
 @pytest.mark.parametrize("tau", [0.0, 0.1])
 def test_what_is_not_smoothed_is_not_accused(tau: float) -> None:
     rates = found(compass(tau))
-    assert not rates.smoothed() and not rates.told()
+    assert not rates.smoothed() and not rates.sentences()
 
 
 def test_straight_ahead_nothing_is_said() -> None:

@@ -46,7 +46,7 @@ def any_data(draw: st.DrawFn) -> bytes:
 @st.composite
 def any_frames(draw: st.DrawFn) -> list[Frame]:
     """Frames of the PGNs and addresses that matter, with time that may step."""
-    t_ns, told = draw(st.sampled_from([0, 10**18])), []
+    t_ns, decoded = draw(st.sampled_from([0, 10**18])), []
     for _ in range(draw(st.integers(1, 25))):
         t_ns += draw(st.sampled_from([0, 500_000, 100_000_000, 2_000_000_000, -5_000_000_000]))
         if draw(st.integers(0, 9)):
@@ -57,8 +57,8 @@ def any_frames(draw: st.DrawFn) -> list[Frame]:
         else:
             identifier = draw(st.one_of(st.integers(0, (1 << 29) - 1), st.just(0x18FF0B15)))
         extended, error = draw(st.integers(0, 9)) > 0, draw(st.integers(0, 19)) == 0
-        told.append(Frame(t_ns, t_ns, "can0", identifier, extended, error, draw(any_data())))
-    return told
+        decoded.append(Frame(t_ns, t_ns, "can0", identifier, extended, error, draw(any_data())))
+    return decoded
 
 
 def check(found: list[Message] | list[Measurement], frame: Frame, decoder: Decoder) -> None:
@@ -73,22 +73,22 @@ def check(found: list[Message] | list[Measurement], frame: Frame, decoder: Decod
 @pytest.mark.parametrize("rig", [None, RIG], ids=["no machine", "a machine"])
 @BOUNDED
 @given(any_frames())
-def test_anything_on_the_wire(rig: Machine | None, told: list[Frame]) -> None:
+def test_anything_on_the_wire(rig: Machine | None, decoded: list[Frame]) -> None:
     for_messages, for_measurements = Decoder(rig), Decoder(rig)
-    for frame in told:
+    for frame in decoded:
         check(for_messages.messages(frame), frame, for_messages)
         check(for_measurements.measurements(frame), frame, for_measurements)
 
 
 @BOUNDED
 @given(any_frames(), st.data())
-def test_a_decoder_goes_on_from_its_dump(told: list[Frame], data: st.DataObject) -> None:
-    cut = data.draw(st.integers(0, len(told)))
+def test_a_decoder_goes_on_from_its_dump(decoded: list[Frame], data: st.DataObject) -> None:
+    cut = data.draw(st.integers(0, len(decoded)))
     one, other = Decoder(RIG), Decoder(RIG)
-    for frame in told[:cut]:
+    for frame in decoded[:cut]:
         one.measurements(frame)
     other.load(json.loads(json.dumps(one.dump())))
-    for frame in told[cut:]:
+    for frame in decoded[cut:]:
         assert other.measurements(frame) == one.measurements(frame)
     assert other.rejected == one.rejected
     assert other.dump() == one.dump()
@@ -101,13 +101,13 @@ def recorded(name: str) -> list[Frame]:
 
 
 def test_a_decoder_goes_on_from_its_dump_in_recorded_traffic() -> None:
-    told = recorded("simulator2.raw")
-    for cut in range(0, len(told), 97):
+    decoded = recorded("simulator2.raw")
+    for cut in range(0, len(decoded), 97):
         one, other = Decoder(), Decoder()
-        for frame in told[:cut]:
+        for frame in decoded[:cut]:
             one.messages(frame)
         other.load(json.loads(json.dumps(one.dump())))
-        for frame in told[cut : cut + 200]:
+        for frame in decoded[cut : cut + 200]:
             assert other.messages(frame) == one.messages(frame)
         assert other.dump() == one.dump()
 
@@ -115,10 +115,10 @@ def test_a_decoder_goes_on_from_its_dump_in_recorded_traffic() -> None:
 @BOUNDED
 @given(st.data())
 def test_recorded_traffic_with_bits_flipped(data: st.DataObject) -> None:
-    told = recorded("simulator2.raw")
-    first = data.draw(st.integers(0, len(told) - 60))
+    decoded = recorded("simulator2.raw")
+    first = data.draw(st.integers(0, len(decoded) - 60))
     decoder = Decoder()
-    for frame in told[first : first + 60]:
+    for frame in decoded[first : first + 60]:
         change = data.draw(st.sampled_from(["none", "none", "bit", "cut", "id"]))
         octets, identifier = bytearray(frame.data), frame.can_id
         if change == "bit" and octets:
@@ -154,7 +154,7 @@ def test_receivers_that_say_nothing_but_not_available_make_no_measurement() -> N
     for source, name in enumerate(NAMES, start=28):
         decoder.measurements(Frame(0, 0, "can0", can_id.join(6, 60928, source), True, False, claim(name)))
         for row in PGNS:
-            if row.pgn in (60928, 127245) or row.told_only:
+            if row.pgn in (60928, 127245) or row.decode_only:
                 continue
             found = [
                 item
@@ -163,8 +163,8 @@ def test_receivers_that_say_nothing_but_not_available_make_no_measurement() -> N
             ]
             assert found == []
             # The two that sit on the implement are no StarFires: the message is not theirs.
-            own = row.selector is None or name >> 21 & 0x7FF == row.manufacturer
-            counted += own and not row.wish  # which would be none in any case
+            ours = row.selector is None or name >> 21 & 0x7FF == row.manufacturer
+            counted += ours and not row.wish  # which would be none in any case
     assert decoder.rejected == {"not_available": counted}
 
 

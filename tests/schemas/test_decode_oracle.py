@@ -153,32 +153,34 @@ def both(name: str) -> Iterator[tuple[Message, bytes, Any]]:
     missed = stale = 0
     for frame in frames_of_recorded(name):
         head = can_id.split(frame.can_id)
-        told = ours.messages(frame)
+        decoded = ours.messages(frame)
         if head.pgn not in THEIRS or not frame.data:
-            assert not told
+            assert not decoded
             continue
         payload = frame.data
         if ROW[head.pgn, None].fast and len(payload) == 8:
             whole = assembler.fast(frame, head)
             payload = whole.payload if whole is not None else b""
-        said = theirs.decode(oracle_line(frame))
-        if told and said is None:  # theirs now and then misses a fast packet of which every frame is there
+        message = theirs.decode(oracle_line(frame))
+        if (
+            decoded and message is None
+        ):  # theirs now and then misses a fast packet of which every frame is there
             missed += 1
             assert missed <= 2
-            said = theirs.decode(oracle_line(replace(frame, data=payload)))
-        if said is not None and head.pgn == 130842 and "furuno" not in said.id:
-            said = None
-        if said is not None and not told and ours.rejected.get("stale_fast_packet", 0) > stale:
+            message = theirs.decode(oracle_line(replace(frame, data=payload)))
+        if message is not None and head.pgn == 130842 and "furuno" not in message.id:
+            message = None
+        if message is not None and not decoded and ours.rejected.get("stale_fast_packet", 0) > stale:
             stale += 1
             continue
-        assert len(told) == (said is not None)
-        if said is not None:
-            yield told[0], payload, said
+        assert len(decoded) == (message is not None)
+        if message is not None:
+            yield decoded[0], payload, message
 
 
-def expected_of(pgn: int, said: Any, found: Mapping[str, Any]) -> dict[str, Any]:
+def expected_of(pgn: int, output: Any, found: Mapping[str, Any]) -> dict[str, Any]:
     """Their message in our keys and codes; what is not available is absent. found: ours."""
-    theirs = {field.id: field for field in said.fields}
+    theirs = {field.id: field for field in output.fields}
     expected: dict[str, Any] = {}
     for key, id in THEIRS[pgn].items():
         field = theirs[id]
@@ -195,57 +197,57 @@ def expected_of(pgn: int, said: Any, found: Mapping[str, Any]) -> dict[str, Any]
     return expected
 
 
-def repeated_in(pgn: int, said: Any) -> list[dict[str, Any]]:
+def repeated_in(pgn: int, output: Any) -> list[dict[str, Any]]:
     """What their message repeats, in our keys."""
-    rows = next((field.value for field in said.fields if field.id == "##list##"), None)
+    rows = next((field.value for field in output.fields if field.id == "##list##"), None)
     if rows is None:
-        theirs = {field.id: field for field in said.fields}
+        theirs = {field.id: field for field in output.fields}
         rows = [theirs] if all(id in theirs for id in REPEATED[pgn].values()) else []
-    told = []
+    collected = []
     for row in rows:
         there = {key: row[id] for key, id in REPEATED[pgn].items()}
-        told.append(
+        collected.append(
             {
                 key: LABELS[key][field.value] if key in LABELS else field.raw_value
                 for key, field in there.items()
                 if field.value is not None
             }
         )
-    return told
+    return collected
 
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_every_field_is_what_nmea2000_says(name: str) -> None:
     compared: Counter[int] = Counter()
-    for told, payload, said in both(name):
-        row = ROW[told.pgn, None]
+    for decoded, payload, output in both(name):
+        row = ROW[decoded.pgn, None]
         found = row.layout.fields(payload)
-        expected = expected_of(told.pgn, said, found)
-        assert found.keys() == expected.keys() - told.dropped.keys(), (told, said)
-        composed = {"utc_ns"} & told.values.keys()
-        assert told.values.keys() == (expected.keys() & set(row.words)) - told.dropped.keys() | composed
-        assert all(told.dropped[key] == pytest.approx(expected.pop(key)) for key in told.dropped)
+        expected = expected_of(decoded.pgn, output, found)
+        assert found.keys() == expected.keys() - decoded.dropped.keys(), (decoded, output)
+        composed = {"utc_ns"} & decoded.values.keys()
+        assert decoded.values.keys() == (expected.keys() & set(row.words)) - decoded.dropped.keys() | composed
+        assert all(decoded.dropped[key] == pytest.approx(expected.pop(key)) for key in decoded.dropped)
         for key, value in expected.items():
             # Both are floats nearest to the same decimal, give or take the last bit.
             right = value if isinstance(value, str) else pytest.approx(value, rel=1e-14, abs=1e-18)
-            assert found[key] == right, (key, told, said)
-            assert told.values.get(key, value) == right
+            assert found[key] == right, (key, decoded, output)
+            assert decoded.values.get(key, value) == right
         if "date_days" in expected and "time_s" in expected:
             utc_ns = expected["date_days"] * DAY_NS + round(expected["time_s"] * 1e9)
-            assert told.values["utc_ns"] == utc_ns
+            assert decoded.values["utc_ns"] == utc_ns
         else:
-            assert "utc_ns" not in told.values
-        for rows in told.groups.values():
+            assert "utc_ns" not in decoded.values
+        for rows in decoded.groups.values():
             if not rows:  # they read one all the same; that there are none is compared above
                 continue
-            theirs = repeated_in(told.pgn, said)
+            theirs = repeated_in(decoded.pgn, output)
             assert [dict(there) for there in rows] == [
                 {k: v if isinstance(v, str) else pytest.approx(v, rel=1e-14, abs=1e-18) for k, v in t.items()}
                 for t in theirs
             ]
-        assert told.sid == expected.get("sid")
-        assert told.origin.source == said.source
-        compared[told.pgn] += 1
+        assert decoded.sid == expected.get("sid")
+        assert decoded.origin.source == output.source
+        compared[decoded.pgn] += 1
     assert name in FEW or (sum(compared.values()) > 100 and len(compared) >= 5)
 
 
@@ -262,23 +264,23 @@ def test_every_method_of_a_solution(code: int) -> None:
     payload = bytearray(ROW[129029, None].encode({"satellites": 9}))
     payload[31] = code << 4
     frame = Frame(0, 0, "can0", can_id.join(3, 129029, 5), True, False, bytes(payload))
-    said = NMEA2000Decoder(bound_format=N2KFormat.BASIC_STRING).decode(oracle_line(frame))
-    assert said is not None
-    label = str(next(field.value for field in said.fields if field.id == "method"))
-    (told,) = Decoder().messages(frame)
-    assert told.values.get("fix") == LABELS["fix"].get(label)
-    assert ("fix" in told.values) == (code <= 8)
+    decoded = NMEA2000Decoder(bound_format=N2KFormat.BASIC_STRING).decode(oracle_line(frame))
+    assert decoded is not None
+    label = str(next(field.value for field in decoded.fields if field.id == "method"))
+    (message,) = Decoder().messages(frame)
+    assert message.values.get("fix") == LABELS["fix"].get(label)
+    assert ("fix" in message.values) == (code <= 8)
 
 
 def test_a_device_that_says_not_available_for_ever_is_counted() -> None:
     decoder = Decoder()
-    told = [
+    collected = [
         message
         for frame in frames(DATA / "canboat" / "furuno-fap7011c-autopilot-maneuvers.raw")
         for message in decoder.messages(frame)
         if message.origin.source == 36 and message.pgn == 129025
     ]
-    assert len(told) == 856 and not any(message.values for message in told)
+    assert len(collected) == 856 and not any(message.values for message in collected)
     assert decoder.rejected["not_available"] >= 856
 
 
@@ -305,7 +307,7 @@ PYSOBUS = {
 @pytest.mark.parametrize(("name", "messages", "unidentified"), [("jd.txt", 2, 2), ("case.txt", 3, 0)])
 def test_tractors_of_pysobus(name: str, messages: int, unidentified: int) -> None:
     decoder = Decoder()
-    told: list[Message] = []
+    collected: list[Message] = []
     for frame, expected in tractor(name):
         fresh = decoder.messages(frame)
         for message in fresh:
@@ -314,11 +316,11 @@ def test_tractors_of_pysobus(name: str, messages: int, unidentified: int) -> Non
                 word, unit = PYSOBUS[theirs]
                 found = message.values[word]
                 assert not isinstance(found, str) and found * unit == pytest.approx(value, abs=1e-9)
-        told += fresh
-    assert len(told) == messages
+        collected += fresh
+    assert len(collected) == messages
     # No claim was heard: a manufacturer's own message (65535) is nobody's.
     assert decoder.rejected.get("unidentified", 0) == unidentified
-    assert all(message.origin.name is None and message.origin.source == 28 for message in told)
+    assert all(message.origin.name is None and message.origin.source == 28 for message in collected)
 
 
 def test_a_fast_packet_of_a_tractor_is_stamped_with_its_first_frame() -> None:
@@ -328,5 +330,5 @@ def test_a_fast_packet_of_a_tractor_is_stamped_with_its_first_frame() -> None:
         Frame(frame.t_ns + 1000 * i, frame.rx_ns + 1000 * i, "can0", frame.can_id, True, False, frame.data)
         for i, (frame, _) in enumerate(rows)
     ]
-    told = [message for frame in shifted for message in decoder.messages(frame)]
-    assert [message.t_ns for message in told] == [shifted[0].t_ns]
+    collected = [message for frame in shifted for message in decoder.messages(frame)]
+    assert [message.t_ns for message in collected] == [shifted[0].t_ns]

@@ -78,10 +78,10 @@ def test_the_parts_of_a_name() -> None:
 def test_a_claim_binds_and_tells() -> None:
     bus = Bus(BOTH)
     assert bus.position_of(28) == "unknown_source"
-    (told,) = bus.claim(28, LOW)
-    assert isinstance(told, AddressClaim)
-    assert (told.origin.name, told.origin.mount, told.origin.source) == (LOW, FRONT, 28)
-    assert (told.identity, told.manufacturer) == (123456, 33)
+    (decoded,) = bus.claim(28, LOW)
+    assert isinstance(decoded, AddressClaim)
+    assert (decoded.origin.name, decoded.origin.mount, decoded.origin.source) == (LOW, FRONT, 28)
+    assert (decoded.identity, decoded.manufacturer) == (123456, 33)
     assert bus.position_of(28) == (FRONT, LOW)
     assert bus.position_of(28, "can1") == "unknown_source"  # another bus is another address
 
@@ -276,13 +276,13 @@ def test_a_manufacturers_own_message_needs_its_manufacturer(
 def test_a_manufacturers_own_message_is_nobodys_once_its_address_is_free_again() -> None:
     decoder = Decoder()
     payload = encode(65535, {"roll_rad": 0.1}, selector=0xE1)
-    told = [
+    collected = [
         decoder.messages(Frame(at, at, "can0", can_id.join(6, pgn, source), True, False, data))
         for at, (pgn, source, data) in enumerate(
             [(60928, 28, claim(LOW)), (65535, 28, payload), (60928, 254, claim(LOW)), (65535, 28, payload)]
         )
     ]
-    assert [len(messages) for messages in told] == [1, 1, 1, 0]
+    assert [len(messages) for messages in collected] == [1, 1, 1, 0]
     assert decoder.rejected == {"unidentified": 1}
 
 
@@ -307,7 +307,7 @@ def test_an_unknown_selector_of_a_known_manufacturer_is_nobodys_business() -> No
 
 def test_messages_carry_the_name_and_are_told_in_quarantine_too() -> None:
     decoder = Decoder()
-    said: list[int | None] = []
+    messages: list[int | None] = []
     for at, (pgn, payload) in enumerate(
         [
             (65267, encode(65267, {"latitude_deg": 1.0, "longitude_deg": 2.0})),
@@ -321,8 +321,8 @@ def test_messages_carry_the_name_and_are_told_in_quarantine_too() -> None:
     ):
         ((identifier, data),) = frames_of(pgn, payload, 28)
         (message,) = decoder.messages(Frame(at * MS, at * MS, "can0", identifier, True, False, data))
-        said.append(message.origin.name)
-    assert said == [None, LOW, LOW, HIGH, None, LOW, LOW]
+        messages.append(message.origin.name)
+    assert messages == [None, LOW, LOW, HIGH, None, LOW, LOW]
 
 
 @pytest.mark.parametrize(("source", "name"), [(28, (1 << 64) - 1), (255, LOW)])

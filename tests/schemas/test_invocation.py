@@ -18,8 +18,10 @@ TILTH = Path(sys.executable).with_name("tilth")
 
 def environment(**more: str) -> dict[str, str]:
     """Of a shell that nobody started by `uv run`."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("UV", "VIRTUAL_ENV"))}
-    return kept | more
+    retained = {
+        name: value for name, value in os.environ.items() if not name.startswith(("UV", "VIRTUAL_ENV"))
+    }
+    return retained | more
 
 
 @pytest.fixture(autouse=True)
@@ -56,10 +58,10 @@ def test_a_hint_runs_as_it_is_printed(tmp_path: Path, uv: bool) -> None:
     log.write_bytes(b"\x89MCAP0\r\n")
     shell = environment(UV_NO_SYNC="1") if uv else environment(PATH="/usr/bin:/bin")  # tilth is not there
     words = [*(["uv", "run", "tilth"] if uv else [str(TILTH)]), "check", str(log)]
-    said = subprocess.run(words, cwd=ROOT, env=shell, capture_output=True, text=True, check=False)
-    told = said.stderr.rstrip().partition("to read it: ")[2]
-    assert shlex.split(told) == [*words[:-2], "replay", str(log)], said.stderr
+    result = subprocess.run(words, cwd=ROOT, env=shell, capture_output=True, text=True, check=False)
+    decoded = result.stderr.rstrip().partition("to read it: ")[2]
+    assert shlex.split(decoded) == [*words[:-2], "replay", str(log)], result.stderr
     ended = subprocess.run(
-        ["sh", "-c", told], cwd=ROOT, env=shell, capture_output=True, text=True, check=False
+        ["sh", "-c", decoded], cwd=ROOT, env=shell, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 2 and ended.stderr.startswith(f"tilth replay: {log}: "), ended.stderr

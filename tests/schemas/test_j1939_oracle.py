@@ -86,10 +86,10 @@ def test_a_field_means_what_others_say(
         assert field.names == {0: "reverse", 1: "forward"}
         return
     top = field.limit("j1939") - 1
-    told = [(raw * field.scale + field.offset) * field.factor for raw in (0, top)]
-    assert told[0] == pytest.approx(low * unit, abs=field.resolution() / 2)
+    collected = [(raw * field.scale + field.offset) * field.factor for raw in (0, top)]
+    assert collected[0] == pytest.approx(low * unit, abs=field.resolution() / 2)
     # Their ends are rounded, to two digits the yaw rate.
-    assert told[1] - told[0] == pytest.approx((high - low) * unit, rel=5e-4)
+    assert collected[1] - collected[0] == pytest.approx((high - low) * unit, rel=5e-4)
 
 
 def test_bits_stand_where_the_public_dbc_has_them(database: dict[int, Any]) -> None:

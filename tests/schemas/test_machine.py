@@ -51,10 +51,10 @@ def test_a_wrong_file_gets_one_sentence_that_names_it(old: str, new: str, words:
     assert old in TEXT
     with pytest.raises(MachineError) as caught:
         parse_machine(TEXT.replace(old, new, 1))
-    said = str(caught.value)
-    assert "\n" not in said
+    error = str(caught.value)
+    assert "\n" not in error
     for word in words:
-        assert word in said
+        assert word in error
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)

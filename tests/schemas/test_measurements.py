@@ -36,7 +36,7 @@ def decoder() -> Decoder:
     return fresh
 
 
-def heard(
+def measurements_of(
     subject: Decoder,
     pgn: int,
     values: dict[str, flow.Word],
@@ -104,7 +104,7 @@ def test_what_a_receiver_says_becomes_measurements(
     pgn: int, selector: int | None, values: dict[str, flow.Word], expected: list[flow.Measurement]
 ) -> None:
     subject = decoder()
-    found = heard(subject, pgn, values, selector)
+    found = measurements_of(subject, pgn, values, selector)
     # As a set: one message's measurements have one instant, their order says nothing.
     assert sorted(map(repr, found)) == sorted(map(repr, expected))
     assert subject.rejected == {}
@@ -113,10 +113,10 @@ def test_what_a_receiver_says_becomes_measurements(
 def test_every_message_of_a_receiver_is_in_that_table() -> None:
     assert {(row.pgn, row.selector) for row in PGNS} - {(pgn, selector) for pgn, selector, _, _ in MADE} == {
         (61449, None), (60928, None), (127245, None), (44288, None),
-    } | {(row.pgn, row.selector) for row in PGNS if row.told_only}  # fmt: skip
+    } | {(row.pgn, row.selector) for row in PGNS if row.decode_only}  # fmt: skip
 
 
-@pytest.mark.parametrize("row", [row for row in PGNS if row.told_only], ids=lambda row: str(row.pgn))
+@pytest.mark.parametrize("row", [row for row in PGNS if row.decode_only], ids=lambda row: str(row.pgn))
 def test_what_is_only_told_costs_a_measuring_decoder_nothing(row: Pgn) -> None:
     """It is neither put together nor counted, from a receiver of the machine file or from a stranger."""
     for source in (OWN, STRANGER):
@@ -133,7 +133,7 @@ def test_strangers_are_named_and_counted() -> None:
     subject.measurements(Frame(0, 0, "can0", can_id.join(6, 60928, 90), True, False, claim(name)))
     for source, times in ((STRANGER, 3), (90, 2)):
         for _ in range(times):
-            heard(subject, 65267, HERE, source=source)
+            measurements_of(subject, 65267, HERE, source=source)
     assert subject.unknown == {flow.Origin("can0", STRANGER): 3, flow.Origin("can0", 90, name): 2}
     assert subject.rejected == {"unknown_source": 5}
     later = decoder()
@@ -144,16 +144,19 @@ def test_strangers_are_named_and_counted() -> None:
 @pytest.mark.parametrize("source", [STRANGER, 28])
 def test_a_command_is_a_wish_and_no_measurement(source: int) -> None:
     subject = decoder()
-    assert heard(subject, 44288, {"commanded_curvature_per_m": 0.01}, source=source) == []
+    assert measurements_of(subject, 44288, {"commanded_curvature_per_m": 0.01}, source=source) == []
     assert subject.rejected == {}
 
 
 def test_the_hand_wheel_is_anyones_and_its_yaw_rate_only_a_receivers() -> None:
     values: dict[str, flow.Word] = {"hand_wheel_angle_rad": 1.0, "yaw_rate_radps": 0.1}
-    (angle,) = heard(decoder(), 61449, values, source=STRANGER)
+    (angle,) = measurements_of(decoder(), 61449, values, source=STRANGER)
     assert isinstance(angle, flow.HandWheelAngle) and angle.angle == pytest.approx(1.0, abs=1e-3)
     assert angle.origin == flow.Origin("can0", STRANGER)
-    assert {type(found) for found in heard(decoder(), 61449, values)} == {flow.HandWheelAngle, flow.YawRate}
+    assert {type(found) for found in measurements_of(decoder(), 61449, values)} == {
+        flow.HandWheelAngle,
+        flow.YawRate,
+    }
 
 
 @pytest.mark.parametrize(("pgn", "selector", "values", "expected"), MADE)
@@ -161,7 +164,7 @@ def test_a_strangers_position_is_not_the_machines(
     pgn: int, selector: int | None, values: dict[str, flow.Word], expected: list[flow.Measurement]
 ) -> None:
     subject = decoder()
-    found = heard(subject, pgn, values, selector, source=STRANGER)
+    found = measurements_of(subject, pgn, values, selector, source=STRANGER)
     if pgn in (65096, 65097, 44032):
         assert len(found) == len(expected)
     else:
@@ -192,7 +195,7 @@ def test_what_is_left_out_is_counted(
     pgn: int, selector: int | None, values: dict[str, flow.Word], reason: str
 ) -> None:
     subject = decoder()
-    assert heard(subject, pgn, values, selector) == []
+    assert measurements_of(subject, pgn, values, selector) == []
     assert subject.rejected == {reason: 1}
     assert reason in REASONS
 
@@ -202,12 +205,16 @@ def test_a_repeated_position_is_marked_and_counted() -> None:
     there: dict[str, flow.Word] = {"latitude_deg": 43.5000001, "longitude_deg": -83.25}
     marks = []
     for values in (HERE, HERE, there, {}, there, HERE):
-        marks += [found.repeat for found in heard(subject, 65267, values) if isinstance(found, flow.Position)]
+        marks += [
+            found.repeat
+            for found in measurements_of(subject, 65267, values)
+            if isinstance(found, flow.Position)
+        ]
     assert marks == [False, True, False, True, False]
     assert subject.rejected == {"repeat": 2, "not_available": 1}
     # Another message or another source that says the same place repeats nothing.
     for pgn, source in ((129025, OWN), (129029, OWN)):
-        (first, *_), (again, *_) = (heard(subject, pgn, HERE, source=source) for _ in range(2))
+        (first, *_), (again, *_) = (measurements_of(subject, pgn, HERE, source=source) for _ in range(2))
         assert isinstance(first, flow.Position) and isinstance(again, flow.Position)
         assert (first.repeat, again.repeat) == (False, True)
 
@@ -215,8 +222,8 @@ def test_a_repeated_position_is_marked_and_counted() -> None:
 def test_messages_mark_repeats_too() -> None:
     subject = Decoder()
     ((identifier, data),) = frames_of(129025, encode(129025, HERE), 5)
-    told = [subject.messages(Frame(t, t, "can0", identifier, True, False, data))[0] for t in range(2)]
-    assert [message.repeat for message in told] == [False, True]
+    collected = [subject.messages(Frame(t, t, "can0", identifier, True, False, data))[0] for t in range(2)]
+    assert [message.repeat for message in collected] == [False, True]
 
 
 # Data of a frame from a receiver and the one reason that it is counted under.
@@ -235,13 +242,13 @@ def test_a_faulty_message_is_counted_once(pgn: int, data: str, reason: str) -> N
     subject = decoder()
     assert subject.measurements(frame) == [] and subject.rejected == {reason: 1}
     subject = Decoder()
-    (told,) = subject.messages(frame)
+    (decoded,) = subject.messages(frame)
     assert subject.rejected == {reason: 1}
-    assert told.values.keys() <= {"latitude_deg", "longitude_deg"}
+    assert decoded.values.keys() <= {"latitude_deg", "longitude_deg"}
 
 
 def test_an_absurd_altitude_does_not_spoil_the_position() -> None:
-    (found, *_) = heard(decoder(), 129029, {**HERE, "altitude_m": 5_000_000.0})
+    (found, *_) = measurements_of(decoder(), 129029, {**HERE, "altitude_m": 5_000_000.0})
     assert isinstance(found, flow.Position) and found.altitude_m is None
 
 

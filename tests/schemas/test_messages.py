@@ -93,18 +93,20 @@ VECTORS = [
 def test_bytes_of_the_documents(
     pgn: int, selector: int | None, data: str, expected: dict[str, flow.Word]
 ) -> None:
-    told = words(pgn, data, selector)
-    assert told.keys() == expected.keys()
+    decoded = words(pgn, data, selector)
+    assert decoded.keys() == expected.keys()
     for key, value in expected.items():
-        assert told[key] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-12, abs=1e-15))
+        assert decoded[key] == (
+            value if isinstance(value, str) else pytest.approx(value, rel=1e-12, abs=1e-15)
+        )
 
 
 def test_gnss_position_of_a_moored_boat() -> None:
-    told = words(
+    decoded = words(
         129029,
         "5d0442 50cdcd23 4033b504af0a4b07 5095fed66d08c200 b00c8affffffffff 10 fc 0c 3c00 6e00 52120000 00",
     )
-    assert told == {
+    assert decoded == {
         "utc_ns": (16900 * 86_400 + 60069) * 10**9,
         "latitude_deg": pytest.approx(52.55, abs=0.1),
         "longitude_deg": pytest.approx(5.46, abs=0.1),
@@ -187,9 +189,9 @@ def test_not_available_is_absent(row: Pgn, field: Field) -> None:
         assert field.key not in row.layout.fields(payload_with(row, field, raw))
     if field.names is None and not field.text:
         rejected: dict[str, int] = {}
-        told = row.layout.fields(payload_with(row, field, limit - 1))
+        decoded = row.layout.fields(payload_with(row, field, limit - 1))
         row.layout.decode(payload_with(row, field, limit - 1), rejected)
-        assert field.key in told or "out_of_range" in rejected  # the last one that is a value
+        assert field.key in decoded or "out_of_range" in rejected  # the last one that is a value
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -238,11 +240,11 @@ IMPOSSIBLE = [
 ]
 
 
-@pytest.mark.parametrize(("pgn", "data", "left"), IMPOSSIBLE)
-def test_what_cannot_be_is_rejected_with_its_reason(pgn: int, data: str, left: set[str]) -> None:
+@pytest.mark.parametrize(("pgn", "data", "expected"), IMPOSSIBLE)
+def test_what_cannot_be_is_rejected_with_its_reason(pgn: int, data: str, expected: set[str]) -> None:
     rejected: dict[str, int] = {}
-    assert row(pgn).layout.decode(bytes.fromhex(data), rejected).keys() == left
-    assert rejected == ({} if "utc_ns" in left else {"out_of_range": 1})
+    assert row(pgn).layout.decode(bytes.fromhex(data), rejected).keys() == expected
+    assert rejected == ({} if "utc_ns" in expected else {"out_of_range": 1})
 
 
 def test_a_local_time_is_no_utc() -> None:
@@ -251,8 +253,8 @@ def test_a_local_time_is_no_utc() -> None:
 
 def test_a_short_message_tells_what_is_whole() -> None:
     rejected: dict[str, int] = {}
-    told = row(129026).layout.decode(bytes.fromhex("5AFC4F6B64"), rejected)
-    assert told.keys() == {"heading_reference", "course_rad"}
+    decoded = row(129026).layout.decode(bytes.fromhex("5AFC4F6B64"), rejected)
+    assert decoded.keys() == {"heading_reference", "course_rad"}
     assert rejected == {"short_frame": 1}
 
 
@@ -268,7 +270,7 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
     field = next(field for field in row.fields if field.key == word)
     if field.text:
         letters = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="@"))
-        return letters.filter(lambda told: 0 < len(told) <= field.bits // 8)
+        return letters.filter(lambda decoded: 0 < len(decoded) <= field.bits // 8)
     if field.names is not None:
         return st.sampled_from(sorted(set(field.names.values())))
     lowest = -(1 << field.bits - 1) if field.signed else 0
@@ -276,10 +278,10 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
         (raw * field.scale + field.offset) * field.factor for raw in (lowest, field.limit(row.family) - 1)
     ]
     allowed = WORDS[word].range
-    margin = (
-        field.resolution() if math.isfinite(allowed.low) and allowed.low != 0 else 0.0
-    )  # may be rounded up
-    low, high = max(min(ends), allowed.low + margin), min(max(ends), allowed.high - margin)
+    # Rounding to the field's resolution may leave the range that the word allows.
+    below = field.resolution() if math.isfinite(allowed.low) and allowed.low != 0 else 0.0
+    above = field.resolution() if math.isfinite(allowed.high) and field.resolution() != 1 else below
+    low, high = max(min(ends), allowed.low + below), min(max(ends), allowed.high - above)
     return st.floats(low, high) if field.resolution() != 1 else st.integers(int(low), int(high))
 
 
@@ -288,22 +290,22 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
 @given(data=st.data())
 def test_decode_gives_back_what_was_encoded(row: Pgn, data: st.DataObject) -> None:
     given = row.pgn == 60928  # a NAME has every part
-    said = {
+    output = {
         word: data.draw(word_values(row, word)) for word in row.words if given or data.draw(st.booleans())
     }
-    told = row.layout.decode(row.encode(said), {})
-    if told.keys() != said.keys():
+    payload = row.layout.decode(row.encode(output), {})
+    if payload.keys() != output.keys():
         # Only what a vendor says for "no data" may get lost: the pitch of 65256.
-        assert row.pgn == 65256 and said.keys() - told.keys() == {"pitch_rad"}
-    for word, value in told.items():
+        assert row.pgn == 65256 and output.keys() - payload.keys() == {"pitch_rad"}
+    for word, value in payload.items():
         if isinstance(value, str) or word == "utc_ns":
-            assert value == said[word]
+            assert value == output[word]
         else:
             field = next(field for field in row.fields if field.key == word)
-            asked = said[word]
-            assert not isinstance(asked, str)
+            requested = output[word]
+            assert not isinstance(requested, str)
             # Half a bit, and what a float cannot hold of 1e-16 deg.
-            assert abs(value - asked) <= 0.51 * field.resolution() + 1e-14 * abs(asked)
+            assert abs(value - requested) <= 0.51 * field.resolution() + 1e-14 * abs(requested)
 
 
 REPEATED = [pytest.param(row, group, id=f"{row.pgn}-{group.key}") for row in PGNS for group in row.groups]
@@ -326,14 +328,14 @@ def a_repetition(group: Group) -> st.SearchStrategy[dict[str, flow.Word]]:
 @BOUNDED
 @given(data=st.data())
 def test_what_is_repeated_comes_back(row: Pgn, group: Group, data: st.DataObject) -> None:
-    said = data.draw(st.lists(a_repetition(group), max_size=18))
-    payload = row.encode({}, {group.key: said})
+    output = data.draw(st.lists(a_repetition(group), max_size=18))
+    payload = row.encode({}, {group.key: output})
     rejected: dict[str, int] = {}
-    told = row.layout.groups(payload, rejected)[group.key]
-    assert len(payload) == row.size + len(said) * group.size and not rejected
-    assert row.layout.decode(payload, {})[group.count] == len(said)
-    assert [there.keys() for there in told] == [there.keys() for there in said]
-    for ours, theirs in zip(told, said, strict=True):
+    decoded = row.layout.groups(payload, rejected)[group.key]
+    assert len(payload) == row.size + len(output) * group.size and not rejected
+    assert row.layout.decode(payload, {})[group.count] == len(output)
+    assert [there.keys() for there in decoded] == [there.keys() for there in output]
+    for ours, theirs in zip(decoded, output, strict=True):
         assert ours == {
             key: value if isinstance(value, str) else pytest.approx(value, rel=1e-12)
             for key, value in theirs.items()
@@ -346,11 +348,11 @@ def test_what_is_repeated_but_cut_off(row: Pgn, group: Group) -> None:
     whole = row.encode({}, {group.key: [{}, {}, {}]})
     for size in range(len(whole) + 1):
         rejected: dict[str, int] = {}
-        told = row.layout.groups(whole[:size], rejected)
+        decoded = row.layout.groups(whole[:size], rejected)
         if size < row.size:  # its last byte says how often
-            assert told == {}
+            assert decoded == {}
             continue
-        assert len(told[group.key]) == (size - row.size) // group.size
+        assert len(decoded[group.key]) == (size - row.size) // group.size
         assert rejected == ({} if size == len(whole) else {"short_frame": 1})
     assert row.layout.groups(row.encode({}), {}) == {}
     with pytest.raises(ValueError, match="repeats no moons"):
@@ -358,7 +360,7 @@ def test_what_is_repeated_but_cut_off(row: Pgn, group: Group) -> None:
 
 
 @pytest.mark.parametrize(
-    ("characters", "told"),
+    ("characters", "expected"),
     [
         (b"WS320" + b" " * 27, "WS320"),
         (b"WS320" + b"\xff" * 27, "WS320"),
@@ -368,20 +370,20 @@ def test_what_is_repeated_but_cut_off(row: Pgn, group: Group) -> None:
         (b"Bj\xf6rn", "Björn"),
     ],
 )
-def test_texts(characters: bytes, told: str | None) -> None:
+def test_texts(characters: bytes, expected: str | None) -> None:
     field = next(field for field in row(126996).fields if field.key == "model")
     payload = bytearray(row(126996).encode({}))
     payload[field.start // 8 : field.end // 8] = characters.ljust(32, b"\0")
-    assert row(126996).layout.decode(bytes(payload), {}).get("model") == told
+    assert row(126996).layout.decode(bytes(payload), {}).get("model") == expected
     with pytest.raises(ValueError, match="more than 32 characters"):
         encode(126996, {"model": "x" * 33})
 
 
-@pytest.mark.parametrize(("pgn", "data", "left"), IMPOSSIBLE)
-def test_what_is_dropped_can_be_seen(pgn: int, data: str, left: set[str]) -> None:
+@pytest.mark.parametrize(("pgn", "data", "expected"), IMPOSSIBLE)
+def test_what_is_dropped_can_be_seen(pgn: int, data: str, expected: set[str]) -> None:
     dropped: dict[str, flow.Word] = {}
     row(pgn).layout.decode(bytes.fromhex(data), {}, dropped)
-    assert len(dropped) == (0 if "utc_ns" in left else 1) and not dropped.keys() & left
+    assert len(dropped) == (0 if "utc_ns" in expected else 1) and not dropped.keys() & expected
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -390,14 +392,14 @@ def test_what_is_dropped_can_be_seen(pgn: int, data: str, left: set[str]) -> Non
 def test_any_bytes_are_told_and_said_again(row: Pgn, data: st.DataObject) -> None:
     whole = 8 if row.pgn == 60928 else 0  # else what is missing of a NAME would be told as ones
     payload = data.draw(st.binary(min_size=whole, max_size=row.size + 8))
-    told = row.layout.decode(payload, {})
-    assert set(told) <= set(row.words)
-    for word, value in told.items():
+    decoded = row.layout.decode(payload, {})
+    assert set(decoded) <= set(row.words)
+    for word, value in decoded.items():
         assert isinstance(value, str) or WORDS[word].range.low <= value <= WORDS[word].range.high
-    if row.pgn != 65254 or "utc_ns" not in told:  # a quarter of the day that contradicts the hour is lost
-        again = row.layout.decode(row.encode(told), {})
-        assert again.keys() == told.keys()
-        for word, value in told.items():
+    if row.pgn != 65254 or "utc_ns" not in decoded:  # a quarter of the day that contradicts the hour is lost
+        again = row.layout.decode(row.encode(decoded), {})
+        assert again.keys() == decoded.keys()
+        for word, value in decoded.items():
             assert again[word] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-13))
 
 

@@ -72,8 +72,8 @@ def outcome(raw: dict[str, Any]) -> tuple[str, str]:
         refuse_impossible(machine)
     except (MachineError, ValueError) as error:
         return "refused", str(error)
-    said = unusual(machine)
-    return ("rare", said[0]) if said else ("passed", "")
+    output = unusual(machine)
+    return ("rare", output[0]) if output else ("passed", "")
 
 
 def name(path: Path_) -> str:
@@ -112,14 +112,14 @@ def test_every_number_of_the_file_times_a_slip(factor: float) -> None:
 def test_what_is_refused_is_one_sentence_that_names_it() -> None:
     for path, value in numbers(whole()):
         for factor in (57.3, 1e3, 1e-3):
-            result, said = outcome(changed(path, value * factor))
-            if result == "refused" and "validation error" not in said:
-                words = said.replace("tractor_front: position", "position")
-                assert "\n" not in said and len(said) < 260
+            result, output = outcome(changed(path, value * factor))
+            if result == "refused" and "validation error" not in output:
+                words = output.replace("tractor_front: position", "position")
+                assert "\n" not in output and len(output) < 260
                 key = [
                     str(part) for part in path if isinstance(part, str) and part not in ("value", "receiver")
                 ]
-                assert all(part in words for part in key), (path, said)
+                assert all(part in words for part in key), (path, output)
 
 
 LIGHT = "e = 0.1\nmass = { value = 2127.0, sd = 200.0 }\nyaw_inertia = 6402.0"
@@ -189,8 +189,8 @@ RARE = [
 @pytest.mark.parametrize(("old", "new", "words"), RARE, ids=lambda w: w[:40])
 def test_what_is_rare_is_said_and_not_refused(old: str, new: str, words: str) -> None:
     assert old in MACHINE_TEXT
-    (said,) = unusual(parse(MACHINE_TEXT.replace(old, new, 1)))
-    assert words in said and "\n" not in said
+    (output,) = unusual(parse(MACHINE_TEXT.replace(old, new, 1)))
+    assert words in output and "\n" not in output
 
 
 FILES = sorted([*ROOT.glob("deploy/machines/*.toml"), *ROOT.glob("examples/machines/*.toml")])
@@ -214,8 +214,8 @@ def rig(tractor: str, implement: str, tyres: tuple[float, float, float], places:
         raw["tyres"][axle]["cornering_stiffness"] = stiffness
     for receiver, place in zip(raw["receiver"], places, strict=True):
         receiver["position"][0] = place
-    result, said = outcome(raw)
-    return f"{result}: {said}" if result == "refused" else ""
+    result, output = outcome(raw)
+    return f"{result}: {output}" if result == "refused" else ""
 
 
 @pytest.mark.parametrize(

@@ -217,16 +217,18 @@ def traffic(draw: st.DrawFn) -> tuple[list[bytes], list[Frame]]:
 
 @BOUNDED
 @given(traffic())
-def test_only_messages_that_were_sent_come_out(told: tuple[list[bytes], list[Frame]]) -> None:
-    sent, frames = told
+def test_only_messages_that_were_sent_come_out(decoded: tuple[list[bytes], list[Frame]]) -> None:
+    sent, frames = decoded
     whole, _ = run(frames)
     assert {item.payload for item in whole} <= set(sent)
 
 
 @BOUNDED
 @given(traffic(), st.data())
-def test_a_dump_goes_on_as_the_original(told: tuple[list[bytes], list[Frame]], data: st.DataObject) -> None:
-    _, frames = told
+def test_a_dump_goes_on_as_the_original(
+    decoded: tuple[list[bytes], list[Frame]], data: st.DataObject
+) -> None:
+    _, frames = decoded
     cut = data.draw(st.integers(0, len(frames)))
     original, restored = (Assembler(frozenset({GNSS}), {}) for _ in range(2))
     run(frames[:cut], original)

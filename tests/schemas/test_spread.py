@@ -16,7 +16,7 @@ ALLOWED = ("{real}", "{real:.2f}", "amplitude_deg")  # a pair of eigenvalues, an
 
 
 @pytest.mark.parametrize(
-    ("said", "text"),
+    ("expected", "text"),
     [
         (plus_minus(1.2, 0.07, "s"), "1.20 ± 0.14 s (95 %)"),
         (plus_minus(-3.0, 0.0), "-3 ± 0 (95 %)"),
@@ -31,8 +31,8 @@ ALLOWED = ("{real}", "{real:.2f}", "amplitude_deg")  # a pair of eigenvalues, an
         (share(0.02, 0.4), "±3.9 %, -54 … +119 % (95 %)"),
     ],
 )
-def test_in_words(said: str, text: str) -> None:
-    assert said == text
+def test_in_words(expected: str, text: str) -> None:
+    assert expected == text
 
 
 def test_so_many_draws_are_inside() -> None:

@@ -129,9 +129,9 @@ HEARS = [
 ]
 
 
-@pytest.mark.parametrize(("more", "heard", "expected"), HEARS)
-def test_which_frames_are_the_sensors(more: str, heard: tuple[int, bool, str], expected: bool) -> None:
-    identifier, extended, bus = heard
+@pytest.mark.parametrize(("more", "received", "expected"), HEARS)
+def test_which_frames_are_the_sensors(more: str, received: tuple[int, bool, str], expected: bool) -> None:
+    identifier, extended, bus = received
     frame = Frame(0, 0, bus, identifier, extended, False, bytes(8))
     assert sensor(ROW + more).hears(frame) == expected
     found = Decoder(machine(ROW + more)).measurements(frame)
@@ -146,8 +146,8 @@ def test_an_eleven_bit_sensor_has_no_source() -> None:
     (found,) = decoder.measurements(Frame(5, 3, "can0", 0x2B0, False, False, bytes.fromhex("6400")))
     assert found == WheelAngle(5, 3, found.origin, 0, None, math.radians(10.0), math.radians(0.2))
     assert (found.origin.source, found.origin.name, found.origin.mount) == (-1, None, None)
-    (told,) = decoder.messages(Frame(5, 3, "can0", 0x2B0, False, False, bytes.fromhex("6400")))
-    assert told.values == {"wheel_angle_rad": pytest.approx(math.radians(10.0))}
+    (decoded,) = decoder.messages(Frame(5, 3, "can0", 0x2B0, False, False, bytes.fromhex("6400")))
+    assert decoded.values == {"wheel_angle_rad": pytest.approx(math.radians(10.0))}
     assert decoder.measurements(Frame(6, 6, "can0", 0x2B0, False, False, b"\xff\x7f")) == []
     assert decoder.rejected == {"not_available": 1}
     assert decoder.measurements(Frame(7, 7, "can0", 0x2B0, True, False, b"\x64\x00")) == []
@@ -243,8 +243,8 @@ def test_pgn_127245(more: str, frame: Frame, expected: float | str) -> None:
         assert isinstance(angle, WheelAngle) and angle.angle == pytest.approx(expected, abs=1e-12)
         assert angle.pgn == 127245 and angle.origin.source == 60
         # The message says what the device said; sign and zero are the machine file's.
-        (told,) = decoder.messages(frame)
-        assert told.values == {"instance": 0, "wheel_angle_rad": pytest.approx(0.1)}
+        (decoded,) = decoder.messages(frame)
+        assert decoded.values == {"instance": 0, "wheel_angle_rad": pytest.approx(0.1)}
 
 
 ENCODED = [

@@ -13,10 +13,12 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import can
+import numpy as np
 import pytest
 import zenoh
 from loopback import PATIENCE_S
@@ -26,7 +28,8 @@ from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
 from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.flow import PARAMETERS, Estimate, Frame, ParameterEstimate, Status
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import PARAMETERS, Attitude, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.demo import (
     Demo,
@@ -114,19 +117,34 @@ def test_its_log_replays_to_the_byte(short: dict[str, Any], capsys: pytest.Captu
         assert replayed[key] == short[key], key
 
 
+@pytest.mark.skipif(find_spec("mujoco") is None, reason="needs the extra `spatial`")
+def test_in_space_it_rolls_over_uneven_ground(tmp_path: Path, machine: Machine) -> None:
+    words = ["--spatial", "--seconds", "3", "--json", "--log", str(tmp_path)]
+    done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["frames_lost"] == 0
+    assert answer["truth"] == pytest.approx(draw(machine, 1, Scenario()))
+    decoder = Decoder(machine)
+    told = [m for frame in frames(Path(answer["log"][0])) for m in decoder.measurements(frame)]
+    rolls = [one.roll for one in told if isinstance(one, Attitude) and one.roll is not None]
+    assert len(rolls) > 20
+    assert np.ptp(rolls) > np.radians(1.5)  # it rolls, and each receiver has another zero and more noise
+
+
 def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = [*COMMAND, "--seconds", "600", "--json", "--log", str(tmp_path)]
-    said = tmp_path / "stderr"
+    output = tmp_path / "stderr"
     with (
-        said.open("w") as stderr,
+        output.open("w") as stderr,
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as process,
     ):
         _wait_for_bytes(process, tmp_path, 8_000)
-        keys = _keys_published(said.read_text())
+        keys = _keys_published(output.read_text())
         process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=PATIENCE_S)
     answer = json.loads(out)
-    assert process.returncode == 0, said.read_text()
+    assert process.returncode == 0, output.read_text()
     assert answer["frames_lost"] == 0
     assert 0 < answer["frames"] < 60_000
     # Under the replay prefix only: no controller takes it for a tractor.
@@ -179,9 +197,9 @@ def _wait_for_bytes(process: subprocess.Popen[str], folder: Path, size: int) -> 
     pytest.fail("the demo writes no log")
 
 
-def _keys_published(said: str) -> list[str]:
+def _keys_published(output: str) -> list[str]:
     """Keys that a running demo answers for; `said` names its endpoint where the usual one is taken."""
-    taken = re.search(r"listening on (tcp/[0-9.:]+)", said)
+    taken = re.search(r"listening on (tcp/[0-9.:]+)", output)
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([taken[1] if taken else "tcp/127.0.0.1:7447"]))
@@ -316,10 +334,10 @@ def _client(server: SocketcandServer) -> can.BusABC:
 
 def _heard(bus: can.BusABC, count: int) -> list[can.Message]:
     """So many messages, or what there was before it fell silent."""
-    heard: list[can.Message] = []
-    while len(heard) < count and (message := bus.recv(PATIENCE_S)) is not None:
-        heard.append(message)
-    return heard
+    received: list[can.Message] = []
+    while len(received) < count and (message := bus.recv(PATIENCE_S)) is not None:
+        received.append(message)
+    return received
 
 
 def test_every_client_gets_every_frame_in_order(
@@ -328,10 +346,14 @@ def test_every_client_gets_every_frame_in_order(
     played = _traffic(machine, 0.8)
     with _playing(server, played, 2, orders) as sent, _client(server) as one, _client(server) as other:
         for bus in (one, other):
-            heard = _heard(bus, len(played))
-            assert [(m.arbitration_id, bytes(m.data)) for m in heard] == [(f.can_id, f.data) for f in played]
-            assert [m.timestamp for m in heard] == pytest.approx([f.rx_ns * 1e-9 for f in played], abs=2e-6)
-            assert all(m.is_extended_id for m in heard)
+            received = _heard(bus, len(played))
+            assert [(m.arbitration_id, bytes(m.data)) for m in received] == [
+                (f.can_id, f.data) for f in played
+            ]
+            assert [m.timestamp for m in received] == pytest.approx(
+                [f.rx_ns * 1e-9 for f in played], abs=2e-6
+            )
+            assert all(m.is_extended_id for m in received)
     assert sent == [len(played)]
 
 

@@ -141,11 +141,11 @@ def test_crossings_are_told_with_their_axles() -> None:
     )
     time = np.arange(0.0, 10.01, 0.01)
     states = np.stack([standing(5.0 * t) for t in time])
-    told = {
+    result = {
         (number, axle): (start, end) for number, axle, start, end in crossings(changes, RIG, time, states)
     }
-    assert told[1, "front"] == pytest.approx(((20.0 - RIG.a) / 5.0, (25.0 - RIG.a) / 5.0), abs=0.02)
+    assert result[1, "front"] == pytest.approx(((20.0 - RIG.a) / 5.0, (25.0 - RIG.a) / 5.0), abs=0.02)
     behind = RIG.c + RIG.d + RIG.e
-    assert told[1, "implement"] == pytest.approx(((20.0 + behind) / 5.0, (25.0 + behind) / 5.0), abs=0.02)
-    assert told[2, "rear"] == pytest.approx((4.0, 4.0), abs=0.02)
-    assert {number for number, _ in told} == {1, 2}
+    assert result[1, "implement"] == pytest.approx(((20.0 + behind) / 5.0, (25.0 + behind) / 5.0), abs=0.02)
+    assert result[2, "rear"] == pytest.approx((4.0, 4.0), abs=0.02)
+    assert {number for number, _ in result} == {1, 2}

@@ -54,27 +54,30 @@ def sending(port: int, *words: str) -> Iterator[subprocess.Popen[str]]:
 def test_another_process_understands_what_is_sent(machine: Machine) -> None:
     port = free_port()
     bus = Bus(name="can0", interface="udp_multicast", channel=GROUP, options={"port": port, "hop_limit": 0})
-    survey, heard, looks = BusSurvey(), list[Frame](), [0, 0]
+    survey, received, looks = BusSurvey(), list[Frame](), [0, 0]
 
     def over() -> bool:
         """It has ended, and what it sent has been taken."""
-        looks[:] = [len(heard), looks[1] + 1 if process.poll() is not None and looks[0] == len(heard) else 0]
+        looks[:] = [
+            len(received),
+            looks[1] + 1 if process.poll() is not None and looks[0] == len(received) else 0,
+        ]
         return looks[1] > 3
 
     with sending(port, "--seconds", "2.5") as process:
         for frame in listen([bus], 120.0, lambda kind, text: None, over):
-            heard.append(frame)
+            received.append(frame)
             survey.take(frame)
         assert process.stdout is not None
-        said = json.loads(process.stdout.read())
-    assert (process.returncode, said["stopped"], len(heard)) == (0, "", said["frames"])
+        output = json.loads(process.stdout.read())
+    assert (process.returncode, output["stopped"], len(received)) == (0, "", output["frames"])
     found = survey.findings()
     assert {source.name for source in found.receivers} == {receiver.name for receiver in machine.receiver}
     wanted = list(simulate(machine, 1, 2.5, parse_scenario(SCENARIO.read_text())))
     wheel = compile_sensor(machine).can_id
-    angles = [[f.data for f in rows if f.can_id == wheel] for rows in (heard, wanted)]
+    angles = [[f.data for f in rows if f.can_id == wheel] for rows in (received, wanted)]
     assert angles[0] == angles[1] and len(angles[0]) > 200
-    assert (heard[-1].t_ns - heard[0].t_ns) * 1e-9 > 2.0  # in real time
+    assert (received[-1].t_ns - received[0].t_ns) * 1e-9 > 2.0  # in real time
 
 
 FIX = frames_of(129025, encode(129025, {"latitude_deg": 47.0, "longitude_deg": 8.0}), 99)[0]
@@ -95,9 +98,9 @@ def test_nothing_is_sent_where_a_receiver_is_heard(capsys: pytest.CaptureFixture
     status = main(["simulate", str(SCENARIO), "--bus", place, "--seconds", "2", "--json"])
     done.set()
     thread.join()
-    told = capsys.readouterr()
-    assert (status, told.out) == (1, "")
-    assert "a receiver is heard: address 99 sends 129025" in told.err and "nothing was sent" in told.err
+    output = capsys.readouterr()
+    assert (status, output.out) == (1, "")
+    assert "a receiver is heard: address 99 sends 129025" in output.err and "nothing was sent" in output.err
 
 
 def test_sending_stops_once_a_receiver_appears() -> None:
@@ -109,9 +112,9 @@ def test_sending_stops_once_a_receiver_appears() -> None:
         assert bus.recv(60.0) is not None
         bus.send(can.Message(arbitration_id=FIX[0], data=FIX[1], is_extended_id=True))
         assert process.stdout is not None
-        said = json.loads(process.stdout.read())
-    assert process.returncode == 1 and "address 99 sends 129025" in said["stopped"]
-    assert 0 < said["frames"] < 5000
+        output = json.loads(process.stdout.read())
+    assert process.returncode == 1 and "address 99 sends 129025" in output["stopped"]
+    assert 0 < output["frames"] < 5000
 
 
 def other(name: str, frames: list[Frame], machine: Machine) -> tuple[int, bool, bytes]:
@@ -145,21 +148,21 @@ def test_what_forbids_to_send(name: str, reason: str, sent: list[Frame], machine
     watch = watch_of(sent)
     for frame in sent:
         watch.sent(frame.t_ns, frame)
-    said = watch.forbids("can0", *other(name, sent, machine))
-    assert said.startswith(reason) if not reason else reason in said
-    assert bool(said) == bool(reason)
+    output = watch.forbids("can0", *other(name, sent, machine))
+    assert output.startswith(reason) if not reason else reason in output
+    assert bool(output) == bool(reason)
 
 
 def test_a_frame_of_ours_is_an_echo_only_once_and_only_so_long(sent: list[Frame]) -> None:
     watch, frame = watch_of(sent), sent[0]
-    heard = (frame.bus, frame.can_id, frame.extended, frame.data)
-    assert watch.forbids(*heard)
+    received = (frame.bus, frame.can_id, frame.extended, frame.data)
+    assert watch.forbids(*received)
     watch.sent(0, frame)
     watch.sent(900_000_000, frame)
-    assert [bool(watch.forbids(*heard)) for _ in range(3)] == [False, False, True]
+    assert [bool(watch.forbids(*received)) for _ in range(3)] == [False, False, True]
     watch.sent(1_000_000_000, frame)
     watch.sent(5_000_000_000, sent[1])
-    assert watch.forbids(*heard)
+    assert watch.forbids(*received)
 
 
 def test_an_identifier_of_11_bits_may_not_be_another_devices() -> None:
@@ -220,12 +223,12 @@ def test_what_leaves_this_computer_wants_to_be_told_so(
     assert stays_here(bus) == here
     if not here:
         assert main(["simulate", str(SCENARIO), "--bus", place]) == 2
-        told = capsys.readouterr().err
-        assert "leaves this computer" in told and "--send" in told
+        output = capsys.readouterr().err
+        assert "leaves this computer" in output and "--send" in output
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["--out", "x.log", "--send"], "--send is of --bus"),
         (["--bus", "virtual:a", "--bus", "virtual:b"], "2 given, the machine file has 1: can0"),
@@ -233,9 +236,9 @@ def test_what_leaves_this_computer_wants_to_be_told_so(
         (["--bus", "virtuel:a"], 'did you mean "virtual"?'),
     ],
 )
-def test_wrong_use(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(SCENARIO), *words]) == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_a_virtual_interface_is_told_by_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,10 +62,10 @@ def order(rig: subprocess.Popen[bytes], seconds: float) -> int:
     assert rig.stdin is not None
     rig.stdin.write(json.dumps(fact).encode() + b"\n")
     rig.stdin.flush()
-    return int(told(rig)["port"])
+    return int(next_fact(rig)["port"])
 
 
-def told(rig: subprocess.Popen[bytes]) -> dict[str, Any]:
+def next_fact(rig: subprocess.Popen[bytes]) -> dict[str, Any]:
     assert rig.stdout is not None
     return dict(json.loads(rig.stdout.readline()))
 
@@ -95,7 +95,7 @@ def test_it_obeys_one_of_two_controllers_refuses_what_it_cannot_do_and_outlives_
             bus.send(sent)
         bus.send(can.Message(arbitration_id=command(0.0, 0x1C).arbitration_id, data=b"", is_extended_id=True))
         places = []
-        while "sent" not in (fact := told(rig)):
+        while "sent" not in (fact := next_fact(rig)):
             places.append(fact["implement"])
     wanted = ("beyond_limit", "another_controller", "too_fast", "short_frame")
     assert fact["refused"] == {REFUSALS[name]: 1 for name in wanted}
@@ -115,19 +115,19 @@ class Heard(NoDisplay):
 def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    display, heard, pages = Heard(), list[bytes](), list[zenoh.Session]()
+    display, received, pages = Heard(), list[bytes](), list[zenoh.Session]()
 
     def watch(endpoint: str) -> None:
         pages.append(open_session(endpoint))  # as the live page has it
         pages[0].declare_subscriber(
-            "tilth/*/replay/event", lambda sample: heard.append(sample.payload.to_bytes())
+            "tilth/*/replay/event", lambda sample: received.append(sample.payload.to_bytes())
         )
 
     guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=20.0))
     pages[0].close()
     assert "pipe" not in capfd.readouterr().err.lower()  # all processes have said their last word
-    said = [event.text for event in map(pb.Event.FromString, heard) if event.kind == "guidance"]
-    assert "the controller steers" in said and set(said) <= set(display.told)
+    messages = [event.text for event in map(pb.Event.FromString, received) if event.kind == "guidance"]
+    assert "the controller steers" in messages and set(messages) <= set(display.told)
     assert guided.commands["refused"] == {}
     assert guided.commands["commands"] >= 5  # a busy computer is late
     assert "the controller steers" in display.told

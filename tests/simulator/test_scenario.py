@@ -84,6 +84,22 @@ WRONG = [
     ("[link]", '[steering]\nkind = "row"\n[link]', ["reverse"]),
     ("grip = 0.7", "[[soil.changes]]\nC_af = 0.5", ["soil.changes[1]", "at_s", "north"]),
     ("grip = 0.7", "parameters = { C_a = 1.0 }", ["soil.parameters.C_a", "C_af"]),
+    ("[link]", "[spatial]\ndraw = true\n[link]", ["spatial is of the spatial plant", 'plant = "spatial"']),
+    ("[link]", "[ground]\nrms = 0.01\n[link]", ["ground.rms is of the spatial plant"]),
+    ("[link]", "[ground]\nwaves = [9.0, 3.0]\n[link]", ["waves = [9.0, 3.0]", "shortest"]),
+    ("seconds = 180.0", 'plant = "spacial"', ["plant", "spacial", "planar", "spatial"]),
+    ("seconds = 180.0", 'plant = "spatial"\nroll_deg = [1, 0]', ["roll_deg is of the planar", "ground.rms"]),
+    (
+        "seconds = 180.0",
+        'plant = "spatial"\nground = { roll_sd_deg = 1 }',
+        ["ground.roll_sd_deg is of the planar plant"],
+    ),
+    ("seconds = 180.0", 'spatial = { tyre = "brsh" }', ["spatial.tyre", "brsh", "brush", "magic"]),
+    ("seconds = 180.0", "spatial = { pin_hight = 1 }", ["spatial.pin_hight", "did you mean", "pin_height"]),
+    ("seconds = 180.0", "spatial = { track = [1.9, 9.0, 2.2] }", ["spatial.track[2]", "9.0", "6"]),
+    ("seconds = 180.0", "spatial = { step = 0.01 }", ["spatial.step", "0.01", "0.0025"]),
+    ("seconds = 180.0", "ground = { bumps = [{ north = 1 }] }", ["ground.bumps[1]", "missing"]),
+    ("seconds = 180.0", "roll_sensor = { zero_deg = 9.0 }", ["roll_sensor.zero_deg", "9.0", "5"]),
     ("[link]", "[link", ["not a TOML file"]),
 ]
 
@@ -96,10 +112,10 @@ def test_a_wrong_file_gets_one_sentence_that_names_it(old: str, new: str, words:
         text = text.replace("seconds = 180.0", "speed = -1.0", 1)
     with pytest.raises(ScenarioError) as caught:
         parse_scenario(text)
-    said = str(caught.value)
-    assert "\n" not in said
+    error = str(caught.value)
+    assert "\n" not in error
     for word in words:
-        assert word in said
+        assert word in error
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)

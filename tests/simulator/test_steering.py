@@ -192,11 +192,11 @@ def test_it_sends_what_a_recorder_of_its_whole_motion_would_have_heard(
     within: float,
 ) -> None:
     truth, live, _ = weaved
-    told = by_sender(machine, live, kind)
+    result = by_sender(machine, live, kind)
     made = by_sender(machine, list(traffic(machine, truth)), kind)
-    assert told.keys() == made.keys()
+    assert result.keys() == made.keys()
     for sender, late in made.items():
-        now = told[sender]
+        now = result[sender]
         assert len(late) - 4 <= len(now) <= len(late)
         assert max(abs(a.t_ns - b.t_ns) for a, b in zip(now, late, strict=False)) < 25_000_000
         assert max(abs(value(a) - value(b)) for a, b in zip(now, late, strict=False)) < within
@@ -204,9 +204,9 @@ def test_it_sends_what_a_recorder_of_its_whole_motion_would_have_heard(
 
 def by_sender(machine: Machine, frames: list[Frame], kind: type[Measurement]) -> dict[int, list[Measurement]]:
     decoder = Decoder(machine)
-    heard: dict[int, list[Measurement]] = {}
+    received: dict[int, list[Measurement]] = {}
     for frame in frames:
         for found in decoder.measurements(frame):
             if isinstance(found, kind):
-                heard.setdefault(found.origin.source, []).append(found)
-    return heard
+                received.setdefault(found.origin.source, []).append(found)
+    return received

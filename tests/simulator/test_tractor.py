@@ -230,21 +230,23 @@ def test_reported_velocity_is_that_of_the_reported_point(machine: Machine, rough
         rows = reports(machine, truth, receiver, 0.5)
         place = _plane(rows)
         north, east = ((place[2:] - place[:-2]) / (rows[2].epoch_s - rows[0].epoch_s)).T
-        said = np.array([(row.course, row.speed, row.epoch_s) for row in rows])[1:-1]
-        steady = said[:, 2] > 5.0  # where differences are derivatives
-        off = (np.arctan2(east, north) - said[:, 0] + np.pi) % (2 * np.pi) - np.pi
+        output = np.array([(row.course, row.speed, row.epoch_s) for row in rows])[1:-1]
+        steady = output[:, 2] > 5.0  # where differences are derivatives
+        off = (np.arctan2(east, north) - output[:, 0] + np.pi) % (2 * np.pi) - np.pi
         assert np.abs(off[steady]).max() < 0.003 + 0.004 * rough
-        assert np.abs(np.hypot(north, east) - said[:, 1])[steady].max() < 0.01 + 0.01 * rough
+        assert np.abs(np.hypot(north, east) - output[:, 1])[steady].max() < 0.01 + 0.01 * rough
 
 
 def test_survey_errors_are_within_what_the_scenario_says(machine: Machine) -> None:
     scenario = Scenario(survey=SurveyErrors(cg_sd=0.03, lever_sd=0.02, pair_sd_deg=0.3))
-    told = [tractor.drive(machine, seed, 0.05, scenario) for seed in range(40)]
+    collected = [tractor.drive(machine, seed, 0.05, scenario) for seed in range(40)]
     for key, sd in (("cg_forward_tractor", 0.03), ("right_implement_rear", 0.02)):
-        drawn = np.array([truth.nuisances[key] for truth in told])
+        drawn = np.array([truth.nuisances[key] for truth in collected])
         assert drawn.std() == pytest.approx(sd, rel=0.35)
         assert np.abs(drawn).max() <= 1.5 * sd
-    pairs = np.degrees([[truth.nuisances[f"pair_{b}"] for b in ("tractor", "implement")] for truth in told])
+    pairs = np.degrees(
+        [[truth.nuisances[f"pair_{b}"] for b in ("tractor", "implement")] for truth in collected]
+    )
     assert 0.29 < np.abs(pairs).max() <= 0.3 + 1e-12
     assert np.abs(pairs).mean() > 0.1
 
@@ -272,10 +274,10 @@ def test_the_wheel_sensor_has_its_errors(machine: Machine) -> None:
     wheel = Wheel(zero_deg=0.5, gain=1.1, dead_band_deg=1.0)
     steering = ((2.0, 0.0), (4.0, 5.0), (4.0, -5.0))
     truth = drive(machine, 1, 12.0, Scenario(wheel=wheel, noise=0.0, steering=steering))
-    said, is_ = np.degrees(wheel_readings(truth)), np.degrees(truth.wheel_angle)
-    assert (said[100], is_[100]) == pytest.approx((0.5, 0.0))  # in the middle of its play
-    assert (said[500], is_[500]) == pytest.approx((1.1 * 4.5 + 0.5, 5.0))  # on the one flank
-    assert (said[900], is_[900]) == pytest.approx((-1.1 * 4.5 + 0.5, -5.0))  # and on the other
+    output, is_ = np.degrees(wheel_readings(truth)), np.degrees(truth.wheel_angle)
+    assert (output[100], is_[100]) == pytest.approx((0.5, 0.0))  # in the middle of its play
+    assert (output[500], is_[500]) == pytest.approx((1.1 * 4.5 + 0.5, 5.0))  # on the one flank
+    assert (output[900], is_[900]) == pytest.approx((-1.1 * 4.5 + 0.5, -5.0))  # and on the other
 
 
 def test_noise_has_the_stated_size(machine: Machine) -> None:

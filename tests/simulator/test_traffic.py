@@ -85,12 +85,12 @@ def test_a_clump_takes_10_to_30_ms_and_the_more_important_frame_goes_first(frame
 
 def test_every_receiver_is_decoded(machine: Machine, frames: list[Frame]) -> None:
     measurements, rejected = _measurements(machine, frames)
-    seen = Counter((type(m), m.origin.mount) for m in measurements)
+    observed = Counter((type(m), m.origin.mount) for m in measurements)
     for mount in Mount:
         rate = 10 if mount.startswith("implement") else 5
-        assert seen[Position, mount] == pytest.approx(rate * (SECONDS - 0.6), abs=14)
-        assert seen[YawRate, mount] == pytest.approx(rate * (SECONDS - 0.6), abs=3)
-    assert seen[WheelAngle, None] == 1201
+        assert observed[Position, mount] == pytest.approx(rate * (SECONDS - 0.6), abs=14)
+        assert observed[YawRate, mount] == pytest.approx(rate * (SECONDS - 0.6), abs=3)
+    assert observed[WheelAngle, None] == 1201
     assert {m.fix for m in measurements if isinstance(m, Fix)} == {FixType.RTK_FIXED}
     assert all(m.direction == "forward" for m in measurements if isinstance(m, VehicleSpeed))
     assert set(rejected) <= {"address_conflict"}
@@ -101,13 +101,13 @@ def test_decoded_values_are_what_was_measured_to_one_bit(machine: Machine, frame
     measurements, _ = _measurements(machine, frames)
     for receiver in machine.receiver:
         rows = [r for r in reports(machine, truth, receiver, 0.5)]
-        told = [
+        collected = [
             m
             for m in measurements
             if isinstance(m, Position) and m.origin.mount == receiver.mount and m.pgn != 129029
         ]
-        assert len(rows) - len(told) in (0, 1)  # the last may come after the end
-        for row, position in zip(rows, told, strict=False):
+        assert len(rows) - len(collected) in (0, 1)  # the last may come after the end
+        for row, position in zip(rows, collected, strict=False):
             assert position.latitude_deg == pytest.approx(row.latitude_deg, abs=0.51e-7)
             assert position.longitude_deg == pytest.approx(row.longitude_deg, abs=0.51e-7)
             arrival_s = (position.rx_ns - truth.scenario.utc_start_ns) * 1e-9 - truth.nuisances[
@@ -245,10 +245,10 @@ def test_the_wheel_angle_comes_later_by_its_delay(machine: Machine) -> None:
 def test_reverse_is_told_by_the_tractor(machine: Machine) -> None:
     scenario = Scenario(speed=((4.0, 2.0), (8.0, -1.0)), steering=((1.0, 0.0),))
     measurements, _ = _measurements(machine, list(simulate(machine, 1, 12.0, scenario)))
-    told = [m for m in measurements if isinstance(m, VehicleSpeed)]
-    assert (told[20].direction, told[-1].direction) == ("forward", "reverse")
-    assert told[-1].speed == pytest.approx(1.0, abs=0.15)
-    assert all(m.speed >= 0.0 for m in told)
+    collected = [m for m in measurements if isinstance(m, VehicleSpeed)]
+    assert (collected[20].direction, collected[-1].direction) == ("forward", "reverse")
+    assert collected[-1].speed == pytest.approx(1.0, abs=0.15)
+    assert all(m.speed >= 0.0 for m in collected)
 
 
 def test_several_buses(machine: Machine) -> None:

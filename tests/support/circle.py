@@ -88,17 +88,17 @@ class Circle:
     def measurements(self, seconds: float, absent: frozenset[Mount] = frozenset()) -> Iterator[Measurement]:
         """All that the rig's sensors say, in order of arrival."""
         rng = np.random.default_rng(self.seed)
-        said: list[Measurement] = []
+        messages: list[Measurement] = []
         for index, receiver in enumerate(self.machine.receiver):
             if receiver.mount in absent:
                 continue
-            said += self._receiver(receiver, 28 + index, seconds, rng)
+            messages += self._receiver(receiver, 28 + index, seconds, rng)
         delay = round(self.machine.wheel_angle.delay * 1e9)
         origin = Origin("can0", 0x15)
         for k in range(round(seconds * 50)):
             at = START_NS + k * 20_000_000 + delay
-            said.append(WheelAngle(at, at, origin, 65291, None, 0.1, math.radians(0.1)))
-        return iter(sorted(said, key=lambda m: m.rx_ns))
+            messages.append(WheelAngle(at, at, origin, 65291, None, 0.1, math.radians(0.1)))
+        return iter(sorted(messages, key=lambda m: m.rx_ns))
 
     def _receiver(
         self, receiver: Receiver, source: int, seconds: float, rng: np.random.Generator
@@ -106,7 +106,7 @@ class Circle:
         origin = Origin("can0", source, receiver.name, receiver.mount)
         period = self.period_s.get(receiver.mount, 0.2)
         latency = self.latency_s.get(receiver.mount, receiver.latency.value)
-        said: list[Measurement] = []
+        messages: list[Measurement] = []
         for k in range(round(seconds / period)):
             t = k * period
             rx = START_NS + round((t + latency + self.jitter_s * rng.random()) * 1e9)
@@ -115,7 +115,7 @@ class Circle:
             noisy = rng.normal(0, self.noise_m, 2) if self.noise_m else (0.0, 0.0)
             latitude, longitude = from_plane(here[0] + float(noisy[0]), here[1] + float(noisy[1]))
             head = (rx, rx, origin)
-            said += [
+            messages += [
                 Position(*head, 65267, None, latitude, longitude, receiver.position_sd),
                 Velocity(
                     *head, 65256, None, math.atan2(velocity[1], velocity[0]), math.hypot(*velocity), 0.03
@@ -124,8 +124,8 @@ class Circle:
                 Attitude(*head, 65535, None, self.roll, None, 0.01),
             ]
             if k % 5 == 0:
-                said.append(Fix(*head, 65535, None, self.fix))
-        return said
+                messages.append(Fix(*head, 65535, None, self.fix))
+        return messages
 
 
 def from_plane(north: float, east: float) -> tuple[float, float]:

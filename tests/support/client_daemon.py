@@ -41,8 +41,8 @@ def estimate(t_ns: int = 1, scale: float = 1.0, **changes: Any) -> Estimate:
     return Estimate(**(fields | changes))
 
 
-def encoded(told: Estimate) -> bytes:
-    return CHANNEL["/soil_tire"].encode(told)
+def encoded(result: Estimate) -> bytes:
+    return CHANNEL["/soil_tire"].encode(result)
 
 
 def text_on(port: int) -> str:
@@ -126,8 +126,8 @@ def main() -> None:
     while not ended.wait(EVERY_S):
         t_ns = start_ns + time.monotonic_ns()
         if not orders["silent"]:
-            told = {"parameters": NOTHING} if orders["absent"] else {}
-            sink.put("/soil_tire", encoded(estimate(t_ns, orders["scale"], **told)))
+            result = {"parameters": NOTHING} if orders["absent"] else {}
+            sink.put("/soil_tire", encoded(estimate(t_ns, orders["scale"], **result)))
         if orders["event"]:
             event = Event(t_ns, orders["event"], "the soil is another")
             sink.put("/event", CHANNEL["/event"].encode(event))

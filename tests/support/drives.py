@@ -59,7 +59,7 @@ def folded(machine: Machine, frames: list[Frame], truth: dict[str, float], decod
     for frame in frames:
         out += fitted_at_once(state, frame.t_ns)
         out += step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
     return Run(state, frames[0].t_ns, out, truth)
 
 

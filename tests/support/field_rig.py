@@ -82,11 +82,11 @@ class FieldRig:
                 if mounts.get(source) not in self._unplugged:
                     yield frame
 
-        with open(orders, "rb", buffering=0) as told:
+        with open(orders, "rb", buffering=0) as result:
             while not self._server.listening():
-                if self._server.serve(0.02, told):
+                if self._server.serve(0.02, result):
                     return
             clock = Clock()
             begun = replace(truth, scenario=replace(truth.scenario, utc_start_ns=clock.t_ns() + 300_000_000))
-            play(self._server, plugged(), clock, told)
+            play(self._server, plugged(), clock, result)
             self._server.close()

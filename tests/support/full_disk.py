@@ -12,7 +12,7 @@ from loopback import logged_frames, numbered
 from one_recording import Recorder
 
 from tilth.logger.log.recovery import finish
-from tilth.logger.log.runs import Beside, Copied, StoredRun
+from tilth.logger.log.runs import Copied, Sidecar, StoredRun
 
 LOG = "keep_free_megabytes = 1\nrotate_megabytes = 2"
 MEGABYTE = 1_000_000
@@ -37,7 +37,7 @@ def fails_and_resumes(folder: Path) -> dict[str, object]:
     for frame in frames[2000:6000]:
         run.take(frame)
     run.until(lambda: "not recording" in run.recording.problem)
-    said = run.recording.problem
+    output = run.recording.problem
     for frame in frames[6000:8000]:
         run.take(frame)
     still = run.recording.recording
@@ -51,7 +51,7 @@ def fails_and_resumes(folder: Path) -> dict[str, object]:
         finish(path)
         found += [int.from_bytes(frame.data, "little") for frame in logged_frames(path)]
     return {
-        "said": said,
+        "said": output,
         "recording while full": still,
         "folded": run.fold.state.frames,
         "in the files": len(found),
@@ -69,7 +69,7 @@ def makes_room(folder: Path) -> dict[str, object]:
         path = folder / f"{run}_001.mcap"
         fill(path, 3 * MEGABYTE)
         copies = {path.name: Copied(3 * MEGABYTE, "", "stick")} if copied else {}
-        StoredRun(folder, run, 0, (path,)).note(Beside(keep, [], copies))
+        StoredRun(folder, run, 0, (path,)).write_sidecar(Sidecar(keep, [], copies))
 
     stored(1)
     stored(2, copied=True, keep=True)

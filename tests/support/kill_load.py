@@ -31,7 +31,7 @@ def record(folder: Path, shared: mmap.mmap, frames: int, far: int) -> None:
     """Closes the descriptor `far` when so many frames have been handed over."""
     text = TEXT.replace("[log]", "[log]\nrotate_minutes = 0.01\nkeep_free_megabytes = 1\nchunk_kilobytes = 4")
     clock = Clock()
-    recording = Recording(folder, parse_machine(text), text, clock, lambda *said: None, lambda: "{}")
+    recording = Recording(folder, parse_machine(text), text, clock, lambda *output: None, lambda: "{}")
     next_ns = clock.t_ns()
     number = 0
     while True:

@@ -127,13 +127,13 @@ def altered(live: Live, folder: Path, topic: str, count: int, change: str) -> Pa
     """The first part with result number `count` of a topic changed, left out, or there twice."""
     path = folder / "altered.mcap"
     writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
-    seen = 0
+    observed = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):
             writer.frame(row)
         elif isinstance(row, Logged):
-            seen += row.topic == topic
-            hit = row.topic == topic and seen == count
+            observed += row.topic == topic
+            hit = row.topic == topic and observed == count
             data = row.data
             if hit and change == "value":
                 message = CHANNEL[topic].message.FromString(data)

@@ -125,32 +125,34 @@ def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str =
 
 
 def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
-    told = pb.Status(
+    result = pb.Status(
         t_ns=t_ns, run="20261121T080000Z", version=orders["version"] or _version(), uptime_s=uptime_s,
         frames=int(800 * uptime_s), poses=int(5 * uptime_s), recording=orders["recording"],
         log_bytes=int(40_000 * uptime_s), disk_free_bytes=4.2e9, hours_left=29.0,
     )  # fmt: skip
-    told.preparing = orders.get("preparing", "")
+    result.preparing = orders.get("preparing", "")
     if orders.get("ready_in_s") is not None:
-        told.ready_in_s = orders["ready_in_s"]
-    told.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
+        result.ready_in_s = orders["ready_in_s"]
+    result.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
     for mount in MOUNTS:
         lost = mount == orders["lost"]
-        row = told.receivers.add(mount=mount, state="lost" if lost else "alive", age_s=4.0 if lost else 0.1)
+        row = result.receivers.add(mount=mount, state="lost" if lost else "alive", age_s=4.0 if lost else 0.1)
         row.fix, row.per_s = ("", 0.0) if lost else ("rtk_fixed", 5.0)
         if lost:
             row.fault, row.fault_age_s = "lost", 0.0
-    told.wheel_angle.state, told.wheel_angle.age_s, told.wheel_angle.per_s = "alive", 0.01, 100.0
-    told.problems.extend([orders["problem"]] if orders["problem"] else [])
+    result.wheel_angle.state, result.wheel_angle.age_s, result.wheel_angle.per_s = "alive", 0.01, 100.0
+    result.problems.extend([orders["problem"]] if orders["problem"] else [])
     if orders["lost"]:
-        told.problems.append(f"{orders['lost'].replace('_', ' ')}: no longer heard; check its power and plug")
-    return told
+        result.problems.append(
+            f"{orders['lost'].replace('_', ' ')}: no longer heard; check its power and plug"
+        )
+    return result
 
 
 def _version() -> str:
-    from tilth.monitor.view import own_version
+    from tilth.monitor.view import installed_version
 
-    return own_version()
+    return installed_version()
 
 
 class Stage(Ordered):
@@ -235,8 +237,8 @@ def main() -> None:
             kind, orders["event"] = orders["event"], ""
             sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, orders["text"])))
         if turn % 10 == 0 or rate > 1:
-            told = estimate(t_ns, t_s, scale, t_s - changed_s, orders["invalid"])
-            sink.put("/soil_tire", CHANNEL["/soil_tire"].encode(told))
+            result = estimate(t_ns, t_s, scale, t_s - changed_s, orders["invalid"])
+            sink.put("/soil_tire", CHANNEL["/soil_tire"].encode(result))
             sink.put("/status", CHANNEL["/status"].encode(status(t_ns, t_s, orders)))
     sink.close()
 

@@ -142,10 +142,10 @@ def _newest_kernel() -> str:
     """The package of Debian's stock kernel, or of the one that is in the cache already."""
     known = CACHE / "package"
     if not known.exists():
-        said = _said("apt-cache", "depends", "linux-image-amd64")
+        output = _said("apt-cache", "depends", "linux-image-amd64")
         CACHE.mkdir(parents=True, exist_ok=True)
         known.write_text(
-            next(line.split()[1] for line in said.splitlines() if "Depends: linux-image" in line)
+            next(line.split()[1] for line in output.splitlines() if "Depends: linux-image" in line)
         )
     return known.read_text()
 
@@ -159,8 +159,8 @@ def _make(package: str, script: bytes, work: Path) -> Path:
     _said("depmod", "-b", str(root), version)
     files: list[str] = []
     for module in MODULES:
-        said = _said("modprobe", "-d", str(root), "-S", version, "--show-depends", module)
-        rows = [line.split() for line in said.splitlines()]
+        output = _said("modprobe", "-d", str(root), "-S", version, "--show-depends", module)
+        rows = [line.split() for line in output.splitlines()]
         files += [row[1] for row in rows if row[0] == "insmod" and row[1] not in files]
     for name in ("bin", "modules", "proc", "sys", "dev", "lower", "upper", "root"):
         (tree / name).mkdir(parents=True)

@@ -28,7 +28,7 @@ def test_can_is_brought_up_with_its_bit_rate_and_left_alone_when_it_is(tmp_path:
     ip link set can1 up type can bitrate 250000
     changes=/sys/class/net/can0/carrier_changes
     before=$(cat $changes); up can0; test $before = $(cat $changes)
-    candump -n 1 can0 >$OUT/seen & until grep -q can0 /proc/net/can/rcvlist_all; do sleep 0.1; done
+    candump -n 1 can0 >$OUT/seen & until grep -q '^ *can0 ' /proc/net/can/rcvlist_all; do sleep 0.1; done
     cansend can1 123#11; wait
     ip link set can0 down; ip link set can0 type can bitrate 500000; up can0
     ip -d link show can0 | grep 'bitrate 250000'

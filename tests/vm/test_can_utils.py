@@ -87,13 +87,13 @@ def candump(path: Path) -> Iterator[tuple[int, int, bool, bool, bytes]]:
 def test_the_log_holds_what_candump_saw_frame_for_frame_stamp_for_stamp(
     drive: Drive, bus: str, least: int
 ) -> None:
-    seen = list(candump(drive.out / f"{bus}.candump"))
+    observed = list(candump(drive.out / f"{bus}.candump"))
     end_ns = float(drive.times["pulled"]) * 1e9 if bus == "can1" else float("inf")  # candump ends there
     logged = [frame for frame in drive.of(bus) if frame.rx_ns < end_ns]
-    begin = len(seen) - len(logged)  # what candump saw before the daemon had opened the bus
-    assert least < len(logged) <= len(seen)
-    assert [row[1:] for row in seen[begin:]] == [(f.can_id, f.extended, f.error, f.data) for f in logged]
-    apart_ns = [abs(f.rx_ns - row[0] * 1000) for f, row in zip(logged, seen[begin:], strict=True)]
+    begin = len(observed) - len(logged)  # what candump saw before the daemon had opened the bus
+    assert least < len(logged) <= len(observed)
+    assert [row[1:] for row in observed[begin:]] == [(f.can_id, f.extended, f.error, f.data) for f in logged]
+    apart_ns = [abs(f.rx_ns - row[0] * 1000) for f, row in zip(logged, observed[begin:], strict=True)]
     assert max(apart_ns) < 1500  # candump cuts at a microsecond
     assert {status.stamp for status in drive.buses(bus)} <= {"", "kernel"}
 
@@ -109,10 +109,10 @@ def test_a_real_controller_that_overruns_says_so(drive: Drive) -> None:
 
 
 def test_error_frames_are_events_and_states(drive: Drive) -> None:
-    said = [e.text.partition(" (")[0] for e in drive.events if e.text.startswith("vcan0: ")]
+    messages = [e.text.partition(" (")[0] for e in drive.events if e.text.startswith("vcan0: ")]
     wanted = ("overrun", "error-passive", "bus-off", "the controller was restarted")
-    heard = [text for text in said if text.startswith(tuple(f"vcan0: {word}" for word in wanted))]
-    assert [next(word for word in wanted if word in text) for text in heard] == list(wanted)
+    received = [text for text in messages if text.startswith(tuple(f"vcan0: {word}" for word in wanted))]
+    assert [next(word for word in wanted if word in text) for text in received] == list(wanted)
     statuses = drive.buses("vcan0")
     assert {"passive", "bus_off"} <= {status.controller for status in statuses}
     assert any("bus-off" in status.reason for status in statuses)
@@ -147,9 +147,9 @@ def test_every_failure_is_an_event_and_a_count_in_every_later_status(
     drive: Drive, bus: str, failures: int
 ) -> None:
     """However soon it is over: can1 comes back at once."""
-    said = [e for e in drive.events if e.text.startswith(f"{bus}: socketcan") and "tried again" in e.text]
-    begun = [min(e.t_ns for e in said if f"(failure {n}, " in e.text) for n in range(1, failures + 1)]
-    assert {e.text.partition("(failure ")[2].partition(",")[0] for e in said} == set(
+    messages = [e for e in drive.events if e.text.startswith(f"{bus}: socketcan") and "tried again" in e.text]
+    begun = [min(e.t_ns for e in messages if f"(failure {n}, " in e.text) for n in range(1, failures + 1)]
+    assert {e.text.partition("(failure ")[2].partition(",")[0] for e in messages} == set(
         map(str, range(1, failures + 1))
     )
     for status in drive.statuses:

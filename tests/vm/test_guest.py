@@ -13,7 +13,7 @@ def test_frames_drives_and_the_exit_status(tmp_path: Path) -> None:
     drive.write_bytes(b"from outside".ljust(1 << 20))
     script = """
     ip link add vcan0 type vcan && ip link set vcan0 up
-    candump -L -n 3 vcan0 >$OUT/seen & until grep -q vcan0 /proc/net/can/rcvlist_all; do sleep 0.1; done
+    candump -L -n 3 vcan0 >$OUT/seen & until grep -q '^ *vcan0 ' /proc/net/can/rcvlist_all; do sleep 0.1; done
     cangen vcan0 -n 3 -I 123 -D 1122 -L 2; wait
     head -c 12 /dev/vda >$OUT/read && echo from inside | dd of=/dev/vda conv=fsync && exit 7
     """

@@ -120,24 +120,27 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[Write],
 def test_at_any_instant_a_cut_costs_less_than_a_second_and_no_file(
     drive: tuple[bytes, list[Write], bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before, writes, left = drive
+    before, writes, remaining = drive
     rng = np.random.default_rng(7)
-    told = [(i, NOW.unpack_from(write.data)[1]) for i, write in enumerate(writes) if write.data[:8] == MARK]
-    begun = next(i for i, count in told if count)
-    cuts = [*sorted(rng.integers(begun, told[-1][0], CUTS).tolist()), len(writes)]
+    collected = [
+        (i, NOW.unpack_from(write.data)[1]) for i, write in enumerate(writes) if write.data[:8] == MARK
+    ]
+    begun = next(i for i, count in collected if count)
+    cuts = [*sorted(rng.integers(begun, collected[-1][0], CUTS).tolist()), len(writes)]
     lost = []
-    for number, disk in [*disks(before, writes, cuts[:-1], rng), (cuts[-1], left)]:
+    for number, disk in [*disks(before, writes, cuts[:-1], rng), (cuts[-1], remaining)]:
         numbers = frames_on(disk, tmp_path / "disk")
         assert numbers == list(range(len(numbers)))  # none is missing before the last
-        given = next((count for i, count in told if i >= number), told[-1][1])
+        given = next((count for i, count in collected if i >= number), collected[-1][1])
         lost.append((given - len(numbers)) * SPACING_NS * 1e-9)
-    said = (
-        f"{len(lost)} cuts within {told[-1][1] * SPACING_NS * 1e-9:.0f} s: lost at most {max(lost):.3f} s, "
+    output = (
+        f"{len(lost)} cuts within {collected[-1][1] * SPACING_NS * 1e-9:.0f} s: "
+        f"lost at most {max(lost):.3f} s, "
         f"median {np.median(lost):.3f} s"
     )
     with capsys.disabled():
-        sys.stdout.write(f"\n{said}\n")
-    assert max(lost) < 1.0 and told[-1][1] > 3000
+        sys.stdout.write(f"\n{output}\n")
+    assert max(lost) < 1.0 and collected[-1][1] > 3000
 
 
 def disks(
@@ -164,8 +167,8 @@ def cut(safe: bytearray, unsafe: list[Write], rng: np.random.Generator) -> bytes
     """What the power leaves: all that was flushed, and anything of the rest."""
     disk = bytearray(safe)
     for write in unsafe:
-        kept = rng.choice(3)
+        retained = rng.choice(3)
         sectors = len(write.data) // SECTOR
-        part = sectors if kept == 2 else int(rng.integers(sectors + 1)) if kept == 1 else 0
+        part = sectors if retained == 2 else int(rng.integers(sectors + 1)) if retained == 1 else 0
         put(disk, Write(write.sector, write.data[: part * SECTOR], False))
     return bytes(disk)

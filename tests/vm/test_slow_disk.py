@@ -22,9 +22,9 @@ def test_writes_that_stall_for_seconds_cost_no_frame(tmp_path: Path) -> None:
     """
     with boot(["bash", "-ec", script], tmp_path / "out", drives=[drive]) as guest:
         guest.finish()
-    told = json.loads((guest.out / "told").read_text())
-    assert told["given"] == told["recorded"] > 5000 and told["missed"] == 0
-    assert any("has not answered for" in problem for problem in told["said"]), told
+    output = json.loads((guest.out / "told").read_text())
+    assert output["given"] == output["recorded"] > 5000 and output["missed"] == 0
+    assert any("has not answered for" in problem for problem in output["said"]), output
     paths = sorted(guest.out.glob("*.mcap"))
     numbers = [int.from_bytes(frame.data, "little") for path in paths for frame in logged_frames(path)]
-    assert numbers == list(range(told["given"])) and len(paths) > 1
+    assert numbers == list(range(output["given"])) and len(paths) > 1

@@ -35,11 +35,11 @@ def main(folder: Path, sector: str = "") -> None:
     machine = parse_machine(text)
     clock = Clock()
     number = 0
-    recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
+    recording = Recording(folder, machine, text, clock, lambda *output: None, lambda: "{}")
     if sector:
         threading.Thread(target=tell, args=(sector, lambda: number), daemon=True).start()
     next_ns = clock.t_ns()
-    said = set[str]()
+    output = set[str]()
     while sector or number < ENOUGH or not (folder.parent / "stop").exists():
         now_ns = clock.t_ns()
         next_ns = max(next_ns, now_ns - BEHIND_NS)
@@ -49,11 +49,16 @@ def main(folder: Path, sector: str = "") -> None:
             next_ns += SPACING_NS
             number += 1
         recording.tick(now_ns)
-        said.add(recording.problem)
+        output.add(recording.problem)
         time.sleep(0.005)
     recording.close()
-    told = {"given": number, "recorded": recording.frames, "missed": recording.missed, "said": sorted(said)}
-    sys.stdout.write(json.dumps(told))
+    result = {
+        "given": number,
+        "recorded": recording.frames,
+        "missed": recording.missed,
+        "said": sorted(output),
+    }
+    sys.stdout.write(json.dumps(result))
 
 
 def tell(sector: str, count: Callable[[], int]) -> None:

@@ -49,7 +49,7 @@ def run(machine: Machine, frames: list[Frame]) -> tuple[fold.State, list[Publica
         for method, _, _ in fold.pending(state):
             out += fold.adopt(state, frame.t_ns, method, None)
         out += fold.step(state, frame)
-        fold.ask(state, frame.t_ns)
+        fold.request_fits(state, frame.t_ns)
     return state, out
 
 
@@ -92,7 +92,7 @@ def test_a_right_file_is_confirmed_and_raises_nothing() -> None:
             assert abs(math.log(p.value / truth[name])) < 3.5 * p.sd / p.value, name
 
 
-def test_nothing_is_given_before_a_gross_error_would_have_shown() -> None:
+def test_no_number_before_a_gross_error_would_have_shown() -> None:
     state, out = run(demo_machine(), frames()[: len(frames()) // 8])
     assert not state.consistency.confirmed and not list(given(out))
     reasons = {e.value.parameters[0].reason for e in out if isinstance(e.value, Estimate)}
@@ -111,34 +111,34 @@ WRONG = {
     "the implement's axle": ("implement.e + 1 m", None, "implement.e"),
     "yaw inertia": ("tractor.yaw_inertia x 2", None, "yaw_inertia"),
 }
-"""What is wrong: (change of wrong_files, or path and m), a word of the reason. A sample of the bench."""
+"""What is wrong: (change of wrong_files, or path and m), a part of the reason. A sample of the bench."""
 
 
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
-    name, metres, word = WRONG[wrong]
+    name, metres, part = WRONG[wrong]
     raw = wrong_files.packaged()
     if metres is not None:
         raw["receiver"][0]["position"][1] += metres
     else:
         next(c for c in wrong_files.changes() if c.name == name).apply(raw)
     state, out = run(parse_machine(wrong_files.text_of(raw)), frames())
-    assert any(word in text for text in contradictions(out)), contradictions(out)
+    assert any(part in text for text in contradictions(out)), contradictions(out)
     assert not list(given(out))
     for estimate in state.estimates.values():
         assert all(p.status is Status.INVALID and p.value is None for p in estimate.parameters)
-        assert word in estimate.parameters[0].reason
+        assert part in estimate.parameters[0].reason
     poses = [p.value for p in out if isinstance(p.value, Pose)]
     assert any(flag.kind is CONTRADICTION for flag in poses[-1].flags)
 
 
 def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
-    moved = Fault(Mount.TRACTOR_FRONT, 45.0, 75.0, "moved")
-    scenario = replace(RANDOM, seconds=115.0, faults=(moved,))
+    moved_receiver = Fault(Mount.TRACTOR_FRONT, 45.0, 75.0, "moved")
+    scenario = replace(RANDOM, seconds=115.0, faults=(moved_receiver,))
     _, out = run(demo_machine(), frames(scenario))
     start_ns = frames(scenario)[0].t_ns
-    said = contradictions(out)
-    assert "tractor" in said[0] and "over" in said[-1], said
+    events_text = contradictions(out)
+    assert "tractor" in events_text[0] and "over" in events_text[-1], events_text
     times = [(t_ns - start_ns) * 1e-9 for t_ns, e in given(out) if e.method == "recommended"]
     assert any(t < 45.0 for t in times)
     assert not any(62.0 < t < 75.0 for t in times)
@@ -161,7 +161,7 @@ def pose_of(u: float, r: float, wheel: float | None) -> Pose:
         (1 / 57.3, "wheel_angle.scale"), (0.0, "wheel_angle.scale"),
     ],
 )  # fmt: skip
-def test_how_the_wheels_answer_the_yaw_rate(factor: float, key: str) -> None:
+def test_wheel_angle_against_yaw_rate(factor: float, key: str) -> None:
     machine, state = demo_machine(), WheelCheck()
     rng = np.random.default_rng(1)
     for k in range(150):
@@ -214,7 +214,7 @@ def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("wrong", "texts"),
     [
         ({}, ()), ({"speed": 1.06}, ()), ({"speed": 1.3}, ("1.30 times as far",) * 2),
         ({"speed": 0.5}, ("0.50 times as far",) * 2), ({"gradient": 0.03}, ()),
@@ -222,13 +222,13 @@ def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05
         ({"lean_i": 0.15}, ()), ({"lean_i": -0.2}, ("lean apart by +14°",)),
     ],
 )  # fmt: skip
-def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], words: tuple[str, ...]) -> None:
+def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], texts: tuple[str, ...]) -> None:
     state = MotionCheck()
     for pose in on_a_slope(**wrong):
         motion_check.observe(state, pose)
     found = list(motion_check.found(state).values())
-    assert len(found) == len(words)
-    assert all(word in text for word, text in zip(words, found, strict=True)), found
+    assert len(found) == len(texts)
+    assert all(part in text for part, text in zip(texts, found, strict=True)), found
 
 
 def wrongly(what: str) -> Callable[[Measurement], Measurement]:
@@ -243,12 +243,12 @@ def wrongly(what: str) -> Callable[[Measurement], Measurement]:
     return change
 
 
-@pytest.mark.parametrize(("what", "words"), [("speed", "receivers' speed"), ("roll", "lean apart")])
-def test_a_receiver_that_contradicts_itself_gives_no_number(what: str, words: str) -> None:
+@pytest.mark.parametrize(("what", "texts"), [("speed", "receivers' speed"), ("roll", "lean apart")])
+def test_a_receiver_that_contradicts_itself_gives_no_number(what: str, texts: str) -> None:
     state = fold.initial(demo_machine())
     state.decoder = Changed(demo_machine(), wrongly(what))
     out = [p for frame in frames() for p in fold.step(state, frame)]
-    assert any(words in text for text in contradictions(out)), contradictions(out)
+    assert any(texts in text for text in contradictions(out)), contradictions(out)
     assert not list(given(out))
 
 
@@ -266,16 +266,16 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     fine = [5.0 * load for load in loads]
     given = estimate_of((*fine[:2], coefficient * loads[2], 1.0, 1.0, 1.0))
     consistency.check_estimate(state, machine, given)
-    kept = consistency.withheld(state, given)
+    checked = consistency.withheld(state, given)
     is_tyre = COEFFICIENT[0] < coefficient < COEFFICIENT[1]
-    assert all((p.value is not None) == is_tyre for p in kept.parameters)
-    assert is_tyre or "no tyre" in kept.parameters[0].reason
+    assert all((p.value is not None) == is_tyre for p in checked.parameters)
+    assert is_tyre or "no tyre" in checked.parameters[0].reason
 
 
-def test_what_is_left_open_is_as_wide_as_people_are_wrong_and_begins_at_the_file() -> None:
+def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
     machine = demo_machine()
     state = open_tracker.initial(machine)
     now = open_tracker.misfit(state, machine)
     assert now.total == 0.0 and not now.by_name.any()
-    assert set(open_tracker.still_open(now)) == set(open_tracker.SHOWN)
-    assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN.values()))).all()
+    assert set(open_tracker.unconfirmed(now)) == set(open_tracker.CONFIRMING_SD)
+    assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))).all()

@@ -34,7 +34,7 @@ from tilth.estimator.filters import likelihood
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.results.recommend import PREFERRED
-from tilth.estimator.state_json import to_plain
+from tilth.estimator.state_json import to_json_data
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Flag, Frame, Measurement, Mount, Pose, Status
 from tilth.schemas.flow import Velocity as VelocityMeasurement
@@ -47,7 +47,7 @@ each_method = pytest.mark.parametrize("method", METHODS)
 
 
 def refused(run: Run, reason: str) -> int:
-    """Poses or stretches that were counted as not fit to teach, whoever counted."""
+    """Poses or segments that were refused, by any method or by the record builder."""
     counters: list[dict[str, int]] = [
         getattr(counter, "refused", {})
         for counter in (getattr(run.state, "record", None), *run.state.estimators.values())
@@ -55,24 +55,24 @@ def refused(run: Run, reason: str) -> int:
     return max(sum(n for why, n in counts.items() if reason in why) for counts in counters)
 
 
-def numbers(plain: object) -> Iterator[float]:
+def numbers(data: object) -> Iterator[float]:
     """All numbers of plain data."""
-    if isinstance(plain, dict):
-        plain = list(plain.values())
-    if isinstance(plain, (list, tuple)):
-        for item in plain:
+    if isinstance(data, dict):
+        data = list(data.values())
+    if isinstance(data, (list, tuple)):
+        for item in data:
             yield from numbers(item)
-    elif isinstance(plain, float):
-        yield plain
+    elif isinstance(data, float):
+        yield data
 
 
 def assert_held(run: Run, method: str, from_s: float, to_s: float) -> None:
     """Nothing was learned between two times: no number moved, no sd shrank."""
-    said = [e for e in run.estimates(method) if from_s <= run.at(e.t_ns) <= to_s]
-    assert len(said) >= (to_s - from_s) * 0.8
-    for estimate in said[1:]:
-        assert moved(said[0], estimate) < 0.02
-        assert (sds(estimate) > 0.999 * sds(said[0])).all()
+    published = [e for e in run.estimates(method) if from_s <= run.at(e.t_ns) <= to_s]
+    assert len(published) >= (to_s - from_s) * 0.8
+    for estimate in published[1:]:
+        assert moved(published[0], estimate) < 0.02
+        assert (sds(estimate) > 0.999 * sds(published[0])).all()
 
 
 # Something must be learned in these drives, or nothing below could fail.
@@ -81,10 +81,10 @@ def assert_held(run: Run, method: str, from_s: float, to_s: float) -> None:
 @each_method
 def test_the_drives_teach(method: str) -> None:
     run = driven(QUIET, 42.0)
-    said = run.last(method)
-    usable = [p.status is Status.ESTIMATED for p in said.parameters]
+    published = run.last(method)
+    usable = [p.status is Status.ESTIMATED for p in published.parameters]
     assert sum(usable) >= 3
-    assert np.nanmax(np.abs(errors(run, said))) < 3.0
+    assert np.nanmax(np.abs(errors(run, published))) < 3.0
 
 
 # Learning in reverse: openpilot #38573.
@@ -121,9 +121,9 @@ def test_coming_back_into_the_gate_does_not_jump(method: str) -> None:
     assert 8.0 < outside[-1] - outside[0] < 10.0
     assert refused(run, "outside") >= 0.9 * len(outside) - 2
     assert_held(run, method, outside[0] + 4.0, outside[-1] + 2.0)  # 4 s: a fit of what came before may land
-    said = [e for e in run.estimates(method) if run.at(e.t_ns) > outside[0]]
-    assert said
-    for before, after in itertools.pairwise(said):
+    published = [e for e in run.estimates(method) if run.at(e.t_ns) > outside[0]]
+    assert published
+    for before, after in itertools.pairwise(published):
         assert moved(before, after) < (3.0 if method == pem.METHOD else 1.0)  # a fit is many samples at once
     assert refused(run, "settling") >= 10
 
@@ -150,12 +150,12 @@ def scaled(factor: float) -> Changes:
 @each_method
 @pytest.mark.parametrize("factor", [0.25, 4.0])  # tractors of 2.3 t and 38 t
 def test_the_weight_of_a_machine_makes_no_difference(factor: float, method: str) -> None:
-    run, plain = driven(QUIET, 42.0, scaled(factor)), driven(QUIET, 42.0)
-    said, usual = run.last(method), plain.last(method)
-    assert run.truth["C_af"] == pytest.approx(factor * plain.truth["C_af"])
-    assert [p.status for p in said.parameters] == [p.status for p in usual.parameters]
-    np.testing.assert_allclose(sds(said), sds(usual), rtol=0.15)
-    shift = values(said) - values(usual) - np.log([factor] * 3 + [1.0] * 3)
+    run, data = driven(QUIET, 42.0, scaled(factor)), driven(QUIET, 42.0)
+    published, usual = run.last(method), data.last(method)
+    assert run.truth["C_af"] == pytest.approx(factor * data.truth["C_af"])
+    assert [p.status for p in published.parameters] == [p.status for p in usual.parameters]
+    np.testing.assert_allclose(sds(published), sds(usual), rtol=0.15)
+    shift = values(published) - values(usual) - np.log([factor] * 3 + [1.0] * 3)
     assert np.nanmax(np.abs(shift) / sds(usual)) < 0.7  # heights of the hitch and the like do not scale
 
 
@@ -169,7 +169,7 @@ UNSURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.
 def test_an_unknown_gain_of_the_wheel_angle_widens_the_stiffness(method: str) -> None:
     floor = likelihood.MODEL_SD if method == pem.METHOD else 0.0  # which no gain can change
     sure, unsure = driven(QUIET, 42.0, SURE).last(method), driven(QUIET, 42.0, UNSURE).last(method)
-    known, unknown = (math.sqrt(sds(said)[0] ** 2 - floor**2) for said in (sure, unsure))
+    known, unknown = (math.sqrt(sds(published)[0] ** 2 - floor**2) for published in (sure, unsure))
     assert unknown > 1.1 * known
     assert sure.nuisances.get("wheel_gain", (0.0, 0.0))[1] == 0.0
     gain, sd = unsure.nuisances["wheel_gain"]
@@ -201,13 +201,13 @@ TWO_SPEEDS = replace(
 @each_method
 def test_what_was_learned_slowly_is_right_when_driving_fast(method: str) -> None:
     run = driven(TWO_SPEEDS, 60.0)
-    said = run.estimates(method)
-    assert any(p.status is Status.ESTIMATED for p in said[-1].parameters)
-    for estimate in said:
+    published = run.estimates(method)
+    assert any(p.status is Status.ESTIMATED for p in published[-1].parameters)
+    for estimate in published:
         found = errors(run, estimate)
         assert not np.isfinite(found).any() or np.nanmax(np.abs(found)) < 3.5
     slow = run.last(method, 30.0)
-    assert moved(slow, said[-1]) < 3.0
+    assert moved(slow, published[-1]) < 3.0
 
 
 # Three ways of zeroing a wheel-angle sensor, one with the wrong sign: AgOpenWeb #103.
@@ -224,8 +224,8 @@ def test_a_zero_put_into_the_machine_file_takes_the_error_away(
     """The file's zero is the reading when straight after `sign`; so is what is learned beyond it."""
     learned, sd = learned_zero(zero_deg, sign, 0.0, method)
     assert learned == pytest.approx(zero_deg, abs=max(3 * sd, 0.05)) and abs(zero_deg) > 4 * sd
-    left, sd = learned_zero(zero_deg, sign, zero_deg, method)
-    assert abs(left) < 3 * sd and abs(left) < 0.2
+    error, sd = learned_zero(zero_deg, sign, zero_deg, method)
+    assert abs(error) < 3 * sd and abs(error) < 0.2
 
 
 @cache
@@ -261,8 +261,8 @@ def test_a_floating_receiver_teaches_nothing(method: str) -> None:
     # A fit that was asked for before may still land, 3 s after.
     assert_held(run, method, floating[0] + 4.0, floating[-1])
     assert refused(run, "no RTK fix") >= 0.9 * len(floating) - 2
-    said = [e for e in run.estimates(method) if run.at(e.t_ns) > floating[-1]]
-    assert all(moved(before, after) < 1.0 for before, after in itertools.pairwise(said))
+    published = [e for e in run.estimates(method) if run.at(e.t_ns) > floating[-1]]
+    assert all(moved(before, after) < 1.0 for before, after in itertools.pairwise(published))
 
 
 # One NaN that poisons a filter for the rest of the day.
@@ -311,8 +311,8 @@ def test_not_a_number_is_soon_forgotten(method: str) -> None:
     for estimate in run.estimates(method):
         assert np.isfinite(estimate.log_covariance).all()
         assert all(np.isfinite(pair).all() for pair in map(np.array, estimate.nuisances.values()))
-    plain = to_plain(run.state.estimators[method])
-    assert all(map(math.isfinite, numbers(plain)))
+    data = to_json_data(run.state.estimators[method])
+    assert all(map(math.isfinite, numbers(data)))
 
 
 def test_not_a_number_is_refused_and_counted() -> None:
@@ -321,8 +321,8 @@ def test_not_a_number_is_refused_and_counted() -> None:
     assert run.state.rejected["not_a_number"] == decoder.given
     for publication in run.publications:
         if isinstance(publication.value, (Measurement, Pose)):
-            assert all(map(math.isfinite, numbers(to_plain(publication.value))))
+            assert all(map(math.isfinite, numbers(to_json_data(publication.value))))
         if publication.topic.startswith("/soil_tire"):
             assert isinstance(publication.value, Estimate)
             closed = replace(publication.value, bound=())  # a bound may be infinite, and says so
-            assert all(map(math.isfinite, numbers(to_plain(closed))))
+            assert all(map(math.isfinite, numbers(to_json_data(closed))))

@@ -22,7 +22,7 @@ from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Stretch, concatenate
+from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
 from tilth.estimator.results.reporting import take_events
 from tilth.schemas.flow import PARAMETERS, Pose, Status
 from tilth.schemas.machine import Machine
@@ -50,7 +50,7 @@ def discrete(rig: Rig) -> tuple[Array, Array, Array]:
     return exact[:8, :8], exact[:8, 8], exact[:8, 9:]
 
 
-def own_record(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
+def record_of_own_model(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
     """Gyros and headings at every tick of a rig that moves as the relaxation model on uneven ground."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
@@ -88,7 +88,7 @@ def without_pairs(machine: Machine) -> RigSetup:
 def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machine) -> None:
     """Against the dense covariance of all measurements at once, built without any filter."""
     rig = TABLE_7_2
-    record = own_record(rig, 3, seconds=0.6)
+    record = record_of_own_model(rig, 3, seconds=0.6)
     mean, covariance = alone(machine)
     mean[SIX] = np.log(rig.theta)
     mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
@@ -102,8 +102,8 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
-        turned = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
-        centre.append(f @ centre[-1] + g * turned)
+        wheel_angle = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
+        centre.append(f @ centre[-1] + g * wheel_angle)
         spreads.append(whole_f @ spreads[-1] @ whole_f.T + shock)
     columns = [1 + int(r[3]) if r[2] == YAW_RATE else 6 + int(r[3]) for r in record.rows]
     ticks = record.rows[:, 0].astype(int)
@@ -119,7 +119,7 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     assert np.sum(e**2 / s + np.log(s)) == pytest.approx(whole, rel=1e-7)
 
 
-def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
+def test_intervals_cover_on_data_of_the_same_model(machine: Machine) -> None:
     """Truths within ±50 % of the prior; bias and coverage over all six."""
     mean, covariance = alone(machine)
     rng = np.random.default_rng(11)
@@ -127,7 +127,9 @@ def test_intervals_cover_on_data_of_the_own_model(machine: Machine) -> None:
     for seed, kind in enumerate(["random", "chirp", "step"] * 8):
         theta = np.exp(mean[SIX]) * rng.uniform(0.5, 1.5, 6)
         rig = TABLE_7_2._replace(**dict(zip(PARAMETERS, theta.tolist(), strict=True)))
-        found = maximise_posterior(own_record(rig, seed, kind=kind), without_pairs(machine), mean, covariance)
+        found = maximise_posterior(
+            record_of_own_model(rig, seed, kind=kind), without_pairs(machine), mean, covariance
+        )
         scores.append((found.mean[SIX] - np.log(theta)) / np.sqrt(np.diag(found.covariance)[SIX]))
         assert found.converged
     z = np.array(scores)
@@ -149,18 +151,19 @@ def _driven(seed: int) -> tuple[Record, Array]:
     )
     truth = drive(machine, seed, scenario.seconds, scenario)
     state, recording = initial(machine), record_builder.initial(machine)
-    stretches: list[Stretch] = []
+    segments: list[Segment] = []
     for frame in traffic(machine, truth):
         for publication in step(state, frame):
             if isinstance(publication.value, Pose):
-                stretch = record_builder.observe(recording, state.aligner, publication.value)
-                if stretch is not None and not stretch.reason:
-                    stretches.append(stretch)
-    return concatenate(stretches), np.log([truth.parameters[name] for name in PARAMETERS])
+                segment = record_builder.observe(recording, state.aligner, publication.value)
+                if segment is not None and not segment.reason:
+                    segments.append(segment)
+    return concatenate(segments), np.log([truth.parameters[name] for name in PARAMETERS])
 
 
 def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> None:
-    """Nonlinear plant, coloured RTK noise, latencies and survey errors that nobody told."""
+    """Nonlinear plant, coloured RTK noise, latencies and survey errors that the machine file does not
+    have."""
     mean, sd = unknowns.prior(machine)
     scores = []
     for seed in range(6):
@@ -173,13 +176,13 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> N
     assert np.all(np.abs(z) < 4.0)
 
 
-def test_a_job_is_asked_for_made_and_taken(machine: Machine) -> None:
+def test_a_job_is_requested_fitted_and_adopted(machine: Machine) -> None:
     record, truth = _driven(1)
     state = pem.initial(machine)
     state.closed = record
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
-    assert pem.wanted(state, 6) is None  # one at a time
+    assert pem.request_fit(state, 6) is None  # one at a time
     again = pem_of(pem_json(state))
     assert again.job is not None and np.array_equal(again.job.record.rows, record.rows)
     estimate = pem.adopt(state, machine, pem.fit(machine, job), job.closed_ns)
@@ -196,7 +199,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     record, _ = _driven(1)
     state = pem.initial(machine)
     state.closed = record
-    pem.wanted(state, 5)
+    pem.request_fit(state, 5)
     before = state.mean.copy()
     estimate = pem.adopt(state, machine, None, 6)
     assert state.late == 1
@@ -212,7 +215,7 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     state.covariance[SIX, SIX] = 0.03**2 * np.eye(6)
     state.fits = 1
     state.closed = record
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
     made = pem.fit(machine, job)
     assert made.changed
@@ -228,7 +231,7 @@ def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> No
     rows[500, 4] = math.nan
     state = pem.initial(machine)
     state.closed = Record(record.t_ns, record.ticks, rows)
-    job = pem.wanted(state, 5)
+    job = pem.request_fit(state, 5)
     assert job is not None
     made = pem.fit(machine, job)
     pem.adopt(state, machine, made, 6)

@@ -1,4 +1,5 @@
-"""The recursive estimate of all six: its equations, its intervals, another soil, what must not teach it."""
+"""The recursive estimate of all six: its equations, its intervals, changes of soil, what it must not learn
+from."""
 
 import math
 from dataclasses import replace
@@ -14,7 +15,7 @@ from tilth.estimator.filters import soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation
 from tilth.estimator.filters.propagation import rig_at
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.soil_change import Mark
+from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_TRACKER, X_PAIR, X_POSITION, X_PUSH, Point
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
@@ -23,9 +24,9 @@ from tilth.estimator.filters.tracker_kernel import (
     JointEstimate,
     ProcessNoise,
     RowTally,
-    Segment,
+    SegmentArrays,
     predict_joint_measurement,
-    tracked,
+    track_segment,
 )
 from tilth.estimator.filters.tracker_model import Active
 from tilth.estimator.filters.unknowns import AT, SIX
@@ -33,16 +34,16 @@ from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Stretch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Segment
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
-Given = list[tuple[Pose, Stretch | None]]
+Given = list[tuple[Pose, Segment | None]]
 
-TICKS = 10  # of a stretch
+TICKS = 10  # of a segment
 FIELD = Soil(grip=0.7, rolling=0.06)
 ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
 RANDOM = Scenario(
@@ -65,7 +66,7 @@ KINDS = (
 # The filter's equations
 
 
-MOVED = [*range(8), X_POSITION, X_POSITION + 1]
+CHANGED_CONSTANTS = [*range(8), X_POSITION, X_POSITION + 1]
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
 
 
@@ -76,7 +77,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     point = mean.copy()
     point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
     x = np.zeros(N_TRACKER)
-    x[MOVED] = simulated(x, point, np.full(150, READINGS[20]))
+    x[CHANGED_CONSTANTS] = simulated(x, point, np.full(150, READINGS[20]))
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
     x[X_PUSH:X_POSITION] = rng.normal(size=3) * [0.01, 0.01, 0.005]
     x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
@@ -86,7 +87,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
 def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[MOVED] after as many ticks, less one, by the nonlinear model."""
     geometry = unknowns.geometry(SETUP.geometry, point)
-    rig = rig_at.plain()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
+    rig = rig_at.interpreted()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
@@ -107,8 +108,8 @@ def half_a_stretch(x: Array, point: Array, covariance: Array, P_xx: Array) -> tu
     ticks[:, 6], ticks[:, 7] = 0.02, -0.01
     x, point, P_xx = x.copy(), point.copy(), P_xx.copy()
     P_xtheta = np.zeros((N_TRACKER, len(point)))
-    tracked(
-        Segment(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
+    track_segment(
+        SegmentArrays(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
         SETUP._replace(sds=np.zeros(3)), ACTIVE, np.zeros(N_TRACKER + len(ACTIVE)),
         ProcessNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((6, 2))),
     )  # fmt: skip
@@ -123,7 +124,7 @@ def test_the_mean_moves_as_the_nonlinear_model_does() -> None:
     )
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
     true = simulated(x, point, READINGS[20:26] - late)
-    assert np.max(np.abs(true - x[MOVED])) > 0.01
+    assert np.max(np.abs(true - x[CHANGED_CONSTANTS])) > 0.01
     np.testing.assert_allclose(after[:8], true[:8], atol=2e-4)
     np.testing.assert_allclose(after[X_POSITION : X_POSITION + 2], true[8:], atol=2e-3)
 
@@ -153,7 +154,7 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
 @pytest.mark.parametrize(("kind", "place"), KINDS)
 def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int) -> None:
     x, point = somewhere(3)
-    run = predict_joint_measurement.plain()
+    run = predict_joint_measurement.interpreted()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
         geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_TRACKER + len(ACTIVE))
@@ -161,8 +162,8 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         for j, name in enumerate(ACTIVE):
             nudged = unknowns.geometry(SETUP.geometry, point + 1e-7 * np.eye(len(point))[name])
             active.geometry[j] = (nudged - geometry) / 1e-7
-        seen = Observation(kind, place, 0.0, 4.5, 0.3)
-        value = run(x, seen, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
+        observation = Observation(kind, place, 0.0, 4.5, 0.3)
+        value = run(x, observation, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
         return value, h
 
     value, h = at(x, point)
@@ -178,26 +179,26 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
 @cache
 def driven(
     scenario: Scenario, seed: int
-) -> tuple[fold.State, list[tuple[Pose, Stretch | None]], list[Event], Array]:
+) -> tuple[fold.State, list[tuple[Pose, Segment | None]], list[Event], Array]:
     """(the fold at the end, what the tracker was given, soil changes, true logarithms before any change)."""
     truth = drive(MACHINE, seed, scenario.seconds, scenario)
     state, recording = fold.initial(MACHINE), record_builder.initial(MACHINE)
     given: Given = []
-    said: list[Event] = []
+    events: list[Event] = []
     for frame in traffic(MACHINE, truth):
         for publication in fold.step(state, frame):
             value = publication.value
             if isinstance(value, Pose):
                 given.append((value, record_builder.observe(recording, state.aligner, value)))
             elif isinstance(value, Event) and value.kind == "soil_change":
-                said.append(value)
-    return state, given, said, np.log([truth.parameters[name] for name in PARAMETERS])
+                events.append(value)
+    return state, given, events, np.log([truth.parameters[name] for name in PARAMETERS])
 
 
 def learned(given: Given) -> TrackerState:
     state = tracker.initial(MACHINE)
-    for pose, stretch in given:
-        tracker.take(state, MACHINE, pose, stretch)
+    for pose, segment in given:
+        tracker.take(state, MACHINE, pose, segment)
     return state
 
 
@@ -210,14 +211,15 @@ def sds(estimate: Estimate) -> Array:
 
 
 def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
-    """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that nobody told."""
+    """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that the machine file
+    does not have."""
     scores = []
     for seed in range(5):
-        state, _, said, truth = driven(RANDOM, seed)
+        state, _, events, truth = driven(RANDOM, seed)
         estimate = last(state)
         assert [p.status for p in estimate.parameters] == [Status.ESTIMATED] * 6
         assert estimate.rank == 6
-        assert said == []
+        assert events == []
         scores.append((np.log([p.value or 1.0 for p in estimate.parameters]) - truth) / sds(estimate))
         assert np.all(sds(estimate) < 0.2)
     z = np.array(scores)
@@ -228,8 +230,8 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
 
 def test_the_fold_and_its_stretches_give_the_same() -> None:
     state, given, _, _ = driven(RANDOM, 0)
-    own = learned(given)
-    assert own.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
+    method_state = learned(given)
+    assert method_state.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
 
 
 # Another soil
@@ -244,12 +246,12 @@ TURNS_AGAIN_S = 45.0
 
 
 def test_another_soil_is_noticed_within_seconds_and_learned() -> None:
-    state, given, said, truth = driven(CHANGED, 1)
-    assert len(said) == 1
-    after_s = (said[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
+    state, given, events, truth = driven(CHANGED, 1)
+    assert len(events) == 1
+    after_s = (events[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
     assert 0.0 < after_s < 3.0
-    assert said[0].latitude_deg is not None
-    assert "given up" in said[0].text
+    assert events[0].latitude_deg is not None
+    assert "given up" in events[0].text
     estimate = last(state)
     now = truth + np.log([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
     off = np.log([p.value or 1.0 for p in estimate.parameters]) - now
@@ -265,7 +267,7 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
     largest = []
     for _ in range(20):
         truth, mean, covariance = np.zeros(6), 0.7 * rng.normal(size=6), 0.49 * np.eye(6)
-        marks: list[Mark] = []
+        checkpoints: list[Checkpoint] = []
         found = 0.0
         for k in range(120):
             if k == 100:
@@ -274,21 +276,21 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
             gain = covariance @ h / (h @ covariance @ h + 0.3**2)
             mean = mean + gain * (h @ (truth - mean) + 0.3 * rng.normal())
             covariance = covariance - np.outer(gain, h @ covariance)
-            told = soil_change.likeliest(marks, mean, covariance)
-            found = max(found, told.ratio if told and k >= 100 else 0.0)
-            marks = [*marks, Mark(mean, covariance)][-soil_change.MARKS :]
+            likeliest = soil_change.likeliest_change(checkpoints, mean, covariance)
+            found = max(found, likeliest.ratio if likeliest and k >= 100 else 0.0)
+            checkpoints = [*checkpoints, Checkpoint(mean, covariance)][-soil_change.MOST_CHECKPOINTS :]
         largest.append(found)
     assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
 
 
-# What must teach nothing
+# What nothing may be learned from
 
 
-def straight(seconds: float, seed: int) -> list[Stretch]:
+def straight(seconds: float, seed: int) -> list[Segment]:
     """A straight row to the north, steered by small corrections, over ground that pushes."""
     rng = np.random.default_rng(seed)
     n, start_ns = TICKS, 10**15
-    stretches = []
+    segments = []
     for k in range(round(seconds / 0.2)):
         ticks = np.zeros((n, 8))
         ticks[:, 1] = 4.5
@@ -306,14 +308,14 @@ def straight(seconds: float, seed: int) -> list[Stretch]:
                     (tick, 0.0, NORTH, place, north + 0.01 * rng.normal(), 0.025),
                     (tick, 0.0, EAST, place, east + 0.01 * rng.normal(), 0.025),
                 ]
-        stretches.append(Stretch(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
-    return stretches
+        segments.append(Segment(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
+    return segments
 
 
-def follow(state: TrackerState, stretches: list[Stretch]) -> None:
-    for stretch in stretches:
-        state.seen_ns = stretch.record.end_ns
-        tracker.take_stretch(state, MACHINE, stretch)
+def follow(state: TrackerState, segments: list[Segment]) -> None:
+    for segment in segments:
+        state.last_pose_ns = segment.record.end_ns
+        tracker.take_segment(state, MACHINE, segment)
 
 
 def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
@@ -331,14 +333,14 @@ def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
 
 
 @pytest.mark.parametrize("column", [4, 5, 1])
-def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
+def test_a_row_that_is_not_finite_is_left_out(column: int) -> None:
     given = driven(RANDOM, 1)[1]
     k = next(k for k, (_, s) in enumerate(given) if s is not None and not s.reason) + 60
-    pose, stretch = given[k]
-    assert stretch is not None
-    rows = stretch.record.rows.copy()
+    pose, segment = given[k]
+    assert segment is not None
+    rows = segment.record.rows.copy()
     rows[5, column] = math.nan
-    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
     clean, state = learned(given), learned([*given[:k], (pose, spoilt), *given[k + 1 :]])
     assert clean.counts[BAD] == 0.0 and state.counts[BAD] == 1.0
     assert state.counts[USED] + 1.0 == pytest.approx(clean.counts[USED], abs=3.0)
@@ -347,24 +349,24 @@ def test_a_row_that_is_no_number_is_left_out(column: int) -> None:
 
 def test_an_input_that_is_no_number_costs_one_stretch() -> None:
     given = driven(RANDOM, 1)[1]
-    pose, stretch = given[80]
-    assert stretch is not None
-    ticks = stretch.record.ticks.copy()
+    pose, segment = given[80]
+    assert segment is not None
+    ticks = segment.record.ticks.copy()
     ticks[3, 0] = math.inf
-    spoilt = Stretch(Record(stretch.record.t_ns, ticks, stretch.record.rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, ticks, segment.record.rows), segment.follows, "")
     state = learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.refused["inputs are no numbers"] == 1
     assert state.restarts == 2
     assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.P_xx))
 
 
-def test_a_position_beyond_belief_is_left_out() -> None:
+def test_an_outlier_is_gated() -> None:
     given = driven(RANDOM, 1)[1]
-    pose, stretch = given[80]
-    assert stretch is not None
-    rows = stretch.record.rows.copy()
+    pose, segment = given[80]
+    assert segment is not None
+    rows = segment.record.rows.copy()
     rows[np.flatnonzero(rows[:, 2] == EAST)[0], 4] += 2.0
-    spoilt = Stretch(Record(stretch.record.t_ns, stretch.record.ticks, rows), stretch.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
     clean, state = learned(given), learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.counts[GATED] == clean.counts[GATED] + 1.0
     assert np.all(np.abs(state.mean - clean.mean)[SIX] < 0.3 * np.sqrt(np.diag(clean.covariance)[SIX]))
@@ -373,16 +375,16 @@ def test_a_position_beyond_belief_is_left_out() -> None:
 def test_after_a_gap_nothing_jumps() -> None:
     given = driven(RANDOM, 1)[1]
     gap = [
-        (pose, replace(stretch, reason="no RTK fix") if stretch else None) for pose, stretch in given[60:80]
+        (pose, replace(segment, reason="no RTK fix") if segment else None) for pose, segment in given[60:80]
     ]
     state = learned([*given[:60], *gap])
     mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
-    pose, stretch = given[80]
-    assert stretch is not None
-    tracker.take(state, MACHINE, pose, replace(stretch, follows=False))
+    pose, segment = given[80]
+    assert segment is not None
+    tracker.take(state, MACHINE, pose, replace(segment, follows=False))
     largest = 0.0
-    for pose, stretch in given[81:]:
-        tracker.take(state, MACHINE, pose, stretch)
+    for pose, segment in given[81:]:
+        tracker.take(state, MACHINE, pose, segment)
         largest = max(largest, float(np.max(np.abs(state.mean[SIX] - mean) / sd)))
         mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
     assert state.refused["no RTK fix"] == 20
@@ -390,22 +392,24 @@ def test_after_a_gap_nothing_jumps() -> None:
     assert largest < 1.0
 
 
-# What is said
+# The reported estimate
 
 
 def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     state, _, _, _ = driven(RANDOM, 2)
-    own = state.estimators[tracker.METHOD]
+    method_state = state.estimators[tracker.METHOD]
     fresh = tracker.initial(MACHINE)
     assert {p.status for p in tracker.estimate(fresh, MACHINE, 5).parameters} == {Status.UNESTIMATED}
-    late = tracker.estimate(own, MACHINE, own.informed_ns + 301 * 10**9)
+    late = tracker.estimate(method_state, MACHINE, method_state.informed_ns + 301 * 10**9)
     assert {p.status for p in late.parameters} == {Status.STALE}
     assert all("nothing was learned" in p.reason for p in late.parameters)
-    own.covariance[SIX, SIX] = (0.5 * own.prior_sd[0]) ** 2 * np.eye(6)  # is said as 0.58 of the prior's
-    own.given[0] = True
-    first = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    method_state.covariance[SIX, SIX] = (0.5 * method_state.prior_sd[0]) ** 2 * np.eye(
+        6
+    )  # is reported as 0.58 of the prior's
+    method_state.has_number[0] = True
+    first = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert first.status is Status.ESTIMATED  # not yet beyond LOST
-    own.given[0] = False
-    again = tracker.estimate(own, MACHINE, own.informed_ns).parameters[0]
+    method_state.has_number[0] = False
+    again = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert again.status is Status.UNESTIMATED and "more steering" in again.reason
     assert again.value is None

@@ -17,9 +17,9 @@ from tilth.estimator.methods.stored_state import two_step_json, two_step_of
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Stretch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Segment
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import BodyPose, Pose, Status
 
 Array = NDArray[np.float64]
@@ -105,9 +105,11 @@ def test_with_a_free_gain_the_intervals_are_too_narrow() -> None:
     wheel = np.repeat(np.radians([0.0, 8.0, -8.0, 4.0, -6.0]), TICKS // 5)
     inside = []
     for seed in range(12):
-        told = two_step_fit._outputs(window(record_of(wheel, 1.0, seed=seed), TRUTH))
-        assert told is not None
-        lengths, sds, within = two_step_fit._relaxation_lengths(told, unknowns.base_geometry(MACHINE), TRUTH)
+        outputs = two_step_fit._outputs(window(record_of(wheel, 1.0, seed=seed), TRUTH))
+        assert outputs is not None
+        lengths, sds, within = two_step_fit._relaxation_lengths(
+            outputs, unknowns.base_geometry(MACHINE), TRUTH
+        )
         assert within
         inside += (np.abs(lengths - TRUTH[3:]) < 1.96 * sds).tolist()
     assert 0.35 < np.mean(inside) < 0.9
@@ -174,46 +176,46 @@ def pose_at(t_ns: int) -> Pose:
     return Pose(t_ns, 43.5, -83.4, body, body, 0.0, 0.007, 0.0, 0.002, 1, None, 0.0, 4, ())
 
 
-def stretches(record: Record) -> list[Stretch]:
+def segments(record: Record) -> list[Segment]:
     out = []
     for k in range(0, len(record.ticks), 10):
-        own = (record.rows[:, 0] >= k) & (record.rows[:, 0] < k + 10)
-        rows = record.rows[own] - np.array([k, 0, 0, 0, 0, 0])
-        out.append(Stretch(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, ""))
+        in_segment = (record.rows[:, 0] >= k) & (record.rows[:, 0] < k + 10)
+        rows = record.rows[in_segment] - np.array([k, 0, 0, 0, 0, 0])
+        out.append(Segment(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, ""))
     return out
 
 
-def drive(state: two_step.TwoStepState, run: list[Stretch]) -> int:
+def drive(state: two_step.TwoStepState, run: list[Segment]) -> int:
     """Take them all; the instant after the last."""
-    for stretch in run:
-        two_step.take(state, MACHINE, pose_at(stretch.record.end_ns), stretch)
+    for segment in run:
+        two_step.take(state, MACHINE, pose_at(segment.record.end_ns), segment)
     return run[-1].record.end_ns
 
 
-def test_a_window_is_asked_for_fitted_and_merged_and_never_called_usable() -> None:
+def test_a_window_is_requested_fitted_merged_and_never_usable() -> None:
     state = two_step.initial(MACHINE)
     record = record_of(step_run(), noise=1.0)
-    t_ns = drive(state, stretches(record))
-    job = two_step.wanted(state, t_ns)
+    t_ns = drive(state, segments(record))
+    job = two_step.request_fit(state, t_ns)
     assert job is not None and job.asked_ns == t_ns and job.closed_ns == record.end_ns
     assert np.array_equal(job.record.ticks, record.ticks) and np.array_equal(job.record.rows, record.rows)
-    assert two_step.wanted(state, t_ns) is None  # one at a time
+    assert two_step.request_fit(state, t_ns) is None  # one at a time
     made = two_step.fit(MACHINE, job)
-    again = two_step.fit(MACHINE, from_plain(two_step.Job, to_plain(job)))
+    again = two_step.fit(MACHINE, from_json_data(two_step.Job, to_json_data(job)))
     assert np.array_equal(made.values, again.values) and np.array_equal(made.sds, again.sds)
     back = two_step_of(two_step_json(state))
-    said = two_step.adopt(state, MACHINE, made, t_ns + 3 * 10**9)
-    assert two_step.adopt(back, MACHINE, made, t_ns + 3 * 10**9) == said
+    estimate = two_step.adopt(state, MACHINE, made, t_ns + 3 * 10**9)
+    assert two_step.adopt(back, MACHINE, made, t_ns + 3 * 10**9) == estimate
     assert state.job is None
-    for k, parameter in enumerate(said.parameters):
+    for k, parameter in enumerate(estimate.parameters):
         if made.found[k // 3]:
             assert parameter.status is Status.INVALID and parameter.value == pytest.approx(made.values[k])
         else:
             assert parameter.status is Status.UNESTIMATED and parameter.value is None
     assert made.found[1]
-    assert "two outputs do not tell" in said.parameters[3].reason
-    assert said.rank == 2
-    assert said.parameters[3].age_s == pytest.approx(3.0)
+    assert "two outputs do not tell" in estimate.parameters[3].reason
+    assert estimate.rank == 2
+    assert estimate.parameters[3].age_s == pytest.approx(3.0)
 
 
 def test_a_second_window_is_merged_number_by_number() -> None:
@@ -222,31 +224,31 @@ def test_a_second_window_is_merged_number_by_number() -> None:
     other = replace(made, values=1.5 * TRUTH, found=(False, True), reason="")
     for found in (made, other):
         state.job = two_step.Job(START_NS, START_NS, Record(START_NS, np.zeros((TICKS, 8))))
-        said = two_step.adopt(state, MACHINE, found, START_NS)
+        estimate = two_step.adopt(state, MACHINE, found, START_NS)
     assert state.values[:3] == pytest.approx(TRUTH[:3])
     assert state.values[3:] == pytest.approx(1.25 * TRUTH[3:])
     assert state.sds[3:] == pytest.approx(0.2 / math.sqrt(2) * TRUTH[3:])
     assert list(state.runs) == [1, 1, 1, 2, 2, 2]
-    assert said.window_s == pytest.approx(60.0)
+    assert estimate.window_s == pytest.approx(60.0)
 
 
 def test_a_late_fit_is_dropped_and_counted() -> None:
     state = two_step.initial(MACHINE)
-    t_ns = drive(state, stretches(record_of(step_run())))
-    assert two_step.wanted(state, t_ns) is not None
-    said = two_step.adopt(state, MACHINE, None, t_ns + 3 * 10**9)
+    t_ns = drive(state, segments(record_of(step_run())))
+    assert two_step.request_fit(state, t_ns) is not None
+    estimate = two_step.adopt(state, MACHINE, None, t_ns + 3 * 10**9)
     assert state.late == 1 and state.job is None
-    assert {p.status for p in said.parameters} == {Status.UNESTIMATED}
+    assert {p.status for p in estimate.parameters} == {Status.UNESTIMATED}
 
 
 def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     state = two_step.initial(MACHINE)
-    run = stretches(record_of(step_run()))
+    run = segments(record_of(step_run()))
     run[20] = replace(run[20], reason="reverse")  # 4 s: too short to be fitted
     run[21] = replace(run[21], follows=False)
     t_ns = drive(state, run)
     assert state.refused == {"reverse": 1}
-    assert two_step.wanted(state, t_ns) is None
+    assert two_step.request_fit(state, t_ns) is None
     assert len(state.window) == 129
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0
@@ -254,21 +256,21 @@ def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
 
 # Beside the others.
 
-ASKED_FOR: Changes = (("[zenoh]", "[estimation]\ntwo_step = true\n\n[zenoh]"),)
+ENABLED: Changes = (("[zenoh]", "[estimation]\ntwo_step = true\n\n[zenoh]"),)
 
 
-def test_beside_the_others_it_changes_nothing_and_is_never_recommended() -> None:
-    usual, run = driven(QUIET, 42.0), driven(QUIET, 42.0, ASKED_FOR)
-    said = run.estimates(two_step.METHOD)
-    assert any(p.value is not None for p in said[-1].parameters)
-    assert {p.status for e in said for p in e.parameters} == {Status.UNESTIMATED, Status.INVALID}
-    own = f"/soil_tire/{two_step.METHOD}"
-    assert [p for p in run.publications if p.topic != own] == usual.publications
+def test_it_changes_no_other_method_and_is_never_recommended() -> None:
+    usual, run = driven(QUIET, 42.0), driven(QUIET, 42.0, ENABLED)
+    estimate = run.estimates(two_step.METHOD)
+    assert any(p.value is not None for p in estimate[-1].parameters)
+    assert {p.status for e in estimate for p in e.parameters} == {Status.UNESTIMATED, Status.INVALID}
+    topic = f"/soil_tire/{two_step.METHOD}"
+    assert [p for p in run.publications if p.topic != topic] == usual.publications
 
 
 def test_unless_the_machine_file_asks_for_it_it_is_not_there() -> None:
     usual = driven(QUIET, 42.0)
     assert not usual.estimates(two_step.METHOD) and two_step.METHOD not in usual.state.estimators
-    asking = demo_machine(**dict(ASKED_FOR))
+    asking = demo_machine(**dict(ENABLED))
     taken_up = restore(asking, snapshot(initial(MACHINE)))  # a log of before, replayed with such a file
     assert set(taken_up.estimators) == {*usual.state.estimators, two_step.METHOD}

@@ -95,7 +95,7 @@ def test_the_bound_scales_with_amplitude_and_time() -> None:
     assert (more.sd < strong).all()
 
 
-def test_nuisances_cost_what_they_are_said_to() -> None:
+def test_cost_of_nuisances() -> None:
     """A wheel angle's zero is nearly free, its gain doubles the sd of C_af (identification.md, 3.1)."""
     args = (RELAXATION, TABLE_7_2, 4.5, _steering("random"), DT, SENSOR_SETS["gyros_headings"])
     alone = cramer_rao(*args, disturbances=DISTURBANCES)
@@ -148,16 +148,16 @@ def test_whitening_is_that_of_the_joint_covariance() -> None:
     sys = system(RELAXATION, TABLE_5_1, 4.5, outputs=["r_t", "psi_i"])
     f, _, _ = discretise(sys.a, sys.b, DT)
     push = np.diag([DISTURBANCES.get(name, 0.0) * DT for name in sys.states])
-    heard = [(k, i) for k in range(n) for i, s in enumerate(sensors) if k % s.every == 0]
+    sampled = [(k, i) for k in range(n) for i, s in enumerate(sensors) if k % s.every == 0]
     power = [np.linalg.matrix_power(f, k) for k in range(n)]
     rows = []
-    for k, i in heard:
+    for k, i in sampled:
         rows.append(
             np.concatenate([sys.c[i] @ power[k - 1 - j] @ push if j < k else np.zeros(9) for j in range(n)])
         )
     reach = np.array(rows)
-    joint = reach @ reach.T + np.diag([sensors[i].sd ** 2 for _, i in heard])
-    stacked = np.array([slopes[k, i] for k, i in heard])
+    joint = reach @ reach.T + np.diag([sensors[i].sd ** 2 for _, i in sampled])
+    stacked = np.array([slopes[k, i] for k, i in sampled])
     np.testing.assert_allclose(white.T @ white, stacked.T @ np.linalg.solve(joint, stacked), rtol=1e-8)
 
 

@@ -124,9 +124,9 @@ def test_discretisation_is_that_of_the_exponential() -> None:
 def test_gravity_pulls_downhill_and_reverse_mirrors_it(model: Model) -> None:
     inputs = np.tile([0.0, 0.5, 0.5], (100, 1))
     for speed in (4.5, -4.5):
-        moved = la.simulate(model, RIG, speed, inputs, np.zeros(len(model.states)), 0.02)[-1]
-        aside = moved[model.states.index("y_t")]
-        assert aside == 0.0 if model.name == "kinematic" else aside > 0.01
+        last_state = la.simulate(model, RIG, speed, inputs, np.zeros(len(model.states)), 0.02)[-1]
+        lateral = last_state[model.states.index("y_t")]
+        assert lateral == 0.0 if model.name == "kinematic" else lateral > 0.01
 
 
 @every_model
@@ -230,7 +230,9 @@ def test_poles() -> None:
 @every_model
 @every_actuator
 @pytest.mark.parametrize("speed", [0.5, 4.5, 10.0])
-def test_each_model_can_be_steered_and_seen(model: Model, actuator: Actuator | None, speed: float) -> None:
+def test_each_model_is_controllable_and_observable(
+    model: Model, actuator: Actuator | None, speed: float
+) -> None:
     """As the dissertation has it: full rank, with position and both headings measured."""
     outputs = ("y_t", "psi_t", "psi_i") if actuator is None else ("y_t", "psi_t", "psi_i", "delta")
     if actuator is None:
@@ -241,7 +243,7 @@ def test_each_model_can_be_steered_and_seen(model: Model, actuator: Actuator | N
     assert la.observability(sys.a, sys.c)[0] == len(sys.states)
 
 
-def test_what_cannot_be_steered_or_seen_is_told() -> None:
+def test_uncontrollable_and_unobservable_states_lower_the_rank() -> None:
     sys = la.system(model_named("relaxation"), TABLE_5_1, 4.5, outputs=("psi_t",))
     rank, condition = la.observability(sys.a, sys.c)
     assert rank < len(sys.states) and condition == np.inf  # neither position nor where the implement points
@@ -256,6 +258,6 @@ def test_unknown_names_are_named() -> None:
         model_named("bicycle")
 
 
-def test_the_actuator_is_stable_as_corrected() -> None:
+def test_the_corrected_actuator_is_stable() -> None:
     a, _ = with_actuator(np.zeros((1, 1)), np.ones((1, 1)))
     np.testing.assert_allclose(la.eigenvalues(a), [-10.0, 0.0, 0.0])

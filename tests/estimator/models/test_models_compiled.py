@@ -25,7 +25,7 @@ def _run(integrate: Callable[..., None]) -> np.ndarray:
 
 def test_compiled_and_interpreted_agree() -> None:
     np.testing.assert_allclose(
-        _run(nonlinear.integrate), _run(nonlinear.integrate.plain()), rtol=1e-12, atol=1e-13
+        _run(nonlinear.integrate), _run(nonlinear.integrate.interpreted()), rtol=1e-12, atol=1e-13
     )
     assert nonlinear.integrate.how == "compiled and kept"
 
@@ -36,7 +36,7 @@ def test_the_scan_agrees_too() -> None:
     which, share = rng.integers(0, 2, 20), rng.uniform(0, 1, 20)
     one, other = np.ones((21, 4)), np.ones((21, 4))
     linear_analysis.scan(f, g, which, share, forcing, one)
-    linear_analysis.scan.plain()(f, g, which, share, forcing, other)
+    linear_analysis.scan.interpreted()(f, g, which, share, forcing, other)
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 

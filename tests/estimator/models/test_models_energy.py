@@ -76,11 +76,11 @@ def _equations() -> tuple[Callable[..., Array], Callable[..., Array]]:
         acting.append((frame, moment * world.z))
     method = me.LagrangesMethod(energy, q, hol_coneqs=hitch, forcelist=acting, frame=world)
     method.form_lagranges_equations()
-    plain = dict(zip((*rates, *q), sp.symarray("s", 12), strict=True))
-    arguments = [*plain.values(), DELTA, *FORCES.ravel(), *EXTRA, *G.values()]
+    interpreted = dict(zip((*rates, *q), sp.symarray("s", 12), strict=True))
+    arguments = [*interpreted.values(), DELTA, *FORCES.ravel(), *EXTRA, *G.values()]
 
     def numeric(matrix: Any) -> Callable[..., Array]:
-        made: Callable[..., Array] = sp.lambdify(arguments, matrix.subs(plain), "numpy", cse=True)
+        made: Callable[..., Array] = sp.lambdify(arguments, matrix.subs(interpreted), "numpy", cse=True)
         return made
 
     return numeric(method.mass_matrix_full), numeric(method.forcing_full)
@@ -165,12 +165,12 @@ def _small_motions() -> tuple[Any, Any, list[Any]]:
     second = sp.symbols("ddy dr_t dr_i")
     names = [*sp.symbols("v r_t r_i"), *slips, *sp.symbols("y_t p_t p_i"), DELTA, *slopes]
     v, r_t, r_i = names[:3]
-    plain = {}
+    interpreted = {}
     for q, value, rate, double in zip(
         (y, psi_t, psi_i), names[6:9], (v + speed * names[7], r_t, r_i), second, strict=True
     ):
-        plain.update({q.diff(time, 2): double, q.diff(time): rate, q: value})
-    small = sp.Matrix([row.subs(list(plain.items())) for row in rows])
+        interpreted.update({q.diff(time, 2): double, q.diff(time): rate, q: value})
+    small = sp.Matrix([row.subs(list(interpreted.items())) for row in rows])
     return small, sp.Matrix(second), [speed, *names]
 
 
@@ -230,9 +230,9 @@ def _kinematic_by_constraint() -> Callable[..., Array]:
         for place, face in ((rear, psi_t), (front, psi_t + DELTA), (cart, psi_i))
     ]
     rates, names = sp.symbols("dy dp_t dp_i"), [*sp.symbols("y_t p_t p_i"), DELTA, *sp.symbols("g_t g_i")]
-    plain = [(q.diff(time), rate) for q, rate in zip((y, psi_t, psi_i), rates, strict=True)]
-    plain += list(zip((y, psi_t, psi_i), names, strict=False))
-    small = sp.Matrix([row.subs(plain) for row in rows])
+    interpreted = [(q.diff(time), rate) for q, rate in zip((y, psi_t, psi_i), rates, strict=True)]
+    interpreted += list(zip((y, psi_t, psi_i), names, strict=False))
+    small = sp.Matrix([row.subs(interpreted) for row in rows])
     zero = dict.fromkeys([*rates, *names], 0)
     by_state = -small.jacobian(rates).subs(zero).LUsolve(small.jacobian(names).subs(zero))
     made: Callable[..., Array] = sp.lambdify([speed, *G.values()], by_state, "numpy")

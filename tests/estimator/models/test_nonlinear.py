@@ -144,7 +144,7 @@ def test_tyre_curve(alpha: float) -> None:
 
 @pytest.mark.parametrize("exponent", [0.0, 0.8, 1.0])
 def test_stiffness_grows_with_load_to_its_power(exponent: float) -> None:
-    force = [nonlinear.wheel.plain()(1e-6, load, 20e3, 300e3, 0.7, exponent) for load in (20e3, 40e3)]
+    force = [nonlinear.wheel.interpreted()(1e-6, load, 20e3, 300e3, 0.7, exponent) for load in (20e3, 40e3)]
     assert force[0] == pytest.approx(-150e3 * 1e-6, rel=1e-4)
     assert force[1] / force[0] == pytest.approx(2.0**exponent, rel=1e-4)
 
@@ -172,17 +172,17 @@ def test_roll_moments_balance() -> None:
         push_t = across[:2].sum() * math.cos(w[0]) + forces[:2, 1].sum() * math.sin(w[0]) + across[2:4].sum()
         inertia = rig.m_t * (rate[5] + x[4] * x[6] - w[1]) - w[5]
         hitch = inertia - push_t  # across the tractor
-        moved = (load[:, 0] - load[:, 1]) / 2 * [rig.w_f, rig.w_r, rig.w_i]
+        shifts = (load[:, 0] - load[:, 1]) / 2 * [rig.w_f, rig.w_r, rig.w_i]
         # Accelerations under static loads stand in for the final ones: hence not to the last digit.
-        held = moved[0] + moved[1]
-        assert held == pytest.approx(rig.h_t * inertia - rig.h_h * hitch, rel=0.05, abs=300)
-        assert moved[0] == pytest.approx(rig.roll_share_f * held)
+        shift_on_tractor = shifts[0] + shifts[1]
+        assert shift_on_tractor == pytest.approx(rig.h_t * inertia - rig.h_h * hitch, rel=0.05, abs=300)
+        assert shifts[0] == pytest.approx(rig.roll_share_f * shift_on_tractor)
         lam = x[2] - x[3]
         u_i, v_i = (float(value) for value in nonlinear.implement(rig, x[None])[0, 2:])
         towed = (nonlinear.implement(rig, (x + 1e-6 * rate)[None])[0, 3] - v_i) / 1e-6 + u_i * x[7]
         inertia = rig.m_i * (towed - w[2]) - w[7]
         hitch = across[4:].sum() - inertia  # across the implement, on the tractor
-        assert moved[2] == pytest.approx(rig.h_i * inertia + rig.h_h * hitch, rel=0.05, abs=300), lam
+        assert shifts[2] == pytest.approx(rig.h_i * inertia + rig.h_h * hitch, rel=0.05, abs=300), lam
 
 
 def test_a_turn_loads_the_outer_and_a_slope_the_lower_wheels() -> None:
@@ -197,10 +197,13 @@ def test_a_turn_loads_the_outer_and_a_slope_the_lower_wheels() -> None:
 def test_load_transfer_costs_side_force() -> None:
     """A degressive tyre gains less on the loaded side than it loses on the other."""
     slip = _state(u=5.0, alpha_r=0.1)
-    held = abs(wheels(TABLE_5_1, slip, inputs_of(1, speed=5.0)[0])[2:4, 2].sum())
+    shift_on_tractor = abs(wheels(TABLE_5_1, slip, inputs_of(1, speed=5.0)[0])[2:4, 2].sum())
     slope = inputs_of(1, speed=5.0, gravity_t=4.0, gravity_i=4.0)[0]
     level = math.sqrt(1 - (4.0 / TABLE_5_1.g) ** 2)
-    assert abs(wheels(TABLE_5_1, slip, slope)[2:4, 2].sum()) < 0.995 * held * level**TABLE_5_1.load_exponent
+    assert (
+        abs(wheels(TABLE_5_1, slip, slope)[2:4, 2].sum())
+        < 0.995 * shift_on_tractor * level**TABLE_5_1.load_exponent
+    )
     tall = TABLE_5_1._replace(h_t=2.8, roll_share_f=0.0)
     load = wheels(tall, _state(u=5.0, alpha_f=0.3, alpha_r=0.3), inputs_of(1, speed=5.0)[0])
     assert load[2, 0] == pytest.approx(static_loads(tall)[1]) or load[3, 0] == pytest.approx(
@@ -300,10 +303,10 @@ def test_left_and_right_are_alike() -> None:
 
 def test_at_standstill_tyres_hold_like_springs() -> None:
     """On a slope a rig that stands swings about a place a little below, for want of damping."""
-    held = simulate(FREE, inputs_of(2000, gravity_t=0.5, gravity_i=0.5), running(0.0), 0.02)
-    assert np.isfinite(held).all()
-    assert np.abs(held[:, 1]).max() < 0.1
-    sway = held[:, 8:11].mean(axis=0) @ (FREE.theta[:3])
+    shift_on_tractor = simulate(FREE, inputs_of(2000, gravity_t=0.5, gravity_i=0.5), running(0.0), 0.02)
+    assert np.isfinite(shift_on_tractor).all()
+    assert np.abs(shift_on_tractor[:, 1]).max() < 0.1
+    sway = shift_on_tractor[:, 8:11].mean(axis=0) @ (FREE.theta[:3])
     assert sway == pytest.approx(0.5 * (FREE.m_t + FREE.m_i), rel=0.1)  # all of the weight along the slope
 
 
@@ -347,8 +350,8 @@ def test_the_actuator_integrates_its_command() -> None:
 
 def test_without_an_actuator_the_wheel_angle_is_the_input() -> None:
     delta = np.linspace(0.0, 0.1, 51)
-    held = simulate(TABLE_5_1, inputs_of(50, delta=delta[:-1], speed=3.0), running(3.0), 0.02)
-    np.testing.assert_array_equal(held[1:, 11], delta[:-1])
+    shift_on_tractor = simulate(TABLE_5_1, inputs_of(50, delta=delta[:-1], speed=3.0), running(3.0), 0.02)
+    np.testing.assert_array_equal(shift_on_tractor[1:, 11], delta[:-1])
     linear = simulate(TABLE_5_1, inputs_of(51, delta=delta, speed=3.0), running(3.0), 0.02, linear=True)
     np.testing.assert_array_equal(linear[1:, 11], delta[1:])
     assert not linear[:, 12].any()

@@ -51,7 +51,7 @@ def test_weights_may_be_one_each_or_a_matrix() -> None:
     assert np.abs(regulator(sys, 2.0, 1000.0).gain).max() < np.abs(one).max()
 
 
-def test_standstill_is_refused_in_words() -> None:
+def test_standstill_is_refused_with_a_reason() -> None:
     with pytest.raises(ValueError, match=r"no gain steadies this rig at 0 m/s: choose another speed"):
         regulator(system(model_named("kinematic"), TABLE_5_1, 0.0))
 

@@ -71,9 +71,9 @@ def _steady(u: float, geometry: Array, theta: Array, inputs: Array) -> Array:
 @pytest.mark.parametrize("speed", ["0.5", "1.0", "2.5", "4.5", "7.5"])
 @pytest.mark.parametrize(("table", "geometry", "theta"), _tables())
 def test_eigenvalues(table: str, geometry: Array, theta: Array, speed: str) -> None:
-    published = json.loads(REFERENCE.read_text())["eigenvalues"][table]["relaxation"][speed]
+    reported_covariance = json.loads(REFERENCE.read_text())["eigenvalues"][table]["relaxation"][speed]
     computed = np.linalg.eigvals(system_matrix(float(speed), geometry, theta)).tolist()
-    expected = [complex(*pair) for pair in published]
+    expected = [complex(*pair) for pair in reported_covariance]
     np.testing.assert_allclose(_sorted(computed), _sorted(expected), atol=1e-6)
 
 
@@ -109,7 +109,7 @@ def _accelerations(u: float, g: Array, theta: Array, state: Array, inputs: Array
     _, r_t, _, alpha_f, alpha_r, alpha_i = state[:6]
     f_f, f_r, f_i = -theta[0] * alpha_f, -theta[1] * alpha_r, -theta[2] * alpha_i
     # unknown: a_t, a_i, r_t', r_i', hitch
-    left = np.array(
+    mass_matrix = np.array(
         [
             [m_t, 0, 0, 0, 1.0],
             [0, m_i, 0, 0, -1.0],
@@ -127,7 +127,7 @@ def _accelerations(u: float, g: Array, theta: Array, state: Array, inputs: Array
             0.0,
         ]
     )
-    a_t, _, dr_t, dr_i, _ = np.linalg.solve(left, right)
+    a_t, _, dr_t, dr_i, _ = np.linalg.solve(mass_matrix, right)
     return np.array([a_t - u * r_t, dr_t, dr_i])
 
 
@@ -160,8 +160,8 @@ def test_on_a_side_slope_the_tyres_carry_the_weight() -> None:
     """Straight on with the wheels that this needs: moments about the hitch and about the CG, by hand."""
     slope = 0.5  # m/s^2, right side down
     gravity = np.array([0.0, slope, slope])
-    turned = _steady(4.5, RIG, THETA, np.array([1.0, 0.0, 0.0]))[1]
-    delta = -_steady(4.5, RIG, THETA, gravity)[1] / turned
+    yaw_rate_per_angle = _steady(4.5, RIG, THETA, np.array([1.0, 0.0, 0.0]))[1]
+    delta = -_steady(4.5, RIG, THETA, gravity)[1] / yaw_rate_per_angle
     v, r, articulation = _steady(4.5, RIG, THETA, gravity + np.array([delta, 0.0, 0.0]))
     assert r == pytest.approx(0.0, abs=1e-12)
     assert v > 0.0  # it slips downhill, so it faces uphill

@@ -22,8 +22,8 @@ def _run(
         late = jitter_s * rng.random()
         for place, pgn in enumerate(CLUMP):
             rx_ns = START_NS + round((epoch + late + 0.004 * place) * 1e9)
-            said = clock.position(rx_ns) if place == 0 else clock.other(rx_ns, pgn, None)
-            out.append((epoch, (said - START_NS) * 1e-9))
+            instant = clock.position(rx_ns) if place == 0 else clock.other(rx_ns, pgn, None)
+            out.append((epoch, (instant - START_NS) * 1e-9))
     return out
 
 
@@ -37,7 +37,7 @@ def test_jitter_is_taken_out_at_any_period_and_skew(period_ms: int, jitter_s: fl
     clock = EpochClock()
     out = _run(clock, period_ms * 1e-3, jitter_s, 300, skew)
     assert clock.period_ns == period_ms * 1_000_000
-    late = [said - epoch for epoch, said in out[len(out) // 2 :]]
+    late = [instant - epoch for epoch, instant in out[len(out) // 2 :]]
     assert min(late) > -1e-3
     assert max(late) <= jitter_s + 1e-6
     # 300 ppm of leak over the few epochs between early arrivals
@@ -48,7 +48,7 @@ def test_jitter_is_taken_out_at_any_period_and_skew(period_ms: int, jitter_s: fl
 def test_messages_of_one_clump_share_an_instant() -> None:
     out = _run(EpochClock(), 0.2, 0.02, 100)
     for k in range(10 * len(CLUMP), len(out), len(CLUMP)):  # once the period is known
-        assert len({said for _, said in out[k : k + len(CLUMP)]}) == 1
+        assert len({instant for _, instant in out[k : k + len(CLUMP)]}) == 1
 
 
 def test_a_sid_ties_messages_that_queued_apart_and_a_constant_sid_does_not() -> None:
@@ -92,7 +92,7 @@ def test_a_period_near_a_common_one_is_not_taken_for_it(period_ms: int) -> None:
     out = _run(clock, period_ms * 1e-3, 0.01, 400)
     assert clock.period_ns == period_ms * 1_000_000
     assert clock.resets == 0
-    assert max(abs(said - epoch) for epoch, said in out[-300:]) < 0.012
+    assert max(abs(instant - epoch) for epoch, instant in out[-300:]) < 0.012
 
 
 def test_a_dropout_keeps_the_grid_and_a_step_starts_it_anew() -> None:
@@ -110,22 +110,22 @@ def test_utc_follows_the_earliest_arrivals_and_a_jump(jump_s: float) -> None:
     clock = UtcClock()
     assert clock.utc_ns(START_NS) is None
     for k in range(30):
-        clock.measured(
+        clock.update(
             START_NS + k * 1_000_000_000 + (k * 7 % 5) * 3_000_000, START_NS - 10**9 + k * 10**9, 1e-4
         )
-    said = clock.utc_ns(START_NS + 30 * 10**9)
-    assert said is not None
-    assert abs(said - (START_NS + 29 * 10**9)) < 2e6
-    clock.measured(START_NS + 31 * 10**9, START_NS + 30 * 10**9 + round(jump_s * 1e9), 1e-4)
-    said = clock.utc_ns(START_NS + 31 * 10**9)
-    assert said == START_NS + 30 * 10**9 + round(jump_s * 1e9)
+    instant = clock.utc_ns(START_NS + 30 * 10**9)
+    assert instant is not None
+    assert abs(instant - (START_NS + 29 * 10**9)) < 2e6
+    clock.update(START_NS + 31 * 10**9, START_NS + 30 * 10**9 + round(jump_s * 1e9), 1e-4)
+    instant = clock.utc_ns(START_NS + 31 * 10**9)
+    assert instant == START_NS + 30 * 10**9 + round(jump_s * 1e9)
 
 
 def test_a_coarse_time_never_replaces_a_fine_one() -> None:
     clock = UtcClock()
-    clock.measured(START_NS, START_NS, 0.25)
-    clock.measured(START_NS + 10**9, START_NS + 10**9 - 5_000_000, 1e-4)
-    clock.measured(START_NS + 2 * 10**9, START_NS + 2 * 10**9 + 200_000_000, 0.25)
+    clock.update(START_NS, START_NS, 0.25)
+    clock.update(START_NS + 10**9, START_NS + 10**9 - 5_000_000, 1e-4)
+    clock.update(START_NS + 2 * 10**9, START_NS + 2 * 10**9 + 200_000_000, 0.25)
     assert clock.utc_ns(START_NS + 2 * 10**9) == START_NS + 2 * 10**9 - 5_000_000
 
 

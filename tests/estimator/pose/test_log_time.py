@@ -1,4 +1,4 @@
-"""What a log's time does is told by all frames that follow, not by one: steps, silences, stamps astray."""
+"""A log's time follows all later frames, not a single one: steps, silences, stray stamps."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.fold import initial, step
-from tilth.estimator.pose.log_time import LogTime, follow
+from tilth.estimator.pose.log_time import LogTime, take_stamp
 from tilth.schemas.flow import Event, Frame
 from tilth.simulator.tractor import Scenario
 from tilth.simulator.traffic import simulate
@@ -22,13 +22,13 @@ def times(until_s: float, each_s: float, from_s: float = 0.0) -> list[float]:
 
 
 def moves(stamps: Iterable[tuple[float, str]]) -> tuple[list[float], LogTime]:
-    """What is said, s, of frames with these stamps."""
-    time, said = LogTime(), []
+    """The jumps, s, that frames with these stamps cause."""
+    time, jumps = LogTime(), []
     for at, bus in stamps:
         t_ns = round((START + at) * 1e9)
-        moved = follow(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
-        said += [moved * 1e-9] if moved else []
-    return said, time
+        jump_ns = take_stamp(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
+        jumps += [jump_ns * 1e-9] if jump_ns else []
+    return jumps, time
 
 
 def passed(time: LogTime) -> float:
@@ -37,15 +37,15 @@ def passed(time: LogTime) -> float:
 
 @pytest.mark.parametrize("back", [0.8, 1.0, 2.0, 7.456, 60.0, 3600.0])
 @pytest.mark.parametrize("each", [0.005, 0.05])
-def test_a_step_is_said_once_with_its_size_and_all_that_passed_counts(back: float, each: float) -> None:
+def test_a_step_is_reported_once_with_its_size(back: float, each: float) -> None:
     before, after = times(30.0, each), times(60.0, each, 30.0)
-    said, time = moves([(t, "can0") for t in before] + [(t - back, "can0") for t in after])
-    assert said == [pytest.approx(-back, abs=2 * each)]
-    assert passed(time) == pytest.approx(60.0, abs=0.2) and time.astray == 0
+    jumps, time = moves([(t, "can0") for t in before] + [(t - back, "can0") for t in after])
+    assert jumps == [pytest.approx(-back, abs=2 * each)]
+    assert passed(time) == pytest.approx(60.0, abs=0.2) and time.stray == 0
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_step_among_late_frames_is_said_once(seed: int) -> None:
+def test_a_step_among_late_frames_is_reported_once(seed: int) -> None:
     """Up to one frame of fifty late by up to eight seconds, all a little out of order, on one bus or two."""
     draw = np.random.default_rng(seed)
     each, back = float(draw.choice([0.004, 0.01, 0.05])), float(draw.choice([0.9, 3.0, 30.0, 10_000.0]))
@@ -54,15 +54,15 @@ def test_a_step_among_late_frames_is_said_once(seed: int) -> None:
     for t in times(40.0, each):
         late = draw.uniform(0.0, 8.0) if draw.random() < 0.02 else draw.uniform(0.0, 2 * each)
         stamps.append((t - late - back * (t >= at), f"can{draw.integers(1 + seed % 2)}"))
-    said, time = moves(stamps)
-    assert said == [pytest.approx(-back, abs=1.1)]
+    jumps, time = moves(stamps)
+    assert jumps == [pytest.approx(-back, abs=1.1)]
     assert passed(time) == pytest.approx(40.0, abs=1.2)
 
 
-def test_every_one_of_several_steps_is_said() -> None:
+def test_each_of_several_steps_is_reported() -> None:
     stamps = [(t - 100.0 * k, "can0") for k in range(5) for t in times(10.0, 0.01)]
-    said, time = moves(stamps)
-    assert said == [pytest.approx(-110.0, abs=0.1)] * 4
+    jumps, time = moves(stamps)
+    assert jumps == [pytest.approx(-110.0, abs=0.1)] * 4
     assert passed(time) == pytest.approx(50.0, abs=0.2)
 
 
@@ -79,9 +79,9 @@ def test_two_clocks_in_one_log_are_no_steps(
     ]
     rows.sort()
     beginning = next(i for i, row in enumerate(rows) if (row[0] != row[1]) == bool(first))
-    said, time = moves([(stamp, bus) for _, stamp, bus in rows[beginning:]])
-    assert [move for move in said if move < 0] == []
-    assert len(said) <= 1  # that of the second clock is far ahead of the first: a silence, once
+    jumps, time = moves([(stamp, bus) for _, stamp, bus in rows[beginning:]])
+    assert [move for move in jumps if move < 0] == []
+    assert len(jumps) <= 1  # that of the second clock is far ahead of the first: a silence, once
     assert passed(time) == pytest.approx(62.6, abs=apart + 1.5 if apart < 10 else 3.0)
 
 
@@ -109,27 +109,27 @@ def gone_wrong() -> Stamps:
 
 @pytest.mark.parametrize("stamps", [assembled, jittered, in_blocks, gone_wrong])
 def test_stamps_out_of_order_are_neither_steps_nor_time(stamps: Callable[[], Stamps]) -> None:
-    said, time = moves(stamps())
-    assert said == []
+    jumps, time = moves(stamps())
+    assert jumps == []
     assert passed(time) == pytest.approx(120.0, abs=0.5)
 
 
-def test_a_silence_is_said_once_with_its_length_and_one_of_a_busy_loop_is_none() -> None:
-    said, time = moves([(t, "can0") for t in [*times(30.0, 0.01), *times(75.0, 0.01, 45.0)]])
-    assert said == [pytest.approx(15.0, abs=0.02)] and time.astray == 0
+def test_a_silence_is_reported_once_and_a_busy_loop_is_none() -> None:
+    jumps, time = moves([(t, "can0") for t in [*times(30.0, 0.01), *times(75.0, 0.01, 45.0)]])
+    assert jumps == [pytest.approx(15.0, abs=0.02)] and time.stray == 0
     assert passed(time) == pytest.approx(60.0, abs=0.1) and time.silent_ns == pytest.approx(15e9, rel=0.01)
-    said, _ = moves([(t, "can0") for t in times(200.0, 15.0)])
+    jumps, _ = moves([(t, "can0") for t in times(200.0, 15.0)])
     assert (
-        said == [pytest.approx(15.0)] * len(said) and len(said) > 2
+        jumps == [pytest.approx(15.0)] * len(jumps) and len(jumps) > 2
     )  # a bus that wakes for a frame now and then
     waited = LogTime()
     for at, taken in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.1, 20.1)):
         frame = Frame(round((START + taken) * 1e9), round((START + at) * 1e9), "can0", 0, True, False, b"")
-        assert follow(waited, frame) == 0
+        assert take_stamp(waited, frame) == 0
 
 
 def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
-    """Messages that nobody wants, of a clock 7.5 s behind, among those of a rig."""
+    """Messages that are not used, of a clock 7.5 s behind, among those of a rig."""
     machine = demo_machine()
     given = list(simulate(machine, 3, 9.0, Scenario(other_traffic=False)))
     late = [

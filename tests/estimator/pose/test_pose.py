@@ -74,7 +74,7 @@ def test_poses_without_noise_are_exact(circle: Circle) -> None:
 
 
 def test_antenna_and_ground_reporting_receivers_mix_on_a_slope() -> None:
-    """The packaged rig's tractor reports ground points, its implement antennas; wrongly told, it shows."""
+    """The packaged rig's tractor reports ground points, its implement antennas; a wrong setting shows."""
     circle = Circle(roll=0.087, yaw_rate=0.0, articulation=0.0, lateral_velocity=0.0)
     _, out = run(circle)
     assert errors(circle, out[-1], 0)[0] < 0.004
@@ -84,7 +84,7 @@ def test_antenna_and_ground_reporting_receivers_mix_on_a_slope() -> None:
     assert errors(circle, pose, 0)[0] == pytest.approx(2.9 * math.sin(0.087), abs=0.01)
 
 
-def test_a_receiver_at_1_hz_is_carried_on_by_motion_and_told_late() -> None:
+def test_a_receiver_at_1_hz_is_extrapolated_and_flagged_late() -> None:
     circle = Circle(period_s={ALL[1]: 1.0})
     _, out = run(circle)
     assert any(Flag.parse("late:tractor_rear") in pose.flags for pose in out)
@@ -93,7 +93,7 @@ def test_a_receiver_at_1_hz_is_carried_on_by_motion_and_told_late() -> None:
             assert errors(circle, pose, 0)[0] < 0.05
 
 
-def test_unknown_latencies_are_told_apart_by_the_rigid_bodies() -> None:
+def test_differences_of_latency_are_found_from_the_rigid_bodies() -> None:
     circle = Circle(latency_s=LATE)
     state, out = run(circle)
     mean = sum(LATE.values()) / 4 - 0.10
@@ -110,7 +110,7 @@ def test_unknown_latencies_are_told_apart_by_the_rigid_bodies() -> None:
     assert abs(not_looking) > max(2e-3, 3 * abs(heading))
 
 
-def test_a_common_latency_cannot_be_seen_and_stays_in_the_sd() -> None:
+def test_a_common_latency_is_not_observable_and_stays_in_the_sd() -> None:
     _, out = run(Circle(latency_s={m: 0.15 for m in ALL}))
     assert out[-1].tractor.sd_position is not None
     assert out[-1].sd_time == pytest.approx(0.05 * math.sqrt((1 + 3 * 0.5) / 4), abs=0.003)
@@ -161,12 +161,12 @@ def test_what_can_still_be_given_is_given(absent: set[Mount], given: str, flags:
 def test_a_receiver_that_falls_silent_is_late_then_lost_and_back_again() -> None:
     circle = Circle()
     gone = (START_NS + 8 * 10**9, START_NS + 12 * 10**9)
-    said = [
+    measurements = [
         m
         for m in circle.measurements(20.0)
         if m.origin.mount is not ALL[1] or not gone[0] < m.rx_ns < gone[1]
     ]
-    out = feed(aligner.initial(circle.machine), said)
+    out = feed(aligner.initial(circle.machine), measurements)
     flags = {round((p.t_ns - START_NS) * 1e-9, 1): set(map(str, p.flags)) for p in out}
     assert flags[7.6] == set()
     assert "late:tractor_rear" in flags[8.2]
@@ -182,13 +182,13 @@ def test_a_receiver_that_falls_silent_is_late_then_lost_and_back_again() -> None
 @pytest.mark.parametrize("circle", [Circle(), Circle(yaw_rate=0.0, articulation=0.0, lateral_velocity=0.0)])
 def test_two_swapped_receivers_are_named_and_withheld(pair: tuple[Mount, Mount], circle: Circle) -> None:
     other = {pair[0]: pair[1], pair[1]: pair[0]}
-    said = [
+    measurements = [
         replace(m, origin=replace(m.origin, mount=other.get(m.origin.mount, m.origin.mount)))
         if m.origin.mount is not None
         else m
         for m in circle.measurements(10.0)
     ]
-    pose = feed(aligner.initial(circle.machine), said)[-1]
+    pose = feed(aligner.initial(circle.machine), measurements)[-1]
     assert {Flag(FlagKind.SWAPPED, m.value) for m in pair} <= set(pose.flags)
     for mount in pair:
         body = pose.tractor if mount.value.startswith("tractor") else pose.implement
@@ -221,19 +221,19 @@ def test_repeated_positions_are_no_news_while_moving_and_hold_at_standstill() ->
         circle = Circle(speed=speed, yaw_rate=0.0, lateral_velocity=0.0, articulation=0.0)
         state = aligner.initial(circle.machine)
         old: Position | None = None
-        said: list[Measurement] = []
+        measurements: list[Measurement] = []
         for m in circle.measurements(8.0):
             if isinstance(m, Position) and m.origin.mount is ALL[0] and m.rx_ns > START_NS + 4 * 10**9:
                 assert old is not None
                 m = replace(m, latitude_deg=old.latitude_deg, longitude_deg=old.longitude_deg, repeat=True)
             elif isinstance(m, Position) and m.origin.mount is ALL[0]:
                 old = m
-            said.append(m)
-        pose = feed(state, said)[-1]
+            measurements.append(m)
+        pose = feed(state, measurements)[-1]
         assert (Flag.parse(flag) in pose.flags) if flag else pose.flags == ()
 
 
-def test_standstill_and_reverse_are_told() -> None:
+def test_standstill_and_reverse_are_recognised() -> None:
     still = Circle(speed=0.0, yaw_rate=0.0, lateral_velocity=0.0, articulation=0.0)
     assert run(still, 5.0)[1][-1].direction == 0
     back = Circle(speed=-1.5, yaw_rate=0.02, articulation=0.0, lateral_velocity=0.0)
@@ -248,8 +248,10 @@ def test_an_antenna_moved_sideways_is_found_on_straight_driving(
     sideways: float, body: str, lever: str
 ) -> None:
     circle = Circle(yaw_rate=0.0, lateral_velocity=0.0, articulation=0.0, noise_m=0.01)
-    moved = demo_machine(**{f"position = {lever}": f"position = {lever.replace('0.0', f'{sideways}', 1)}"})
-    out = feed(aligner.initial(moved), list(circle.measurements(30.0)))
+    wrong_machine = demo_machine(
+        **{f"position = {lever}": f"position = {lever.replace('0.0', f'{sideways}', 1)}"}
+    )
+    out = feed(aligner.initial(wrong_machine), list(circle.measurements(30.0)))
     assert Flag.parse(f"moved:{body}_front") in out[-1].flags
     assert (out[-1].tractor if body == "tractor" else out[-1].implement).heading is None
 
@@ -276,43 +278,47 @@ def test_a_swapped_pair_is_found_with_one_receiver_of_the_other_body(pair: tuple
     circle = Circle()
     gone = ALL[3] if pair[0] is ALL[0] else ALL[1]
     other = {pair[0]: pair[1], pair[1]: pair[0]}
-    said = [
+    measurements = [
         replace(m, origin=replace(m.origin, mount=other.get(m.origin.mount, m.origin.mount)))
         if m.origin.mount is not None
         else m
         for m in circle.measurements(10.0, frozenset({gone}))
     ]
-    pose = feed(aligner.initial(circle.machine), said)[-1]
+    pose = feed(aligner.initial(circle.machine), measurements)[-1]
     assert any(flag.kind is FlagKind.SWAPPED for flag in pose.flags)
 
 
 def test_a_tractor_that_seems_to_go_backwards_while_it_says_forward_is_doubted() -> None:
     circle = Circle()
     other = {ALL[0]: ALL[1], ALL[1]: ALL[0]}
-    said: list[Measurement] = []
+    measurements: list[Measurement] = []
     for m in circle.measurements(10.0, frozenset({ALL[2], ALL[3]})):
         mount = m.origin.mount
-        said.append(m if mount is None else replace(m, origin=replace(m.origin, mount=other[mount])))
-        said.append(VehicleSpeed(m.t_ns, m.rx_ns, replace(m.origin, mount=None), 65096, None, 4.5, "forward"))
-    pose = feed(aligner.initial(circle.machine), said)[-1]
+        measurements.append(m if mount is None else replace(m, origin=replace(m.origin, mount=other[mount])))
+        measurements.append(
+            VehicleSpeed(m.t_ns, m.rx_ns, replace(m.origin, mount=None), 65096, None, 4.5, "forward")
+        )
+    pose = feed(aligner.initial(circle.machine), measurements)[-1]
     assert Flag.parse("moved:tractor_front") in pose.flags
     assert pose.tractor.heading is None
 
 
 def test_one_wild_first_position_does_not_become_the_origin() -> None:
     circle = Circle()
-    said = list(circle.measurements(10.0))
-    first = next(i for i, m in enumerate(said) if isinstance(m, Position))
-    wild = replace(said[first], latitude_deg=0.0, longitude_deg=0.0)  # type: ignore[call-arg]
-    out = feed(aligner.initial(circle.machine), [*said[:first], wild, *said[first:]])
+    measurements = list(circle.measurements(10.0))
+    first = next(i for i, m in enumerate(measurements) if isinstance(m, Position))
+    wild = replace(measurements[first], latitude_deg=0.0, longitude_deg=0.0)  # type: ignore[call-arg]
+    out = feed(aligner.initial(circle.machine), [*measurements[:first], wild, *measurements[first:]])
     assert out[-1].flags == ()
     assert abs(out[-1].origin_latitude_deg - ORIGIN_DEG[0]) < 0.01
 
 
-def test_a_fix_that_is_not_told_any_more_is_not_believed() -> None:
+def test_an_old_fix_counts_as_unknown() -> None:
     circle = Circle()
-    said = [m for m in circle.measurements(20.0) if not isinstance(m, Fix) or m.rx_ns < START_NS + 5 * 10**9]
-    out = feed(aligner.initial(circle.machine), said)
+    measurements = [
+        m for m in circle.measurements(20.0) if not isinstance(m, Fix) or m.rx_ns < START_NS + 5 * 10**9
+    ]
+    out = feed(aligner.initial(circle.machine), measurements)
     assert Flag.parse("fix_unknown:tractor_front") in out[-1].flags
     assert not any(flag.kind is FlagKind.FIX_UNKNOWN for flag in out[20].flags)
 

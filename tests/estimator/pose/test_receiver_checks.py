@@ -18,8 +18,8 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant
 from tilth.estimator.record.record import YAW_RATE, concatenate
-from tilth.estimator.state_json import from_plain, to_plain
-from tilth.estimator.warm_start import Kept
+from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
@@ -41,11 +41,11 @@ YAW_RATE_BIT = 3.125e-8  # rad/s
 Edit = Callable[[Measurement], Measurement]
 
 
-def as_heard(measurement: Measurement) -> Measurement:
+def as_received(measurement: Measurement) -> Measurement:
     return measurement
 
 
-def turned_round(mounts: Collection[Mount]) -> Machine:
+def reversed_front_and_rear(mounts: Collection[Mount]) -> Machine:
     """The rig as it really is where the machine file has roll_corrected the wrong way for these."""
     receivers = [
         r.model_copy(update={"roll_corrected": r.roll_corrected != (r.mount in mounts)})
@@ -59,7 +59,7 @@ class Smoothed:
 
     def __init__(self, seconds: Mapping[Mount, float], mean: bool = False) -> None:
         self.seconds, self.mean = seconds, mean
-        self.heard: dict[Mount, list[tuple[float, float]]] = {}
+        self.samples: dict[Mount, list[tuple[float, float]]] = {}
         self.held: dict[Mount, float] = {}
 
     def __call__(self, measurement: Measurement) -> Measurement:
@@ -67,27 +67,27 @@ class Smoothed:
         if not isinstance(measurement, YawRate) or mount is None or mount not in self.seconds:
             return measurement
         tau, at, rate = self.seconds[mount], measurement.rx_ns * 1e-9, measurement.yaw_rate
-        heard = self.heard.setdefault(mount, [])
-        heard.append((at, rate))
+        samples = self.samples.setdefault(mount, [])
+        samples.append((at, rate))
         if self.mean:
-            return replace(measurement, yaw_rate=float(np.mean([r for t, r in heard if t > at - tau])))
-        before, last = self.held.get(mount, rate), heard[-2:][0]
-        keep = math.exp(-(at - last[0]) / tau)
-        self.held[mount] = keep * before + (1.0 - keep) * (last[1] + rate) / 2
+            return replace(measurement, yaw_rate=float(np.mean([r for t, r in samples if t > at - tau])))
+        before, last = self.held.get(mount, rate), samples[-2:][0]
+        save_learned = math.exp(-(at - last[0]) / tau)
+        self.held[mount] = save_learned * before + (1.0 - save_learned) * (last[1] + rate) / 2
         return replace(measurement, yaw_rate=self.held[mount])
 
 
 def drive(
     scenario: Scenario,
     seconds: float,
-    edit: Edit = as_heard,
+    edit: Edit = as_received,
     really: Machine = MACHINE,
     stored_at: int = -1,
-    told: Machine = MACHINE,
+    believed: Machine = MACHINE,
 ) -> tuple[ReceiverChecks, list[tuple[float, str, str]]]:
     """(state, (s since the first pose, kind, text) of events), seed 1. stored_at: pose at which
-    it is stored and taken up again. told: the machine file that it goes by."""
-    decoder, tracks, state = Decoder(told), aligner.initial(told), ReceiverChecks()
+    it is stored and restored. believed: the machine file that the checks use."""
+    decoder, tracks, state = Decoder(believed), aligner.initial(believed), ReceiverChecks()
     found: list[tuple[float, str, str]] = []
     first_ns = count = 0
     for frame in simulate(really, 1, seconds, scenario):
@@ -98,7 +98,7 @@ def drive(
             receiver_checks.observe(state, tracks, pose)
             count += 1
             if count == stored_at:
-                state = from_plain(ReceiverChecks, json.loads(json.dumps(to_plain(state))))
+                state = from_json_data(ReceiverChecks, json.loads(json.dumps(to_json_data(state))))
             for kind, text in receiver_checks.events(state):
                 found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
     return state, found
@@ -149,7 +149,7 @@ def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
     assert receiver_checks.flags(state) == [Flag(receiver_checks.SMOOTHED, m.value) for m in TRACTOR]
 
 
-def test_one_of_four_that_is_a_mean_over_two_seconds_is_told_from_the_others() -> None:
+def test_one_smoothed_turn_rate_of_four_is_found() -> None:
     state, found = drive(FLAT, 30.0, Smoothed({Mount.IMPLEMENT_REAR: 2.0}, mean=True))
     assert [who(text) for _, _, text in found] == ["implement_rear"]
     assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
@@ -163,7 +163,7 @@ ALONE = MACHINE.model_copy(
 
 @pytest.mark.parametrize("tau", [1.0, 2.6, 10.0])
 def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float) -> None:
-    state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, told=ALONE)
+    state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, believed=ALONE)
     ((at, kind, text),) = found
     assert (kind, who(text)) == (receiver_checks.SMOOTHED, "implement_front") and at < 35.0
     assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
@@ -174,7 +174,7 @@ def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float
 
 def test_the_heading_of_one_receiver_alone_accuses_nobody() -> None:
     for scenario in (FLAT, ROUGH):
-        state, found = drive(scenario, 40.0, really=ALONE, told=ALONE)
+        state, found = drive(scenario, 40.0, really=ALONE, believed=ALONE)
         assert not found and not receiver_checks.flags(state) and state.lags[2].intervals > 12
 
 
@@ -209,24 +209,24 @@ def test_one_not_a_number_poisons_nothing() -> None:
 def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
     mounts: tuple[Mount, ...], kind: str
 ) -> None:
-    state, found = drive(ROUGH, 60.0, really=turned_round(mounts))
-    word = "true" if kind == "roll_corrected_twice" else "false"
-    told = {who(text): (k, text) for _, k, text in found if k != receiver_checks.UNCLEAR}
-    assert told.keys() == {m.value for m in mounts}
-    for k, text in told.values():
-        assert k == kind and text.endswith(f"set roll_corrected = {word} in the machine file")
+    state, found = drive(ROUGH, 60.0, really=reversed_front_and_rear(mounts))
+    setting = "true" if kind == "roll_corrected_twice" else "false"
+    reported = {who(text): (k, text) for _, k, text in found if k != receiver_checks.UNCLEAR}
+    assert reported.keys() == {m.value for m in mounts}
+    for k, text in reported.values():
+        assert k == kind and text.endswith(f"set roll_corrected = {setting} in the machine file")
     assert set(receiver_checks.flags(state)) == {Flag(FlagKind(kind), m.value) for m in mounts}
 
 
 def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_knows() -> None:
     """Both bodies lean alike: either of the two explains where they see the hitch."""
-    state, found = drive(HILL, 40.0, really=turned_round(IMPLEMENT))
+    state, found = drive(HILL, 40.0, really=reversed_front_and_rear(IMPLEMENT))
     assert [kind for _, kind, _ in found] == [receiver_checks.UNCLEAR]
     assert receiver_checks.flags(state) == [Flag.parse("roll_correction:rig")]
 
 
-def test_on_even_ground_nothing_can_be_said_of_roll() -> None:
-    state, found = drive(FLAT, 40.0, really=turned_round(IMPLEMENT))
+def test_on_even_ground_roll_correction_stays_unknown() -> None:
+    state, found = drive(FLAT, 40.0, really=reversed_front_and_rear(IMPLEMENT))
     assert not found and not receiver_checks.flags(state)
     assert np.all(np.isinf(receiver_checks.responses(state)[1]))
 
@@ -239,19 +239,19 @@ def test_where_nothing_is_wrong_nothing_is_found(scenario: Scenario) -> None:
     assert all(abs(time_constant(lag)[0]) < 0.05 for lag in state.lags)
 
 
-def test_its_state_is_plain_data_that_goes_on_exactly() -> None:
+def test_a_stored_state_continues_exactly() -> None:
     edit = Smoothed(dict.fromkeys(TRACTOR, 1.0))
-    state, found = drive(ROUGH, 20.0, edit, turned_round(IMPLEMENT))
+    state, found = drive(ROUGH, 20.0, edit, reversed_front_and_rear(IMPLEMENT))
     again = Smoothed(dict.fromkeys(TRACTOR, 1.0))
-    stored, found_again = drive(ROUGH, 20.0, again, turned_round(IMPLEMENT), stored_at=37)
-    assert to_plain(stored) == to_plain(state) and found_again == found
+    stored, found_again = drive(ROUGH, 20.0, again, reversed_front_and_rear(IMPLEMENT), stored_at=37)
+    assert to_json_data(stored) == to_json_data(state) and found_again == found
 
 
 def test_after_a_step_of_the_clock_intervals_begin_anew_and_findings_stay() -> None:
     state, _ = drive(FLAT, 30.0, Smoothed(dict.fromkeys(TRACTOR, 1.0)))
     before = receiver_checks.flags(state)
     receiver_checks.clock_stepped(state)
-    assert receiver_checks.flags(state) == before and state.seen_ns == 0
+    assert receiver_checks.flags(state) == before and state.last_pose_ns == 0
 
 
 # In the fold.
@@ -262,9 +262,9 @@ def smoothed_frames(seconds: float) -> list[Frame]:
     decoder, smooth = Decoder(MACHINE), Smoothed(dict.fromkeys(IMPLEMENT, 1.0))
     out = []
     for frame in simulate(MACHINE, 1, seconds, FLAT):
-        for heard in decoder.measurements(frame):
-            if isinstance(heard, YawRate) and heard.origin.mount in IMPLEMENT:
-                rate = smooth(heard)
+        for samples in decoder.measurements(frame):
+            if isinstance(samples, YawRate) and samples.origin.mount in IMPLEMENT:
+                rate = smooth(samples)
                 assert isinstance(rate, YawRate)
                 raw = round(rate.yaw_rate / YAW_RATE_BIT)
                 data = frame.data[:1] + raw.to_bytes(4, "little", signed=True) + frame.data[5:]
@@ -278,21 +278,21 @@ def rows() -> list[Frame]:
     return smoothed_frames(26.0)
 
 
-def learned_before() -> dict[str, Kept]:
+def learned_before() -> dict[str, SavedPosterior]:
     state = fold.initial(MACHINE)
-    own = state.estimators[pem.METHOD]
-    own.mean[:6] += 0.2
-    own.covariance[:6, :6] *= 0.25
-    own.informed_ns = 1
+    method_state = state.estimators[pem.METHOD]
+    method_state.mean[:6] += 0.2
+    method_state.covariance[:6, :6] *= 0.25
+    method_state.informed_ns = 1
     state.consistency.confirmed = True
-    return fold.keep(state, 1)
+    return fold.save_learned(state, 1)
 
 
 def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_used(
     rows: list[Frame],
 ) -> None:
     state = fold.initial(MACHINE)
-    fold.go_on(state, learned_before(), 0.0, rows[0].t_ns)
+    fold.resume(state, learned_before(), 0.0, rows[0].t_ns)
     out = [p.value for row in rows for p in fold.step(state, row)]
     # Until it is found, one method or another may well disagree.
     events = [value for value in out if isinstance(value, Event) and value.kind != "disagreement"]
@@ -301,21 +301,21 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     found = out.index(events[0])
     before = [value for value in out[:found] if isinstance(value, Pose)]
     after = [value for value in out[found:] if isinstance(value, Pose)]
-    told = {Flag(receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT}
-    assert all(told <= set(pose.flags) for pose in after) and len(after) > 20
-    assert not any(told & set(pose.flags) for pose in before[:-1])
+    reported = {Flag(receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT}
+    assert all(reported <= set(pose.flags) for pose in after) and len(after) > 20
+    assert not any(reported & set(pose.flags) for pose in before[:-1])
     assert any(Flag.parse("yaw_rate_of_heading:implement") in pose.flags for pose in after)
-    own = state.estimators[pem.METHOD]
-    assert own.mean[:6] == pytest.approx(learned_before()[pem.METHOD].mean[:6], abs=1e-3)
-    kinds = concatenate(own.window).rows[:, 2:4]
+    method_state = state.estimators[pem.METHOD]
+    assert method_state.mean[:6] == pytest.approx(learned_before()[pem.METHOD].mean[:6], abs=1e-3)
+    kinds = concatenate(method_state.window).rows[:, 2:4]
     assert {body for kind, body in kinds.tolist() if kind == YAW_RATE} == {0.0}  # the tractor's
-    assert own.window[0].record.t_ns > events[0].t_ns - SECOND
+    assert method_state.window[0].record.t_ns > events[0].t_ns - SECOND
 
 
 def test_live_and_replay_find_it_alike(rows: list[Frame], tmp_path: Path) -> None:
     live = record(tmp_path, rows, 3)
     for parts in (live.parts, live.parts[2:]):
-        comparison, said = Comparison(), list[str]()
-        replay(parts, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=said.append)
+        comparison, lines = Comparison(), list[str]()
+        replay(parts, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=lines.append)
         assert comparison.compared > 0 and comparison.difference == ""
-        assert sum("turn its smoothing off" in text for text in said) == (2 if parts == live.parts else 0)
+        assert sum("turn its smoothing off" in text for text in lines) == (2 if parts == live.parts else 0)

@@ -5,22 +5,22 @@ from collections import deque
 import numpy as np
 import pytest
 
-from tilth.estimator.pose.roll_pitch import share_of_sway
-from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Stretch, concatenate
+from tilth.estimator.pose.roll_pitch import trusted_share
+from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment, concatenate
 from tilth.estimator.record.record_builder import wheel_angles
 
 
-def stretch(number: int) -> Stretch:
+def segment(number: int) -> Segment:
     """The one of that number of a run, with two rows; its ticks hold its number."""
     rows = np.zeros((2, len(ROWS)))
     rows[:, 0], rows[:, 4] = (3, 9), number
-    return Stretch(
+    return Segment(
         Record(7 + number * 10 * TICK_NS, np.full((10, len(INPUTS)), float(number)), rows), True, ""
     )
 
 
 def test_stretches_put_together_are_one_record() -> None:
-    parts = [stretch(k) for k in range(4)]
+    parts = [segment(k) for k in range(4)]
     whole = concatenate(parts)
     assert whole.t_ns == 7 and whole.end_ns == 7 + 40 * TICK_NS
     assert whole.ticks[:, 0].tolist() == [float(k) for k in range(4) for _ in range(10)]
@@ -29,7 +29,7 @@ def test_stretches_put_together_are_one_record() -> None:
     assert parts[1].record.rows[:, 0].tolist() == [3, 9]  # left as it was
     with pytest.raises(ValueError, match=r"0\.2 s after"):
         concatenate([parts[0], parts[2]])
-    with pytest.raises(ValueError, match="no stretch"):
+    with pytest.raises(ValueError, match="no segment"):
         concatenate([])
     assert Record(5).end_ns == 5
 
@@ -46,19 +46,19 @@ def test_a_turning_wheel_is_met_at_the_tick_whatever_the_sensors_phase(period_ms
 def test_a_wheel_sensor_that_was_silent_for_too_long_gives_no_angle() -> None:
     samples = [(k * 10_000_000, 0.1, 0.002) for k in range(-40, 40)]
     for silence_ms, given in ((130, True), (160, False)):
-        heard = deque(s for s in samples if not 20 <= s[0] // 1_000_000 < 20 + silence_ms)
-        assert (wheel_angles(heard, 0) is not None) == given
+        received = deque(s for s in samples if not 20 <= s[0] // 1_000_000 < 20 + silence_ms)
+        assert (wheel_angles(received, 0) is not None) == given
     assert wheel_angles(deque(s for s in samples if s[0] < 150_000_000), 0) is None
     assert wheel_angles(deque(), 0) is None
 
 
-def test_the_share_of_sway_is_small_for_noise_and_whole_for_swaying() -> None:
+def test_the_trusted_share_is_small_for_noise_and_whole_for_swaying() -> None:
     rng = np.random.default_rng(1)
-    lately, noise, swaying = [0.0, 0.0], 1.0, 0.0
+    lately, noise, roll_rate_squares = [0.0, 0.0], 1.0, 0.0
     for _ in range(300):
-        noise = share_of_sway(lately, rng.normal(0, 0.02), rng.normal(0, 0.02))
+        noise = trusted_share(lately, rng.normal(0, 0.02), rng.normal(0, 0.02))
     assert noise < 0.3
     for _ in range(300):
-        swaying = share_of_sway(lately, rng.normal(0, 0.1), rng.normal(0, 0.02))
-    assert swaying > 0.93
-    assert share_of_sway([0.0, 0.0], 0.0, 0.0) == 0.0
+        roll_rate_squares = trusted_share(lately, rng.normal(0, 0.1), rng.normal(0, 0.02))
+    assert roll_rate_squares > 0.93
+    assert trusted_share([0.0, 0.0], 0.0, 0.0) == 0.0

@@ -1,4 +1,5 @@
-"""Records against the truth of a driven rig: every row at its own instant, and what must not teach."""
+"""Records against the truth of a driven rig: every row at its own instant, and what must not be learned
+from."""
 
 import json
 import math
@@ -20,9 +21,9 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.geometry import rotate, to_plane
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Stretch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Segment
 from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -53,7 +54,7 @@ KNOWN = demo_machine(**{f"{end}]\n": f"{end}]\n{SURE}" for end in ("2.9", "3.1")
 EVEN = Ground()
 
 
-def said(machine: Machine, truth: Truth) -> list[Measurement]:
+def measurements(machine: Machine, truth: Truth) -> list[Measurement]:
     """What the sensors of a driven rig say, each 0.1 s after it was measured, with nothing rounded."""
     start = truth.scenario.utc_start_ns
     out: list[Measurement] = []
@@ -85,12 +86,12 @@ def posed(machine: Machine, measurements: list[Measurement]) -> Iterator[tuple[A
             yield state, pose
 
 
-def record(machine: Machine, measurements: list[Measurement]) -> tuple[RecordState, list[Stretch]]:
+def record(machine: Machine, measurements: list[Measurement]) -> tuple[RecordState, list[Segment]]:
     state, out = record_builder.initial(machine), []
     for aligned, pose in posed(machine, measurements):
-        stretch = record_builder.observe(state, aligned, pose)
-        if stretch is not None:
-            out.append(stretch)
+        segment = record_builder.observe(state, aligned, pose)
+        if segment is not None:
+            out.append(segment)
     return state, out
 
 
@@ -103,7 +104,7 @@ def driven(ground: Ground = EVEN, noise: float = 0.0) -> Truth:
     return drive(KNOWN, 3, SECONDS, scenario)
 
 
-def errors(machine: Machine, truth: Truth, stretches: list[Stretch]) -> Array:
+def errors(machine: Machine, truth: Truth, segments: list[Segment]) -> Array:
     """[n, 4]: kind, place, error, sd of every row. The truth is that of points above the ground."""
     cart = nonlinear.implement(truth.rig, truth.states)
     columns = {name: truth.states[:, k] for name, k in AT.items()}
@@ -114,8 +115,8 @@ def errors(machine: Machine, truth: Truth, stretches: list[Stretch]) -> Array:
     origin = to_plane(_origin(machine, truth), *ORIGIN_DEG)
     places = {ALL.index(r.mount): r.position for r in machine.receiver}
     out = []
-    for stretch in stretches:
-        whole = stretch.record
+    for segment in segments:
+        whole = segment.record
         base = (whole.t_ns - truth.scenario.utc_start_ns) * 1e-9
         for tick, offset, kind, place, value, sd in whole.rows.tolist():
             body = int(place) if kind in (YAW_RATE, HEADING) else int(place) // 2
@@ -136,7 +137,7 @@ def errors(machine: Machine, truth: Truth, stretches: list[Stretch]) -> Array:
 
 
 def _origin(machine: Machine, truth: Truth) -> tuple[float, float]:
-    _, pose = next(posed(machine, said(machine, truth)[:2000]))
+    _, pose = next(posed(machine, measurements(machine, truth)[:2000]))
     return pose.origin_latitude_deg, pose.origin_longitude_deg
 
 
@@ -144,13 +145,13 @@ def of(table: Array, kind: float, *places: int) -> Array:
     return np.asarray(table[(table[:, 0] == kind) & np.isin(table[:, 1], places)])
 
 
-def instants(stretches: list[Stretch], kind: float, place: int) -> Array:
+def instants(segments: list[Segment], kind: float, place: int) -> Array:
     """s since START_NS."""
     out: list[float] = []
-    for stretch in stretches:
-        rows = stretch.record.rows
+    for segment in segments:
+        rows = segment.record.rows
         chosen = rows[(rows[:, 2] == kind) & (rows[:, 3] == place)]
-        base = (stretch.record.t_ns - START_NS) * 1e-9
+        base = (segment.record.t_ns - START_NS) * 1e-9
         out += (base + chosen[:, 0] * TICK_NS * 1e-9 + chosen[:, 1]).tolist()
     return np.array(out)
 
@@ -162,14 +163,14 @@ def instants(stretches: list[Stretch], kind: float, place: int) -> Array:
 )
 def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: float, position: float) -> None:
     truth = driven(ground)
-    state, out = record(KNOWN, said(KNOWN, truth))
+    state, out = record(KNOWN, measurements(KNOWN, truth))
     table = errors(KNOWN, truth, out)
     assert np.abs(of(table, YAW_RATE, 0, 1)[:, 2]).max() < 1e-3
     assert np.abs(of(table, VELOCITY, 0, 1, 2, 3)[:, 2]).max() < velocity
     assert np.abs(table[np.isin(table[:, 0], (NORTH, EAST))][:, 2]).max() < position
     assert not len(of(table, HEADING, 0, 1))
-    for stretch in out:
-        ticks, base = stretch.record.ticks, (stretch.record.t_ns - truth.scenario.utc_start_ns) * 1e-9
+    for segment in out:
+        ticks, base = segment.record.ticks, (segment.record.t_ns - truth.scenario.utc_start_ns) * 1e-9
         t = base + np.arange(10) * 0.02
         states = truth.states[np.round(t / 0.01).astype(int)]
         assert np.abs(ticks[:, 0] - states[:, AT["delta"]]).max() < 0.003
@@ -185,23 +186,23 @@ def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: fl
 def test_what_a_swaying_body_does_to_its_antennas_is_taken_out() -> None:
     """The cart's antennas are 3.1 m high; the tractor's receivers report points on the ground."""
     truth = driven(Ground(roll_sd_deg=1.5))
-    _, out = record(KNOWN, said(KNOWN, truth))
+    _, out = record(KNOWN, measurements(KNOWN, truth))
     table = errors(KNOWN, truth, out)
-    swaying = 3.1 * np.gradient(truth.implement.roll, truth.time)
-    assert swaying.std() > 0.25
-    assert of(table, VELOCITY, 2, 3)[:, 2].std() < 0.25 * swaying.std()
+    roll_rate_squares = 3.1 * np.gradient(truth.implement.roll, truth.time)
+    assert roll_rate_squares.std() > 0.25
+    assert of(table, VELOCITY, 2, 3)[:, 2].std() < 0.25 * roll_rate_squares.std()
     assert np.abs(of(table, VELOCITY, 0, 1)[:, 2]).max() < 0.01
-    lean = 3.1 * truth.implement.roll
+    sway = 3.1 * truth.implement.roll
     off = table[np.isin(table[:, 0], (NORTH, EAST)) & (table[:, 1] >= 2)][:, 2]
-    assert off.std() < 0.1 * lean.std()
+    assert off.std() < 0.1 * sway.std()
 
 
 def test_noise_of_roll_is_not_taken_for_swaying() -> None:
     even = driven(noise=1.0)
-    table = errors(KNOWN, even, record(KNOWN, said(KNOWN, even))[1][40:])
+    table = errors(KNOWN, even, record(KNOWN, measurements(KNOWN, even))[1][40:])
     assert of(table, VELOCITY, 2, 3)[:, 2].std() < 1.2 * of(table, VELOCITY, 0, 1)[:, 2].std()
     rough = driven(Ground(roll_sd_deg=1.5), noise=1.0)
-    table = of(errors(KNOWN, rough, record(KNOWN, said(KNOWN, rough))[1][40:]), VELOCITY, 2, 3)
+    table = of(errors(KNOWN, rough, record(KNOWN, measurements(KNOWN, rough))[1][40:]), VELOCITY, 2, 3)
     assert table[:, 2].std() < 0.1
     assert table[:, 2].std() < 1.6 * table[:, 3].mean()  # what the sd says of it
 
@@ -209,7 +210,7 @@ def test_noise_of_roll_is_not_taken_for_swaying() -> None:
 def test_a_lone_receiver_gives_its_heading() -> None:
     text = KNOWN.model_copy(update={"receiver": [r for r in KNOWN.receiver if r.mount is not ALL[3]]})
     truth = driven()
-    _, out = record(text, said(text, truth))
+    _, out = record(text, measurements(text, truth))
     table = errors(text, truth, out)
     assert len(of(table, HEADING, 1)) > 100 and not len(of(table, HEADING, 0))
     assert np.abs(of(table, HEADING, 1)[:, 2]).max() < 2e-3
@@ -226,8 +227,8 @@ def test_every_sample_is_there_once(jitter: float) -> None:
             steps = np.diff(instants(out, kind, place)[5:])
             assert len(steps) > 80 and np.abs(steps - period).max() < 0.01 + jitter
         assert len(instants(out, NORTH, place)) == len(instants(out, EAST, place))
-    for stretch in out:
-        rows = stretch.record.rows
+    for segment in out:
+        rows = segment.record.rows
         order = rows[:, 0] * TICK_NS * 1e-9 + rows[:, 1]
         assert (np.diff(order) >= 0).all()
         assert (rows[:, 1] >= 0).all() and (rows[:, 1] < 0.02).all() and (rows[:, 0] < 10).all()
@@ -244,28 +245,28 @@ def test_learned_latencies_are_taken_out() -> None:
     origin = to_plane(CIRCLE_ORIGIN_DEG, pose.origin_latitude_deg, pose.origin_longitude_deg)
     for receiver in machine.receiver:
         place = ALL.index(receiver.mount)
-        for stretch in out[-20:]:
-            rows = stretch.record.rows
+        for segment in out[-20:]:
+            rows = segment.record.rows
             at = {kind: rows[(rows[:, 2] == kind) & (rows[:, 3] == place)] for kind in (NORTH, EAST)}
             for north, east in zip(at[NORTH], at[EAST], strict=True):
-                t = (stretch.record.t_ns - START_NS) * 1e-9 + north[0] * 0.02 + north[1] - mean
+                t = (segment.record.t_ns - START_NS) * 1e-9 + north[0] * 0.02 + north[1] - mean
                 true = circle.reported(receiver, t)
                 apart = math.hypot(north[4] + origin[0] - true[0], east[4] + origin[1] - true[1])
                 assert apart < 0.04  # 5 ms at 4.5 m/s and the cubic of the poses
 
 
-# What must not teach.
+# What must not be learned from.
 
 
-def edited(changes: Mapping[int, Change]) -> tuple[RecordState, list[Stretch]]:
+def edited(changes: Mapping[int, Change]) -> tuple[RecordState, list[Segment]]:
     """Of a circle whose poses of these numbers are changed."""
     circle = Circle()
     state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
         change = changes.get(number)
-        stretch = record_builder.observe(state, aligned, change(pose) if change else pose)
-        if stretch is not None:
-            out.append(stretch)
+        segment = record_builder.observe(state, aligned, change(pose) if change else pose)
+        if segment is not None:
+            out.append(segment)
     return state, out[:50]
 
 
@@ -295,12 +296,10 @@ REFUSED: list[tuple[Change, str]] = [
 
 
 @pytest.mark.parametrize(("change", "reason"), REFUSED, ids=[f"{k}-{r[1]}" for k, r in enumerate(REFUSED)])
-def test_a_refusal_lasts_for_the_poses_beside_it_and_two_seconds_of_driving(
-    change: Change, reason: str
-) -> None:
+def test_a_refusal_holds_for_neighbouring_poses_and_two_seconds(change: Change, reason: str) -> None:
     state, out = edited({30: change})
-    wanted = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
-    assert [s.reason for s in out[:41]] == wanted
+    expected_reasons = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
+    assert [s.reason for s in out[:41]] == expected_reasons
     assert {s.reason for s in out[41:]} == {""}
     assert [s.follows for s in out[:12]] == [False] * 11 + [True]
     assert [s.follows for s in out[27:43]] == [True] + [False] * 14 + [True]
@@ -320,15 +319,15 @@ def test_a_receiver_that_is_late_or_lost_refuses_nothing(flags: tuple[str, ...])
 
 
 def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
-    moved = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
-    _, out = edited(moved)
+    new_origin = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
+    _, out = edited(new_origin)
     assert Counter(s.reason for s in out[28:41]) == {"new origin of the plane": 2, "settling": 10, "": 1}
     circle = Circle()
     state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
-        stretch = None if 20 <= number < 25 else record_builder.observe(state, aligned, pose)
-        if stretch is not None:
-            out.append(stretch)
+        segment = None if 20 <= number < 25 else record_builder.observe(state, aligned, pose)
+        if segment is not None:
+            out.append(segment)
     assert [s.reason for s in out[18:31]] == ["gap in the poses"] * 2 + ["settling"] * 10 + [""]
     assert not any(len(s.record.ticks) for s in out[18:20])
     assert state.used.late == 0
@@ -341,14 +340,14 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
         (6.0, 6.4, None, "no wheel angle"),
         (6.0, 6.4, 0.27, "outside the small-angle model"),
     ):
-        heard: list[Measurement] = []
+        received: list[Measurement] = []
         for m in circle.measurements(12.0):
             if isinstance(m, WheelAngle) and first <= (m.rx_ns - START_NS) * 1e-9 < last:
                 if angle is None:
                     continue
                 m = replace(m, angle=angle)
-            heard.append(m)
-        state, out = record(circle.machine, heard)
+            received.append(m)
+        state, out = record(circle.machine, received)
         assert set(state.refused) == {"settling", *([reason] if reason else [])}
         if reason:
             shut = [(s.record.t_ns - START_NS) * 1e-9 for s in out if s.reason == reason]
@@ -357,19 +356,19 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
 
 def test_a_receiver_without_a_fix_or_silent_gives_no_rows() -> None:
     circle = Circle(noise_m=0.005)
-    heard = [
+    received = [
         m
         for m in circle.measurements(20.0)
         if m.origin.mount is not ALL[3] or not 8.0 < (m.rx_ns - START_NS) * 1e-9 < 12.0
     ]
-    _, out = record(circle.machine, heard)
+    _, out = record(circle.machine, received)
     times = instants(out, VELOCITY, 3)
     assert not ((times > 8.0) & (times < 11.8)).any()
     assert ((times > 12.2) & (times < 19.0)).sum() > 30
     # Until the receiver counts as lost its body's heading comes by the hitch: the rest goes on teaching.
-    taught = [s for s in out if 9.2e9 < s.record.t_ns - START_NS < 11.5e9]
-    assert taught and all(not s.reason for s in taught)
-    assert all((s.record.rows[:, 3] != 3).all() and len(s.record.rows) for s in taught)
+    usable = [s for s in out if 9.2e9 < s.record.t_ns - START_NS < 11.5e9]
+    assert usable and all(not s.reason for s in usable)
+    assert all((s.record.rows[:, 3] != 3).all() and len(s.record.rows) for s in usable)
 
 
 def test_a_repeating_receiver_gives_no_rows() -> None:
@@ -397,21 +396,21 @@ def test_a_sample_that_comes_after_its_stretch_was_cut_is_dropped_and_counted_on
 def test_time_that_runs_back_starts_anew() -> None:
     circle = Circle()
     state, out = record(circle.machine, list(circle.measurements(6.0)))
-    taught = state.stretches
+    usable = state.segments
     for aligned, pose in posed(circle.machine, list(circle.measurements(6.0))):
-        stretch = record_builder.observe(state, aligned, pose)
-        if stretch is not None:
-            out.append(stretch)
-    assert state.stretches == 2 * taught and state.refused == {"settling": 20} and state.used.late == 0
+        segment = record_builder.observe(state, aligned, pose)
+        if segment is not None:
+            out.append(segment)
+    assert state.segments == 2 * usable and state.refused == {"settling": 20} and state.used.late == 0
 
 
-def test_the_state_is_plain_and_goes_on_as_it_was() -> None:
+def test_a_stored_state_continues_exactly() -> None:
     circle = Circle(noise_m=0.01, jitter_s=0.01)
     state, other, same = record_builder.initial(circle.machine), None, 0
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(8.0)))):
         if number == 20:
-            other = from_plain(RecordState, json.loads(json.dumps(to_plain(state))))
-            assert to_plain(other) == to_plain(state)
+            other = from_json_data(RecordState, json.loads(json.dumps(to_json_data(state))))
+            assert to_json_data(other) == to_json_data(state)
         one = record_builder.observe(state, aligned, pose)
         if other is not None:
             two = record_builder.observe(other, aligned, pose)

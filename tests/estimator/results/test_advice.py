@@ -1,4 +1,4 @@
-"""Advice: what is said to be determined, against what was put in; predicted sds, against drives."""
+"""Advice: what it reports as determined, against the information put in; predicted sds, against drives."""
 
 import math
 import re
@@ -22,7 +22,7 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import YAW_RATE
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor, Candidate
-from tilth.estimator.state_json import from_plain, to_plain
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
@@ -54,7 +54,7 @@ def embedded(
     return whole, whole_covariance
 
 
-def told(*rows: tuple[dict[str, float], float]) -> Array:
+def information_on(*rows: tuple[dict[str, float], float]) -> Array:
     """Information of six logarithms from combinations that are known with an sd."""
     whole = np.zeros((6, 6))
     for weights, sd in rows:
@@ -64,12 +64,12 @@ def told(*rows: tuple[dict[str, float], float]) -> Array:
 
 
 def test_single_parameters_are_named_with_their_range() -> None:
-    said = advice.determined(told(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6)
-    assert said == ("C_af ±7.8 % (95 %)", "sigma_i -31 … +46 % (95 %)")
+    advice_text = advice.determined(information_on(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6)
+    assert advice_text == ("C_af ±7.8 % (95 %)", "sigma_i -31 … +46 % (95 %)")
 
 
 @pytest.mark.parametrize(
-    ("weights", "words"),
+    ("weights", "expected_text"),
     [
         ({"C_af": 1.0, "C_ar": -1.0}, "C_af/C_ar ±7.8 % (95 %)"),
         ({"C_ar": -1.0, "C_ai": -1.0}, "C_ar·C_ai ±7.8 % (95 %)"),
@@ -77,16 +77,16 @@ def test_single_parameters_are_named_with_their_range() -> None:
     ],
 )
 def test_a_combination_is_named_where_no_parameter_of_it_is_determined(
-    weights: dict[str, float], words: str
+    weights: dict[str, float], expected_text: str
 ) -> None:
-    said = advice.determined(told((weights, 0.04)), PRIOR_6)
-    assert said == (words,)
+    advice_text = advice.determined(information_on((weights, 0.04)), PRIOR_6)
+    assert advice_text == (expected_text,)
 
 
 def test_a_second_combination_is_another_one() -> None:
     rows = (({"C_af": 1.0, "C_ar": -1.0}, 0.04), ({"sigma_f": 1.0, "sigma_r": -1.0}, 0.1))
-    said = advice.determined(told(*rows), PRIOR_6)
-    assert said == ("C_af/C_ar ±7.8 % (95 %)", "sigma_f/sigma_r ±20 % (95 %)")
+    advice_text = advice.determined(information_on(*rows), PRIOR_6)
+    assert advice_text == ("C_af/C_ar ±7.8 % (95 %)", "sigma_f/sigma_r ±20 % (95 %)")
 
 
 def test_nothing_received_determines_nothing() -> None:
@@ -97,7 +97,7 @@ def test_nothing_received_determines_nothing() -> None:
 
 
 def test_the_bound_is_that_of_the_data_alone_and_open_where_they_are_silent() -> None:
-    information = told(({"C_af": 1.0}, 0.04), ({"C_ar": 1.0, "C_ai": 1.0}, 0.1))
+    information = information_on(({"C_af": 1.0}, 0.04), ({"C_ar": 1.0, "C_ai": 1.0}, 0.1))
     first, *others = advice.bound(information, PRIOR_6)
     assert first == pytest.approx(0.04) and others == [None] * 5
     rng = np.random.default_rng(2)
@@ -109,7 +109,7 @@ def test_the_bound_is_that_of_the_data_alone_and_open_where_they_are_silent() ->
 
 
 def test_information_is_what_the_posterior_has_beyond_the_prior() -> None:
-    information = told(({"C_af": 1.0, "C_ar": -0.5}, 0.04), ({"sigma_r": 1.0}, 0.3))
+    information = information_on(({"C_af": 1.0, "C_ar": -0.5}, 0.04), ({"sigma_r": 1.0}, 0.3))
     posterior: Array = np.asarray(np.linalg.inv(np.diag(PRIOR_6**-2) + information), np.float64)
     np.testing.assert_allclose(advice.information_of(posterior, PRIOR_6), information, atol=1e-8)
     # A covariance that drifted a little beyond the prior tells nothing, not less than nothing.
@@ -169,8 +169,8 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> tuple[Array,
     for row in rows:
         k, kind, place = int(row[0]), int(row[2]), int(row[3])
         body = place if kind == YAW_RATE else place // 2
-        seen = Observation(kind, place, 0.0, SPEED, ticks[k, 2 + body])
-        row[4] = rng.normal(0, row[5]) + predict_measurement(x[k], seen, point, setup, unused)
+        observation = Observation(kind, place, 0.0, SPEED, ticks[k, 2 + body])
+        row[4] = rng.normal(0, row[5]) + predict_measurement(x[k], observation, point, setup, unused)
     return ticks, rows
 
 
@@ -186,10 +186,10 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
         errors.append(e[0])
         variances.append(s[0])
     white = ((np.array(errors[1:]) - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
-    spread = ((np.array(variances[1:]) - variances[0]) / nudges[:, None] / variances[0]).T
+    relative = ((np.array(variances[1:]) - variances[0]) / nudges[:, None] / variances[0]).T
     score = -white.T @ (errors[0] / np.sqrt(variances[0]))
-    score += 0.5 * spread.T @ (errors[0] ** 2 / variances[0] - 1.0)
-    information = white.T @ white + 0.5 * spread.T @ spread
+    score += 0.5 * relative.T @ (errors[0] ** 2 / variances[0] - 1.0)
+    information = white.T @ white + 0.5 * relative.T @ relative
     believed = np.random.default_rng(1000 + seed).normal(0, SD[known])
     total = information + np.diag(SD[known] ** -2.0)
     found = np.linalg.solve(total, score + believed / SD[known] ** 2)
@@ -222,8 +222,8 @@ def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
 def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag(np.array([0.05, 0.05, 0.45, 0.05, 0.05, 0.1]) ** 2)
-    said = advice.advise(MACHINE, MEAN, covariance, SPEED)
-    start, _, offer = said.partition("; ")
+    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    start, _, offer = advice_text.partition("; ")
     assert start == "C_ai is not determined: -59 … +142 % (95 %)"
     assert offer.startswith("10 s of ") and offer.endswith(" % (95 %)")
     brought = re.search(r"would bring it to ±(\d+) %", offer)
@@ -236,18 +236,20 @@ def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> Non
     assert 95 * best < after < 25
 
 
-def test_where_nothing_is_open_the_least_known_is_named_and_nothing_is_asked_for_in_vain() -> None:
+def test_if_all_is_determined_the_least_known_is_named_without_a_manoeuvre() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2
-    said = advice.advise(MACHINE, MEAN, covariance, SPEED)
-    assert said == "C_af is known least: ±2.0 % (95 %); no 10 s of steering at this speed would help much"
+    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    assert (
+        advice_text == "C_af is known least: ±2.0 % (95 %); no 10 s of steering at this speed would help much"
+    )
     assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5) == "nothing can be learned below 1.5 m/s"
     assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED).startswith(
         "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "
     )
 
 
-def test_nobody_is_asked_to_swerve_at_speed() -> None:
+def test_no_sharp_manoeuvre_at_speed() -> None:
     assert len(advice.gentle(MACHINE, 4.5)) == len(advice.CANDIDATES)
     assert max(c.degrees for c in advice.gentle(MACHINE, 8.0)) == 5.0
     assert advice.gentle(MACHINE, 12.0) == ()
@@ -273,7 +275,7 @@ def test_an_estimate_of_six_alone_is_taken_with_the_nuisances_of_the_machine_fil
     assert covariance[AT["rolling"], AT["rolling"]] == pytest.approx(SD[AT["rolling"]] ** 2)
 
 
-def test_a_running_advisor_works_out_one_candidate_at_a_time_and_goes_on_from_plain_data() -> None:
+def test_a_running_advisor_computes_one_candidate_at_a_time_and_continues_from_json() -> None:
     covariance = np.diag(SD**2)
     state = Advisor()
     texts = []
@@ -281,7 +283,7 @@ def test_a_running_advisor_works_out_one_candidate_at_a_time_and_goes_on_from_pl
         texts.append(advice.renew(state, MACHINE, MEAN, covariance, SPEED, 1 + k * 1_000_000_000))
         assert len(state.table) == k // 10 + 1
     assert len(set(texts[:10])) == 1 and "chirp" in texts[-1]
-    again = from_plain(Advisor, to_plain(state))
+    again = from_json_data(Advisor, to_json_data(state))
     later = 1 + 40 * 1_000_000_000
     assert advice.renew(again, MACHINE, MEAN, covariance, SPEED, later) == advice.renew(
         state, MACHINE, MEAN, covariance, SPEED, later

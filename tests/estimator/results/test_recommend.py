@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tilth.estimator.results.recommend import BEGINS, ENDS, RECOMMENDED, SINCE_CHANGE, disagreement, recommend
+from tilth.estimator.results.recommend import (
+    AGREE_BELOW,
+    DISAGREE_ABOVE,
+    RECOMMENDED,
+    SINCE_CHANGE,
+    disagreement,
+    recommend,
+)
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 
 SIX = (220e3, 430e3, 100e3, 1.3, 1.6, 1.0)
@@ -32,14 +39,14 @@ def estimate(
         for v, s in zip(SIX, six, strict=True)
     )
     covariance = tuple((np.eye(6) * sd**2).ravel().tolist())
-    told = {} if change is None else {SINCE_CHANGE: change}
-    return Estimate(5, method, "m", parameters, covariance, (), excitation=told)
+    text = {} if change is None else {SINCE_CHANGE: change}
+    return Estimate(5, method, "m", parameters, covariance, (), excitation=text)
 
 
 THREE = (E, E, E, U, U, U)
 CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
     ("pem first", (estimate("steady_state", THREE), estimate("tracker"), estimate("pem")), "pem", "first of"),
-    ("nobody", (estimate("steady_state", U), estimate("pem", U)), "pem", "no method gives"),
+    ("none", (estimate("steady_state", U), estimate("pem", U)), "pem", "no method gives"),
     (
         "pem has nothing yet",
         (estimate("steady_state", THREE), estimate("pem", U)),
@@ -66,9 +73,9 @@ def by_method(*estimates: Estimate) -> Mapping[str, Estimate]:
 def test_the_rule(case: str, given: tuple[Estimate, ...], chosen: str, rule: str) -> None:
     for order in (given, given[::-1]):
         best = recommend(by_method(*order), 7)
-        wanted = next(e for e in given if e.method == chosen)
-        assert best.log_covariance == wanted.log_covariance
-        assert [p.status for p in best.parameters] == [p.status for p in wanted.parameters]
+        expected = next(e for e in given if e.method == chosen)
+        assert best.log_covariance == expected.log_covariance
+        assert [p.status for p in best.parameters] == [p.status for p in expected.parameters]
         assert rule in best.rule
         assert chosen in best.rule or "no method" in best.rule
         assert (best.method, best.t_ns) == (RECOMMENDED, 7)
@@ -103,16 +110,16 @@ def apart(squared: float, count: int, sd: float = 0.05) -> float:
 def test_a_disagreement_begins_late_and_ends_later() -> None:
     pem = estimate("pem")
     for share, before, found in (
-        (0.99 * BEGINS[3], False, False),
-        (1.01 * BEGINS[3], False, True),
-        (0.99 * BEGINS[3], True, True),
-        (1.01 * ENDS[3], True, True),
-        (0.99 * ENDS[3], True, False),
+        (0.99 * DISAGREE_ABOVE[3], False, False),
+        (1.01 * DISAGREE_ABOVE[3], False, True),
+        (0.99 * DISAGREE_ABOVE[3], True, True),
+        (1.01 * AGREE_BELOW[3], True, True),
+        (0.99 * AGREE_BELOW[3], True, False),
     ):
         steady = estimate("steady_state", THREE, off=apart(share, 3))
-        told = disagreement(by_method(pem, steady), before)
-        assert bool(told) == found
-        assert not found or ("pem and steady_state" in told and "over 3 parameters" in told)
+        text = disagreement(by_method(pem, steady), before)
+        assert bool(text) == found
+        assert not found or ("pem and steady_state" in text and "over 3 parameters" in text)
 
 
 def test_where_methods_disagree_the_one_that_claims_less_is_recommended() -> None:

@@ -40,8 +40,8 @@ def test_a_missing_bus_is_said_once_and_tried_again_with_back_off(talker: can.Bu
     assert waits == pytest.approx([0.5, 1.0, 2.0, 4.0, 5.0, 5.0], abs=0.11)
     talker.send(data_frame())
     listening.until_frames(1)
-    said = [event for event in listening.events if "gone" in event]
-    assert len(said) == 1 and "nosuchcan0" in said[0] and "; " in said[0]
+    messages = [event for event in listening.events if "gone" in event]
+    assert len(messages) == 1 and "nosuchcan0" in messages[0] and "; " in messages[0]
     listening.buses.close()
 
 
@@ -298,9 +298,9 @@ def test_a_failure_shorter_than_a_status_period_is_an_event_and_a_count_in_every
     talker.send(data_frame())
     listening.until_frames(1)
     for failure in (1, 2, 3):
-        said = len([text for text in listening.events if "it is tried again" in text])
+        output = len([text for text in listening.events if "it is tried again" in text])
         before = bus_status(live, listening.clock.t_ns())
-        assert (before.state, before.failures) == ("open", failure - 1) and said == failure - 1
+        assert (before.state, before.failures) == ("open", failure - 1) and output == failure - 1
         assert isinstance(live.connection.port, LibraryPort)
         live.connection.port.bus.shutdown()  # reading it raises from now on
         listening.until(lambda: live.state == "failed")

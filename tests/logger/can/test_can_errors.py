@@ -9,6 +9,7 @@ from tilth.logger.can.can_errors import (
     HEALTHY_NS,
     STATES,
     UNKNOWN,
+    ControllerState,
     Error,
     Health,
     errors_of,
@@ -31,9 +32,9 @@ def test_each_row_is_told_by_its_frame(row: Error) -> None:
     health = Health()
     health.hear(S, *frame_of(row))
     assert row.name in [found.name for found in errors_of(*frame_of(row))]
-    assert health.counts[row.name] == 1 and health.state == (row.state or "active")
+    assert health.counts[row.name] == 1 and health.state == (row.state or ControllerState.ACTIVE)
     assert any(text.startswith(row.words) and "(1 times, 1 in all)" in text for text in health.news(S, False))
-    assert (health.problem != "") == (row.state not in ("", "active"))
+    assert (health.problem != "") == (row.state not in (None, ControllerState.ACTIVE))
 
 
 def test_a_frame_may_tell_several_things_or_none_that_is_known() -> None:
@@ -45,12 +46,12 @@ def test_a_frame_may_tell_several_things_or_none_that_is_known() -> None:
 
 def test_a_flood_of_errors_is_told_once_in_ten_seconds_with_its_count() -> None:
     health = Health()
-    said = []
+    messages = []
     for tick in range(4 * 25):  # four looks a second, ten errors between two
         for _ in range(10):
             health.hear(tick * S // 4, 0x80, bytes(8))
-        said += health.news(tick * S // 4, traffic=True)
-    assert [text.rpartition("(")[2] for text in said] == [
+        messages += health.news(tick * S // 4, traffic=True)
+    assert [text.rpartition("(")[2] for text in messages] == [
         "10 times, 10 in all)", "400 times, 410 in all)", "400 times, 810 in all)"
     ]  # fmt: skip
     assert AGAIN_NS == 10 * S
@@ -76,8 +77,8 @@ def test_who_knows_is_believed() -> None:
     for number, state in enumerate(STATES[:4]):
         health.set_state(number * S, state)
         assert health.state == state
-    health.set_state(5 * S, "stopped")  # the interface is down: that is told otherwise
-    assert health.state == "bus_off"
-    health.set_state(6 * S, "active")
-    health.set_state(7 * S, "active")
+    health.set_state(5 * S, ControllerState.STOPPED)  # the interface is down: that is told otherwise
+    assert health.state is ControllerState.BUS_OFF
+    health.set_state(6 * S, ControllerState.ACTIVE)
+    health.set_state(7 * S, ControllerState.ACTIVE)
     assert health.counts == {"warning": 1, "passive": 1, "bus_off": 1, "recovered": 1}

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common
 from tilth.logger.can.bus_opening import check_interface, open_port
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.mavlink_bus import MavlinkBus
-from tilth.logger.can.port import KERNEL
+from tilth.logger.can.port import StampedBy
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
@@ -136,7 +136,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
     words = [sys.executable, "-c", AUTOPILOT, str(way.port)]
     autopilot = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     until(lambda: autopilot.poll() is not None, turn)
-    asked, others = map(int, autopilot.communicate()[0].split())
+    requested, others = map(int, autopilot.communicate()[0].split())
     assert live.connection.port is not None
     wanted = [frame for i, frame in enumerate(numbered(COUNT)) if i not in way.dropped]
     until(lambda: len(frames) == len(wanted), turn)
@@ -144,7 +144,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
         (f.can_id, f.extended, f.data) for f in wanted
     ]
     assert all(0 <= frame.t_ns - frame.rx_ns < 1_000_000_000 for frame in frames)
-    assert live.traffic.stamp == KERNEL
+    assert live.traffic.stamp is StampedBy.KERNEL
     until(
         lambda: live.connection.port is not None and live.connection.port.lost() >= len(way.dropped) - 1, turn
     )
@@ -152,7 +152,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
         0,
         1,
     )  # the last may be one
-    assert asked >= 2 and others == 0  # asked again and again, and nothing else
+    assert requested >= 2 and others == 0  # asked again and again, and nothing else
     buses.watch(Clock().t_ns() + 2_000_000_000)
     assert any("messages of the autopilot lost on the way" in text for text in events)
     assert live.traffic.lost == live.connection.port.lost()
@@ -204,12 +204,12 @@ def test_rubbish_is_passed_over_and_flags_are_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("channel", "options", "told"),
+    ("channel", "options", "expected"),
     [
         ("can0", {}, "give udpout:HOST:PORT"),
         ("udpin:127.0.0.1:14550", {"can_bus": 0}, "can_bus = 0"),
     ],
 )
-def test_a_wrong_channel_is_told(channel: str, options: dict[str, int], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_wrong_channel_is_told(channel: str, options: dict[str, int], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
         MavlinkBus(channel, **options)

@@ -44,7 +44,7 @@ class Adapter:
     def say(self, text: bytes) -> None:
         assert os.write(self.master, text) == len(text)
 
-    def heard(self) -> bytes:
+    def received(self) -> bytes:
         text = b""
         with contextlib.suppress(OSError):  # nothing more, or the other end is closed
             while True:
@@ -87,9 +87,9 @@ def line(adapter: Adapter) -> Iterator[Open]:
 
 
 def test_it_is_told_its_rate_and_to_listen_only(adapter: Adapter, line: Open) -> None:
-    assert adapter.heard().endswith(b"C\rS5\rL\r")
+    assert adapter.received().endswith(b"C\rS5\rL\r")
     line.port.ask(line.clock.t_ns())
-    assert adapter.heard() == b"F\r"
+    assert adapter.received() == b"F\r"
 
 
 def test_each_kind_of_line(adapter: Adapter, line: Open) -> None:
@@ -216,7 +216,7 @@ def test_pulled_and_plugged_in_again_it_is_opened_again(adapter: Adapter) -> Non
     until(lambda: len(frames) == 2, lambda: _more(buses, frames))
     buses.close()
     assert (
-        adapter.heard().replace(b"F\r", b"").endswith(b"C\rS5\rL\rC\r")
+        adapter.received().replace(b"F\r", b"").endswith(b"C\rS5\rL\rC\r")
     )  # told again what it forgot; closed at the end
     assert live.outages.failures == 1 and live.connection.opened == 2
     assert any("works again after" in text and "(failure 1, opening 2)" in text for text in events)

@@ -218,10 +218,10 @@ def test_an_adapter_that_does_not_stamp_every_frame_is_not_trusted_with_any() ->
     ]
     port = SocketCanPort(Scripted(rows), clock, tally, CONFIG)  # type: ignore[arg-type]
     frames: list[Frame] = []
-    said = []
+    messages = []
     while port.take(frames, 1):
-        said.append(port.stamp)
-    assert said == ["adapter"] * 3 + ["kernel"] * 2
+        messages.append(port.stamp)
+    assert messages == ["adapter"] * 3 + ["kernel"] * 2
     assert [f.rx_ns - t_ns for f in frames] == pytest.approx([0, 10_000, 12_000, 30_000, 40_000], abs=1500)
 
 

@@ -19,7 +19,7 @@ from loopback import free_port, machine_text, rig, udp_bus
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
 from tilth.logger.checks.check import check
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, CheckFinding
+from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import Clock, Relation
 from tilth.logger.machine_file import read_machine
 from tilth.replay.discover import BusSurvey
@@ -93,15 +93,15 @@ def test_a_zenoh_port_that_is_taken_is_worth_a_note_and_a_wrong_one_is_a_problem
     port = int(machine.zenoh.listen[0].rpartition(":")[2])
     with socket.create_server(("127.0.0.1", port)):
         taken = of(check(machine, tmp_path, SECONDS), "zenoh")
-    assert taken.state == NOTE and str(port) in taken.text
+    assert taken.state == Level.NOTE and str(port) in taken.text
     wrong = machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update={"listen": ["nonsense"]})})
-    assert of(check(wrong, tmp_path, SECONDS), "zenoh").state == PROBLEM
-    assert of(check(machine, tmp_path, SECONDS), "zenoh").state == OK
+    assert of(check(wrong, tmp_path, SECONDS), "zenoh").state == Level.PROBLEM
+    assert of(check(machine, tmp_path, SECONDS), "zenoh").state == Level.OK
     wide = machine.model_copy(
         update={"zenoh": machine.zenoh.model_copy(update={"listen": [f"udp/0.0.0.0:{free_port()}"]})}
     )
     found = of(check(wide, tmp_path, SECONDS), "zenoh")
-    assert found.state == NOTE and "anybody on that network could read and answer" in found.text
+    assert found.state == Level.NOTE and "anybody on that network could read and answer" in found.text
 
 
 @pytest.mark.usefixtures("talking")
@@ -117,7 +117,7 @@ def test_a_configuration_that_is_open_to_everybody_is_a_problem_until_it_is_said
     words = f"open to everybody on this network: it listens on {listen['endpoints'][0]} without keys"
 
     file.write_text(text)
-    assert of(check(read_machine(file)[0], tmp_path, SECONDS), "zenoh").state == PROBLEM
+    assert of(check(read_machine(file)[0], tmp_path, SECONDS), "zenoh").state == Level.PROBLEM
     assert main(["check", str(file), "--seconds", str(SECONDS)]) == 1
     assert words in " ".join(capsys.readouterr().out.split())
     assert main(["run", str(file), "--seconds", "0.1"]) == 2
@@ -126,7 +126,7 @@ def test_a_configuration_that_is_open_to_everybody_is_a_problem_until_it_is_said
 
     file.write_text(text.replace("config =", "open = true\nconfig ="))
     found = of(check(read_machine(file)[0], tmp_path, SECONDS), "zenoh")
-    assert found.state == NOTE and words in found.text and "may read, mark and speak" in found.text
+    assert found.state == Level.NOTE and words in found.text and "may read, mark and speak" in found.text
 
 
 class OddClock(Clock):
@@ -142,9 +142,9 @@ class OddClock(Clock):
 @pytest.mark.parametrize(
     ("ahead_s", "state", "words"),
     [
-        (0.0, OK, "UTC"),
-        (-1.7e9, PROBLEM, "cannot be; set the clock"),  # no battery: it starts in 1970
-        (5.0, PROBLEM, "set anew while this check ran"),
+        (0.0, Level.OK, "UTC"),
+        (-1.7e9, Level.PROBLEM, "cannot be; set the clock"),  # no battery: it starts in 1970
+        (5.0, Level.PROBLEM, "set anew while this check ran"),
     ],
 )
 @pytest.mark.usefixtures("talking")

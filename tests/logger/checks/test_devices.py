@@ -7,7 +7,7 @@ import pytest
 from logs import MACHINE_TEXT
 
 from tilth.logger.checks.devices import Devices
-from tilth.logger.checks.finding import NOTE, OK, PROBLEM, WARNING, CheckFinding
+from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.schemas.can_id import join, split
 from tilth.schemas.decode import claim
 from tilth.schemas.flow import Frame, Mount
@@ -25,7 +25,7 @@ def frames() -> list[Frame]:
     return list(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False)))
 
 
-def heard(frames: Iterable[Frame], *edits: tuple[str, str]) -> dict[str, CheckFinding]:
+def findings_of(frames: Iterable[Frame], *edits: tuple[str, str]) -> dict[str, CheckFinding]:
     """What is found with the machine file after these edits; by what it is of, the last of several."""
     text = MACHINE_TEXT
     for old, new in edits:
@@ -43,50 +43,50 @@ def address_of(frames: list[Frame], name: str) -> int:
 
 
 def test_where_all_are_there_nothing_is_said(frames: list[Frame]) -> None:
-    found = heard(frames)
-    assert {finding.state for finding in found.values()} == {OK}
+    found = findings_of(frames)
+    assert {finding.state for finding in found.values()} == {Level.OK}
     assert set(found) == {f"receiver {mount}" for mount in Mount} | {"wheel angle"}
 
 
 def test_another_manufacturer_than_the_file_says(frames: list[Frame]) -> None:
     source = address_of(frames, "C07891000B002711")
     given = f"source = {source}\nmanufacturer = 275"
-    one = heard(frames, ('name = "C07891000B002711"', given))["receiver implement_front"]
-    assert one.state == PROBLEM
+    one = findings_of(frames, ('name = "C07891000B002711"', given))["receiver implement_front"]
+    assert one.state == Level.PROBLEM
     assert f"address {source} is Hemisphere" in one.text and "(88), the file says 275" in one.text
     assert (
-        heard(frames, ('name = "C07891000B002711"', given.replace("275", "88")))[
+        findings_of(frames, ('name = "C07891000B002711"', given.replace("275", "88")))[
             "receiver implement_front"
         ].state
-        == OK
+        == Level.OK
     )
 
 
 def test_a_name_that_nobody_has_and_who_may_be_meant(frames: list[Frame]) -> None:
-    found = heard(frames, ("A00017000421E240", "A00017000421E24F"))
+    found = findings_of(frames, ("A00017000421E240", "A00017000421E24F"))
     one = found["receiver tractor_front"]
-    assert one.state == WARNING and "NAME A00017000421E24F is not heard" in one.text
+    assert one.state == Level.WARNING and "NAME A00017000421E24F is not heard" in one.text
     assert "NAME A00017000421E240" in one.text and "John Deere (33)" in one.text
-    assert found["other receiver"].state == NOTE and "A00017000421E240" in found["other receiver"].text
+    assert found["other receiver"].state == Level.NOTE and "A00017000421E240" in found["other receiver"].text
 
 
 def test_an_address_that_is_silent(frames: list[Frame]) -> None:
-    one = heard(frames, ('name = "A00017000421E240"', "source = 250"))["receiver tractor_front"]
-    assert one.state == WARNING and "address 250 is not heard" in one.text
+    one = findings_of(frames, ('name = "A00017000421E240"', "source = 250"))["receiver tractor_front"]
+    assert one.state == Level.WARNING and "address 250 is not heard" in one.text
     assert "positions come from address" in one.text and "A00017000421E240" in one.text
 
 
 def test_one_that_sends_no_positions_yet() -> None:
     faults = (Fault(Mount.IMPLEMENT_REAR, 0.0, 99.0, "not_available"),)
-    found = heard(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, faults=faults)))
+    found = findings_of(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, faults=faults)))
     one = found["receiver implement_rear"]
-    assert one.state == WARNING and "positions without a value" in one.text
+    assert one.state == Level.WARNING and "positions without a value" in one.text
 
 
 def test_without_claims_it_says_what_to_do() -> None:
-    found = heard(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, claims=False)))
+    found = findings_of(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, claims=False)))
     one = found["receiver tractor_front"]
-    assert one.state == WARNING and "claim their address when they are switched on" in one.text
+    assert one.state == Level.WARNING and "claim their address when they are switched on" in one.text
 
 
 def test_a_receiver_on_another_bus(frames: list[Frame]) -> None:
@@ -94,29 +94,29 @@ def test_a_receiver_on_another_bus(frames: list[Frame]) -> None:
     edits = (second, second + second.replace('name = "can0"', 'name = "can1"'))
     source = address_of(frames, "C07891000B002712")
     moved = [replace(f, bus="can1") if f.extended and split(f.can_id).source == source else f for f in frames]
-    one = heard(moved, edits)["receiver implement_rear"]
-    assert one.state == PROBLEM and "is heard on can1; correct its bus" in one.text
+    one = findings_of(moved, edits)["receiver implement_rear"]
+    assert one.state == Level.PROBLEM and "is heard on can1; correct its bus" in one.text
 
 
 def test_a_manufacturer_that_only_its_own_messages_tell(frames: list[Frame]) -> None:
     """Without a claim: the first bytes of NMEA 2000's proprietary messages."""
     source = address_of(frames, "C07891000B002711")
     silent = [f for f in frames if not f.extended or split(f.can_id).pgn != 60928]
-    own = bytes([0xE0, 20, *(HEMISPHERE | 0b10011 << 11).to_bytes(2, "little"), 1, 2, 3, 4])
-    told = replace(silent[0], can_id=join(6, 130820, source), extended=True, data=own)
+    ours = bytes([0xE0, 20, *(HEMISPHERE | 0b10011 << 11).to_bytes(2, "little"), 1, 2, 3, 4])
+    result = replace(silent[0], can_id=join(6, 130820, source), extended=True, data=ours)
     given = f"source = {source}\nmanufacturer = 275"
-    one = heard([told, *silent], ('name = "C07891000B002711"', given))["receiver implement_front"]
-    assert one.state == PROBLEM and f"address {source} is Hemisphere" in one.text
-    nobody = heard(silent, ('name = "C07891000B002711"', given))["receiver implement_front"]
-    assert nobody.state == OK, "where nothing tells whose it is, the file is believed"
+    one = findings_of([result, *silent], ('name = "C07891000B002711"', given))["receiver implement_front"]
+    assert one.state == Level.PROBLEM and f"address {source} is Hemisphere" in one.text
+    nobody = findings_of(silent, ('name = "C07891000B002711"', given))["receiver implement_front"]
+    assert nobody.state == Level.OK, "where nothing tells whose it is, the file is believed"
 
 
 def test_the_wheel_angle(frames: list[Frame]) -> None:
-    one = heard(frames, ("0x18FF0B15", "0x18FF0B25"))["wheel angle"]
-    assert one.state == WARNING
+    one = findings_of(frames, ("0x18FF0B15", "0x18FF0B25"))["wheel angle"]
+    assert one.state == Level.WARNING
     assert one.text == "no frame 0x18FF0B25 is heard on can0; the nearest that are heard: 0x18FF0B15 on can0"
-    rudder = heard(frames, ("id = 0x18FF0B15", "pgn = 127245\nsource = 21"))["wheel angle"]
-    assert rudder.state == WARNING and "no frame PGN 127245 from address 21 is heard" in rudder.text
+    rudder = findings_of(frames, ("id = 0x18FF0B15", "pgn = 127245\nsource = 21"))["wheel angle"]
+    assert rudder.state == Level.WARNING and "no frame PGN 127245 from address 21 is heard" in rudder.text
     mute = [replace(f, data=b"\x7f\xff") if f.can_id == 0x18FF0B15 else f for f in frames]
-    none = heard(mute)["wheel angle"]
-    assert none.state == WARNING and "none with an angle" in none.text
+    none = findings_of(mute)["wheel angle"]
+    assert none.state == Level.WARNING and "none with an angle" in none.text

@@ -30,9 +30,9 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, int]]:
         processes.append((seed, subprocess.Popen(words, stdout=subprocess.PIPE, text=True)))
     found = []
     for seed, process in processes:
-        said, _ = process.communicate()
+        output, _ = process.communicate()
         assert process.returncode == 0
-        rows = (map(int, line.split()) for line in said.splitlines())
+        rows = (map(int, line.split()) for line in output.splitlines())
         found += [(top / str(seed) / f"{number:03d}", given) for number, given in rows]
     assert len(found) == KILLS
     return found
@@ -91,9 +91,9 @@ def test_another_reader_finds_the_same_in_what_was_recovered(
     assert finish(tmp_path / "hole.mcap").unreadable_bytes > 0
     paths.append(tmp_path / "hole.mcap")
     words = ["node", "second_reader.mjs", *map(str, paths)]
-    said = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    for path, line in zip(paths, said.splitlines(), strict=True):
-        told = json.loads(line)
+    result = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    for path, line in zip(paths, result.splitlines(), strict=True):
+        output = json.loads(line)
         with messages(path) as rows:
-            assert told["topics"] == Counter(channel.topic for channel, _ in rows)
-            assert told["said"] == len(rows)
+            assert output["topics"] == Counter(channel.topic for channel, _ in rows)
+            assert output["said"] == len(rows)

@@ -16,7 +16,7 @@ from paths import SUPPORT
 
 from tilth.logger.log.run_log import FLUSH_NS
 from tilth.logger.log.runs import stored_runs
-from tilth.logger.status import hours_left
+from tilth.logger.status import recording_hours
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -31,23 +31,25 @@ def on_a_small_disk(job: str, folder: Path) -> dict[str, Any]:
     if "unshare:" in done.stderr or "mount:" in done.stderr:
         pytest.skip(f"this computer lets nobody mount a small disk: {done.stderr.strip()}")
     assert done.returncode == 0, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    output: dict[str, Any] = json.loads(done.stdout)
+    return output
 
 
 def test_a_full_disk_stops_the_recording_alone_and_it_resumes(tmp_path: Path) -> None:
-    told = on_a_small_disk("resumes", tmp_path)
-    assert told["said"].startswith("not recording: ") and "disk" in told["said"]
-    assert not told["recording while full"] and told["folded"] == 12_000
-    assert told["first"] and told["last"]  # what had been written before, and all after there was room
-    assert told["in the files"] == told["recorded"] == 12_000 - told["missed"] and told["missed"] >= 2000
-    assert "recording again" in told["events"][-1]
+    result = on_a_small_disk("resumes", tmp_path)
+    assert result["said"].startswith("not recording: ") and "disk" in result["said"]
+    assert not result["recording while full"] and result["folded"] == 12_000
+    assert result["first"] and result["last"]  # what had been written before, and all after there was room
+    assert (
+        result["in the files"] == result["recorded"] == 12_000 - result["missed"] and result["missed"] >= 2000
+    )
+    assert "recording again" in result["events"][-1]
 
 
 def test_room_is_made_of_runs_that_are_copied_off_and_not_kept(tmp_path: Path) -> None:
-    told = on_a_small_disk("makes room", tmp_path)
-    assert told["left"] == ["20260101", "20260102"]
-    deleted = [event for event in told["events"] if "deleted to make room: 3 MB" in event]
+    result = on_a_small_disk("makes room", tmp_path)
+    assert result["left"] == ["20260101", "20260102"]
+    deleted = [event for event in result["events"] if "deleted to make room: 3 MB" in event]
     assert ["20260103" in deleted[0], "20260104" in deleted[1], len(deleted)] == [True, True, 2]
 
 
@@ -134,16 +136,16 @@ def test_a_run_ends_with_the_ignition_and_the_next_frame_begins_another(tmp_path
         before == [one] and logged_frames(one) == run.taken[:2000] and logged_frames(two) == run.taken[2000:]
     )
     assert len(records_of(two, "/snapshot", pb.Snapshot)) == 1  # it replays alone
-    assert [kept.text for kept in records_of(two, "/event", pb.Event)] == ["can0: silent"]
+    assert [retained.text for retained in records_of(two, "/event", pb.Event)] == ["can0: silent"]
     assert len(stored_runs(tmp_path)) == 2
 
 
 def test_hours_left_are_those_at_the_rate_of_recording(tmp_path: Path) -> None:
     run = Recorder(tmp_path)
-    assert run.recording.bytes_per_s is None and hours_left(144e6) == 1.0
+    assert run.recording.bytes_per_s is None and recording_hours(144e6) == 1.0
     for frame in run.from_now(numbered(25_000)):
         run.take(frame)
     rate = run.recording.bytes_per_s
     run.recording.close()
     assert rate == pytest.approx(run.recording.files[0].stat().st_size / 25.0, rel=0.2)
-    assert rate is not None and hours_left(rate * 7200.0, rate) == pytest.approx(2.0)
+    assert rate is not None and recording_hours(rate * 7200.0, rate) == pytest.approx(2.0)

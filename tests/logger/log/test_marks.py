@@ -13,7 +13,7 @@ import zenoh
 from loopback import PATIENCE_S, free_port, machine_text, records_of, rig, session, udp_bus, until
 
 from tilth.cli import main
-from tilth.logger.clock import HEARD
+from tilth.logger.clock import LEAST_TIMES
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.log.recovery import finish
@@ -80,12 +80,12 @@ def test_a_mark_tells_utc_where_the_computer_woke_in_1970(
     with turning(daemon):
         assert main(["mark", "too early", "--machine", str(path)]) == 0
         assert "at a time that is not known yet, marked: too early" in capsys.readouterr().out
-        for k in range(HEARD):
+        for k in range(LEAST_TIMES):
             t_ns = daemon.parts.clock.t_ns()
             daemon.parts.clock.add_gnss_time(t_ns + k, t_ns + k + behind_ns)
         assert main(["mark", "a stone", "--machine", str(path)]) == 0
-        said = capsys.readouterr().out.split()[0]
-    told_ns = calendar.timegm(time.strptime(said, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000
+        output = capsys.readouterr().out.split()[0]
+    told_ns = calendar.timegm(time.strptime(output, "%Y-%m-%dT%H:%M:%SZ")) * 1_000_000_000
     assert -1_000_000_000 <= told_ns - truth_ns < 120_000_000_000
 
 
@@ -94,18 +94,18 @@ def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
 ) -> None:
     sink = daemon.parts.outlets.sink
     assert sink is not None
-    heard: list[str] = []
+    received: list[str] = []
     with session(sink.endpoints) as other:
         events = KEY.replace("mark", "event")
-        with other.declare_subscriber(events, lambda sample: heard.append(text_of(sample))):
+        with other.declare_subscriber(events, lambda sample: received.append(text_of(sample))):
             (reply,) = ask(other, KEY, "nasse Senke, Spur 3")
             assert reply.ok is not None
             event = pb.Event.FromString(reply.ok.payload.to_bytes())
             assert (event.kind, event.text) == ("mark", "nasse Senke, Spur 3")
             assert str(reply.ok.encoding) == "application/protobuf;tilth.Event"
             assert noted(tmp_path / "logs", tmp_path) == ["nasse Senke, Spur 3"]
-            until(lambda: bool(heard), lambda: None)
-        assert heard == ["nasse Senke, Spur 3"]
+            until(lambda: bool(received), lambda: None)
+        assert received == ["nasse Senke, Spur 3"]
 
 
 REFUSED = {

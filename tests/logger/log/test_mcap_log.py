@@ -26,7 +26,7 @@ from tilth.logger.clock import NEWEST_NS, OLDEST_NS, Clock, Relation
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log import run_files
 from tilth.logger.log.disk import Disk, Spool
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
@@ -75,21 +75,21 @@ def test_a_log_explains_itself(tmp_path: Path, machine: tuple[Machine, str]) -> 
     writer.frame(numbered(1)[0])
     writer.publications([Publication(START_NS, "/event", Event(START_NS, "mark", "here"))])
     writer.snapshot(START_NS, "{}")
-    writer.clocks(Clock(), "start")
+    writer.clocks(Clock(), ClockReason.START)
     writer.close()
     with path.open("rb") as stream:
         reader = make_reader(stream)
-        seen = {}
+        observed = {}
         for schema, channel, message in reader.iter_messages():
             assert schema is not None and schema.encoding == channel.message_encoding == "protobuf"
             pool = descriptor_pool.DescriptorPool()
             for file in FileDescriptorSet.FromString(schema.data).file:
                 pool.Add(file)
             kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-            seen[channel.topic] = str(kind.FromString(message.data))
+            observed[channel.topic] = str(kind.FromString(message.data))
         records = {record.name: record.metadata for record in reader.iter_metadata()}
-    assert set(seen) == {"/can/can0", "/event", "/snapshot"}
-    assert "here" in seen["/event"]
+    assert set(observed) == {"/can/can0", "/event", "/snapshot"}
+    assert "here" in observed["/event"]
     assert records["machine"]["toml"] == machine[1]
     assert records["run"] == {"id": "run", "part": "1", "started_utc": "2026-09-21T14:13:20Z"}
     assert records["clock"]["why"] == "start" and int(records["clock"]["realtime_ns"]) > 0
@@ -216,8 +216,8 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(tmp_path: 
     for frame in frames[4000:]:
         run.take(frame)
     run.recording.close()
-    said = ["again" if "recording again" in event else "not" for event in run.events]
-    assert said and said == ["not", "again"] * (len(said) // 2)
+    texts = ["again" if "recording again" in event else "not" for event in run.events]
+    assert texts and texts == ["not", "again"] * (len(texts) // 2)
     *_, last = run.recording.files
     assert len(records_of(last, "/snapshot", pb.Snapshot)) == 1
     tail = logged_frames(last)

@@ -62,10 +62,12 @@ def test_a_cut_at_any_byte_leaves_a_file_that_can_be_finished(
         assert frames == ROWS[: len(frames)] and done.messages == len(frames)
         chunks = sum(end <= size for end in ends)
         assert len(chunk_ends(path.read_bytes())) == chunks
-        kept = path.read_bytes()[:size]
+        retained = path.read_bytes()[:size]
         # Only the head of the cut record, less than a head, or half an index has been written over.
-        same = next((i for i, (a, b) in enumerate(zip(kept, content[:size], strict=False)) if a != b), size)
-        assert kept[same + HEAD.size :] == content[same + HEAD.size : size] or same >= ends[-1] or (
+        same = next(
+            (i for i, (a, b) in enumerate(zip(retained, content[:size], strict=False)) if a != b), size
+        )
+        assert retained[same + HEAD.size :] == content[same + HEAD.size : size] or same >= ends[-1] or (
             size - same < HEAD.size
         )  # fmt: skip
         again = finish(path)

@@ -12,11 +12,11 @@ from logs import MACHINE, MACHINE_TEXT, chunk_ends, some_frames, write_mcap
 from loopback import numbered, rig, udp_bus
 
 from tilth.cli import main
-from tilth.logger.clock import HEARD, Clock
+from tilth.logger.clock import LEAST_TIMES, Clock
 from tilth.logger.log import offload
-from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.run_log import Recording
-from tilth.logger.log.runs import DAY_NS, Beside, Copied, StoredRun, may_go, stored_runs, unused_name
+from tilth.logger.log.runs import DAY_NS, Copied, Sidecar, StoredRun, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -56,19 +56,19 @@ def test_only_what_is_copied_or_expired_and_not_kept_may_go(case: str, tmp_path:
     (keep, copied, known, days), expected = MAY[case]
     paths = [part(tmp_path, 1), part(tmp_path, 2)]
     run = only(tmp_path)
-    run.note(Beside(keep, [], {p.name: Copied(p.stat().st_size, "", "x") for p in paths[:copied]}))
+    run.write_sidecar(Sidecar(keep, [], {p.name: Copied(p.stat().st_size, "", "x") for p in paths[:copied]}))
     assert may_go(run, NOW_NS if known else None, days) == expected
 
 
 def test_what_cannot_be_understood_is_never_deleted(tmp_path: Path) -> None:
     path = part(tmp_path)
     run = only(tmp_path)
-    run.note(Beside(False, [], {path.name: Copied(path.stat().st_size - 1, "", "x")}))
+    run.write_sidecar(Sidecar(False, [], {path.name: Copied(path.stat().st_size - 1, "", "x")}))
     assert not may_go(run, NOW_NS, None)  # it has changed since
-    run.beside_path.write_text("{half a")
+    run.sidecar_path.write_text("{half a")
     assert not may_go(run, NOW_NS, 1.0)
     with pytest.raises(ValueError, match="mend or remove it"):
-        run.beside()
+        run.sidecar()
 
 
 def test_names_of_somebodys_own_are_runs_of_unknown_time(tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
     for number in (1, 2):
         path = folder / f"{NAME}_{number:03d}.mcap"
         writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns, "clay, dry"))
-        writer.clocks(clock, "start" if number == 1 else "new file")
+        writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
         for i, row in enumerate(rows[3000 * (number - 1) : 3000 * number], 3000 * (number - 1)):
             writer.frame(row)
             if i % 100 == 0 and not 1500 < i < 2700:
@@ -172,7 +172,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
             mark = Event(rows[2999].t_ns, "mark", "stone")
             writer.message("/event", mark.t_ns, CHANNEL["/event"].encode(mark))
             clock.offset_ns -= 5_000_000_000
-            writer.clocks(clock, "step")
+            writer.clocks(clock, ClockReason.STEP)
         writer.close()
         paths.append(path)
     return paths
@@ -183,20 +183,20 @@ def test_a_log_is_read_whole_and_what_is_missing_is_said(
 ) -> None:
     paths = drive(tmp_path / "logs", lost_rear=True)
     assert main(["verify", *map(str, paths)]) == 1
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in (
         "6000 at 1000.2/s, no gap", "tractor front", "1 gap: 1.2 s at 2026-09-21T14:13:21Z", "never heard",
         "dropped on can0: 3", "set by +5.0", "not confirmed by any receiver", "mark: stone", "clay, dry",
     ):  # fmt: skip
-        assert words in said, (words, said)
+        assert words in output, (words, output)
     (found,) = survey(paths)
-    assert found.heard["/gnss/tractor_rear"].count == 0 and found.heard["/can/can0"].count == 6000
+    assert found.coverage["/gnss/tractor_rear"].count == 0 and found.coverage["/can/can0"].count == 6000
     assert found.wrong == [] and found.steps_s == [pytest.approx(5.0, abs=0.1)] and found.backwards == 0
     assert main(["verify", "--json", str(paths[1]), str(paths[0])]) == 1  # the wrong way round
-    told = json.loads(capsys.readouterr().out)
-    assert any("part 1 after part 2; give each once and in order" in what for what in told[0]["wrong"])
-    assert any("what was before it is not here" in what for what in told[0]["wrong"])
-    assert told[0]["backwards"] == 1
+    fields = json.loads(capsys.readouterr().out)
+    assert any("part 1 after part 2; give each once and in order" in what for what in fields[0]["wrong"])
+    assert any("what was before it is not here" in what for what in fields[0]["wrong"])
+    assert fields[0]["backwards"] == 1
 
 
 def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,8 +208,8 @@ def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     first.write_bytes(content)
     second.write_bytes(second.read_bytes()[:-100])
     assert main(["verify", str(first), str(second)]) == 1
-    said = capsys.readouterr().out
-    assert "chunks that cannot be read (1)" in said and "tilth recover` finishes it" in said
+    output = capsys.readouterr().out
+    assert "chunks that cannot be read (1)" in output and "tilth recover` finishes it" in output
     assert main(["recover", str(first), str(second)]) == 0
     assert main(["verify", str(second)]) == 1
     assert "part 2 comes first" in capsys.readouterr().out.splitlines()[-2]
@@ -260,13 +260,13 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     folder = tmp_path / "logs"
     machine, text = rig(folder, udp_bus("can0", 1))
     clock = Clock()
-    recording = Recording(folder, machine, text, clock, lambda *said: None, lambda: "{}")
+    recording = Recording(folder, machine, text, clock, lambda *output: None, lambda: "{}")
     assert recording.files[0].name.startswith("jd7930-parker500_19700101T0000")
     t_ns = clock.t_ns()
     for number, frame in enumerate(numbered(4000, t_ns)):
         recording.frame(frame)
         if number == 2000:
-            for k in range(HEARD):
+            for k in range(LEAST_TIMES):
                 clock.add_gnss_time(frame.t_ns + k, frame.t_ns + k + behind_ns)
         if number % 400 == 0:
             recording.tick(frame.t_ns)
@@ -275,7 +275,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     assert len(names) == 2 and all(unused_name(folder, "x", truth_ns)[2:10] in name for name in names)
     monkeypatch.undo()
     (found,) = survey(sorted(folder.glob("*.mcap")))
-    assert found.good and found.heard["/can/can0"].count == 4000 and found.by_gnss
+    assert found.good and found.coverage["/can/can0"].count == 4000 and found.by_gnss
     assert abs(found.first_ns + found.utc_minus_ns - truth_ns) < 5_000_000_000
     assert main(["logs", str(folder), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)

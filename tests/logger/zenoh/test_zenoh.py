@@ -37,7 +37,7 @@ def sink(machine: Machine) -> Iterator[ZenohSink]:
     one.close()
 
 
-def heard(queue: "SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
+def next_sample(queue: "SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
     return queue.get(timeout=PATIENCE_S)
 
 
@@ -54,10 +54,10 @@ def test_a_controller_hears_each_estimate_and_can_ask_for_the_last(sink: ZenohSi
         for value in (1.0, 2.0):
             sink.put("/soil_tire", payload(estimate(value)))
         for value in (1.0, 2.0):
-            sample = heard(samples)
-            told = pb.SoilTireEstimate.FromString(sample.payload.to_bytes())
-            assert [row.name for row in told.parameters] == list(PARAMETERS)
-            assert told.parameters[0].value == value
+            sample = next_sample(samples)
+            result = pb.SoilTireEstimate.FromString(sample.payload.to_bytes())
+            assert [row.name for row in result.parameters] == list(PARAMETERS)
+            assert result.parameters[0].value == value
             assert str(sample.encoding) == "application/protobuf;tilth.SoilTireEstimate"
         last, encoding = answers(other, f"{BASE}/soil_tire")[f"{BASE}/soil_tire"]
         assert last == payload(estimate(2.0)) and encoding == "application/protobuf;tilth.SoilTireEstimate"
@@ -74,7 +74,7 @@ def test_every_channel_with_a_key_is_published_and_answers(sink: ZenohSink) -> N
         for channel in CHANNELS:  # one by one: who is slower than its sender loses some
             sink.put(channel.topic, channel.topic.encode())
             if channel in KEYED:
-                sample = heard(samples)
+                sample = next_sample(samples)
                 got[str(sample.key_expr)] = (sample.payload.to_bytes(), str(sample.encoding))
         assert got == wanted and answers(other, f"{BASE}/**") == wanted
         assert samples.empty()  # nothing of the channels without a key
@@ -106,9 +106,9 @@ def test_a_token_says_that_the_daemon_lives(machine: Machine) -> None:
     with session(sink.endpoints) as other:
         tokens: SimpleQueue[zenoh.Sample] = SimpleQueue()
         watch = other.liveliness().declare_subscriber(f"{BASE}/alive", tokens.put, history=True)
-        assert heard(tokens).kind == zenoh.SampleKind.PUT
+        assert next_sample(tokens).kind == zenoh.SampleKind.PUT
         sink.close()
-        assert heard(tokens).kind == zenoh.SampleKind.DELETE
+        assert next_sample(tokens).kind == zenoh.SampleKind.DELETE
         watch.undeclare()
 
 
@@ -149,16 +149,16 @@ def problems(machine: Machine, folder: Path) -> list[str]:
 def test_what_is_wrong_with_zenoh_stays_in_the_status(machine: Machine, tmp_path: Path) -> None:
     assert problems(machine, tmp_path) == []
     first = ZenohSink(machine)
-    (said,) = problems(machine, tmp_path)
-    assert "is taken by another program" in said and "both publish the same keys" in said
+    (output,) = problems(machine, tmp_path)
+    assert "is taken by another program" in output and "both publish the same keys" in output
     first.failures = 3
     assert "3 values could not be published" in first.problem
     first.close()
     endpoint = f"unixsock-stream/{tmp_path}/no/folder/socket"
     nowhere = machine.model_copy(update={"zenoh": machine.zenoh.model_copy(update={"listen": [endpoint]})})
-    (said,) = problems(nowhere, tmp_path)
-    assert "nothing is published" in said and endpoint.partition("/")[2] in said
-    assert "correct [zenoh]" in said and " at /" not in said and ".rs" not in said
+    (output,) = problems(nowhere, tmp_path)
+    assert "nothing is published" in output and endpoint.partition("/")[2] in output
+    assert "correct [zenoh]" in output and " at /" not in output and ".rs" not in output
 
 
 @pytest.mark.parametrize(
@@ -240,8 +240,8 @@ def test_a_configuration_that_lets_in_everybody_is_used_only_where_that_is_said_
             zenoh.ZError, match=rf"open to everybody on this network: it listens on .*:{port} without"
         ):
             refused(once)
-    said = refusal(once)
-    assert "foreign.json5 makes it open to everybody" in said and "[zenoh] open = true" in said
+    output = refusal(once)
+    assert "foreign.json5 makes it open to everybody" in output and "[zenoh] open = true" in output
     for twice in (with_zenoh(config=str(path), open=True), with_zenoh(listen=listen["endpoints"], open=True)):
         assert refusal(twice) == ""
         opened, listening, note = open_session(twice)

@@ -156,8 +156,8 @@ def test_a_text_log_cut_in_its_last_line(cut: int, tmp_path: Path) -> None:
     found, log = drained(path)
     lines = -(-cut // 42)
     bytes_lost = cut > 1 if lines == 1 else cut - 42 > 1
-    kept = 3 - lines + (not bytes_lost)
-    assert len(found) == kept
+    retained = 3 - lines + (not bytes_lost)
+    assert len(found) == retained
     assert all(frame.data == bytes.fromhex("0011223344556677") for frame in found)
     assert log.truncated == (bytes_lost and cut % 42 != 0)
 

@@ -38,7 +38,7 @@ def test_arrays_hold_what_was_written(tmp_path: Path) -> None:
 def test_interpreted_it_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = some_frames(60)
     path = write_mcap(tmp_path / "x.mcap", frames)
-    monkeypatch.setattr(arrays, "_take", arrays._take.plain())
+    monkeypatch.setattr(arrays, "_take", arrays._take.interpreted())
     assert list(each(read_frames(path))) == frames
 
 

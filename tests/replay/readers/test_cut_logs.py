@@ -38,9 +38,9 @@ def test_cut_anywhere_what_is_there_is_read(
     path = tmp_path_factory.getbasetemp() / f"cut{name.replace(' ', '')}"
     plain, _, _ = read(path, content[:cut])
     assert plain == wanted[: len(plain)]
-    filled, said, _ = read(path, content[:cut] + bytes(zeros))
+    filled, output, _ = read(path, content[:cut] + bytes(zeros))
     assert filled == wanted[: len(filled)] and len(filled) >= len(plain) - 1
-    assert said
+    assert output
 
 
 @pytest.mark.parametrize("name", [*CUT, *WRITTEN[:4]])
@@ -53,10 +53,10 @@ def test_gzip_cut_or_damaged_anywhere_gives_what_is_there_and_says_it(
     packed = gzip.compress(content, mtime=0)
     at = 1 + drawn % (len(packed) - 1)
     path = tmp_path_factory.getbasetemp() / f"gz{name.replace(' ', '')}"
-    found, said, _ = read(path, packed[:at])
-    assert said and found == wanted[: len(found)]
-    damaged, said, _ = read(path, packed[:at] + b"\xff\x00\xff\x00" * 30)
-    assert said and (
+    found, output, _ = read(path, packed[:at])
+    assert output and found == wanted[: len(found)]
+    damaged, output, _ = read(path, packed[:at] + b"\xff\x00\xff\x00" * 30)
+    assert output and (
         name == "blf" or damaged[: max(0, len(found) - 1)] == found[:-1]
     )  # it packs many into one
     assert read(path, packed)[:2] == (wanted, False)
@@ -156,8 +156,8 @@ def test_any_year_gives_a_frame_or_a_reason(year: int, tmp_path: Path) -> None:
     assert len(found) + sum(log.skipped.values()) == 2
     assert set(log.skipped) <= {"negative_time_stamp", "time_stamp_after_2262"}
     for f in found:
-        told = datetime.fromtimestamp(f.t_ns // SECOND, UTC)
-        assert abs(told.year - year) <= 1
+        result = datetime.fromtimestamp(f.t_ns // SECOND, UTC)
+        assert abs(result.year - year) <= 1
         write_mcap(tmp_path / f"{f.t_ns}.mcap", [f])
     texts = {
         "asc": f"date Sat Jan 01 00:00:00.000 {year:04d}\nbase hex  timestamps absolute\n"
@@ -167,5 +167,5 @@ def test_any_year_gives_a_frame_or_a_reason(year: int, tmp_path: Path) -> None:
     for suffix, written in texts.items():
         path = tmp_path / f"x.{suffix}"
         path.write_text(written)
-        found, said, counted = read(path, path.read_bytes())
-        assert said or len(found) + sum(counted.values()) >= 1
+        found, output, counted = read(path, path.read_bytes())
+        assert output or len(found) + sum(counted.values()) >= 1

@@ -107,7 +107,7 @@ def test_what_explains_an_error_frame_is_no_line(tmp_path: Path) -> None:
 # What others write
 
 
-def told() -> list[tuple[int, int, int, bytes]]:
+def frames_of_text() -> list[tuple[int, int, int, bytes]]:
     """(PGN, source, SID, payload), one of them a fast packet."""
     found = []
     for i in range(9):
@@ -136,11 +136,11 @@ def test_what_nmea2000_writes(form: N2KFormat, tmp_path: Path) -> None:
     encoder = ENCODER_CLASSES[form]()
     lines: list[str] = []
     wanted: list[tuple[int, bytes]] = []
-    for pgn, source, _, payload in told():
+    for pgn, source, _, payload in frames_of_text():
         octets = ",".join(f"{octet:02x}" for octet in payload)
-        said = decoder.decode(f"2020-01-01T00:00:00.000Z,3,{pgn},{source},255,{len(payload)},{octets}")
-        assert said is not None
-        written = encoder.encode(said)
+        decoded = decoder.decode(f"2020-01-01T00:00:00.000Z,3,{pgn},{source},255,{len(payload)},{octets}")
+        assert decoded is not None
+        written = encoder.encode(decoded)
         lines += [written] if isinstance(written, str) else [str(line) for line in written]
         wanted.append((can_id.join(3, pgn, source), payload))
     path = tmp_path / "x.txt"
@@ -212,8 +212,8 @@ def test_a_log_without_stamps_goes_through_every_command(
     path = tmp_path / "x.txt"
     path.write_text(PLAIN_CANDUMP * 200)
     assert main([words[0], str(path), *words[1:]]) == 0
-    told = capsys.readouterr()
-    assert "Traceback" not in told.err
-    assert words[0] == "discover" or "no time stamps" in told.err
+    frames_of_text = capsys.readouterr()
+    assert "Traceback" not in frames_of_text.err
+    assert words[0] == "discover" or "no time stamps" in frames_of_text.err
     if words[0] == "replay":
-        assert json.loads(told.out)["poses"] == 0
+        assert json.loads(frames_of_text.out)["poses"] == 0

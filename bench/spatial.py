@@ -1,0 +1,64 @@
+"""How many seconds does the spatial plant simulate in one?
+
+    python bench/spatial.py [--seconds N]
+
+Beside it the planar plant on the same drive, which has no bodies in space to solve.
+"""
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable
+from importlib import resources
+
+from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Spatial
+from tilth.simulator.simulate import PACKAGED
+from tilth.simulator.spatial.engine import NotInstalled, check_installed
+from tilth.simulator.tractor import drive
+
+ROUNDS = 3
+STEERING = DrivenManoeuvre("random", 6.0)
+CASES = {
+    "planar": Scenario(steering=STEERING),
+    "spatial, even ground": Scenario(plant="spatial", steering=STEERING),
+    "spatial, 1 cm": Scenario(plant="spatial", steering=STEERING, ground=Ground(rms=0.01)),
+    "spatial, 1 cm, 1 ms": Scenario(
+        plant="spatial", steering=STEERING, ground=Ground(rms=0.01), spatial=Spatial(step=0.001)
+    ),
+}
+
+
+def best(way: Callable[[], object]) -> float:
+    """Seconds, the least of ROUNDS."""
+    times = []
+    for _ in range(ROUNDS):
+        start = time.perf_counter()
+        way()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def rate(machine: Machine, scenario: Scenario, seconds: float) -> float:
+    """Simulated seconds in one."""
+    drive(machine, 1, seconds, scenario)  # compiled from here on
+    return seconds / best(lambda: drive(machine, 1, seconds, scenario))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Speed of the virtual tractor in space.")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of driving")
+    args = parser.parse_args()
+    try:
+        check_installed()
+    except NotInstalled as error:
+        raise SystemExit(str(error)) from None
+    machine = parse_machine(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
+    print(f"{os.cpu_count()} cores, Python {platform.python_version()}, {args.seconds:.0f} s of driving")
+    for name, scenario in CASES.items():
+        print(f"{name:22} {rate(machine, scenario, args.seconds):7.0f} times real time")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,229 @@
+"""Forces of ground and drive on the six tyres, computed at each step and applied to the engine's bodies.
+
+A tyre is a thin disc. It meets the ground in its own plane, straight below its centre; its radial spring and
+damper push along the ground's normal and never pull. Side force, drive and rolling resistance lie in the
+ground's plane at the contact. World: x north, y east, z down; a height is positive upwards.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import kernel
+from tilth.simulator.spatial.height_field import HeightField, height
+from tilth.simulator.spatial.tyre import (
+    CURVES,
+    RELAXATIONS,
+    carcass_damping,
+    lag_length,
+    lagged,
+    left_for_side,
+    side_force,
+    stiffness_at,
+)
+from tilth.simulator.spatial.vehicle import RADIUS, WHEELS, Vehicle, static_loads, wheel_places
+
+Array = NDArray[np.float64]
+
+TOLD: Final = ("load", "along", "across", "slip", "deflection", "elevation", "camber", "power")
+"""Of each tyre: N; N; N; rad; m; m; rad, leaning right of the ground's normal; W, done on the bodies."""
+GOVERNOR: Final = (60e3, 60e3)  # N s/m and N/m: proportional, integral; assumed: a transmission's
+DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
+ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
+
+
+class TyreSet(NamedTuple):
+    """Constants of the six tyres for the kernel; arrays of shape (6,) unless said."""
+
+    body: NDArray[np.int64]  # the engine's
+    place: Array  # (6, 3), of the wheel's centre from that body's origin, m
+    radius: Array  # without load, m
+    stiffness: Array
+    damping: Array
+    static: Array  # load at rest on level ground, N
+    driven: Array  # share of the drive force
+    curve: int
+    string: bool
+    exponent: float
+    camber: float
+    grip: float
+    rolling: float
+    combined: bool
+    ackermann: float  # half the front track over the wheelbase, times its share
+
+
+def tyres_of(vehicle: Vehicle) -> TyreSet:
+    """TyreSet whose springs, at rest on level ground, hold both CGs at their heights."""
+    m = vehicle.masses
+    place = wheel_places(vehicle)
+    place[:2] -= [m.a, 0.0, m.h_t - vehicle.pin_height]  # the front ones turn with the beam
+    static = np.repeat(static_loads(vehicle), 2) / 2
+    stiffness = np.repeat(vehicle.stiffness, 2)
+    front = vehicle.front_drive / 2
+    return TyreSet(
+        np.array([2, 2, 1, 1, 3, 3]),
+        place,
+        np.repeat(RADIUS, 2) + static / stiffness,
+        stiffness,
+        np.repeat(vehicle.damping, 2),
+        static,
+        np.array([front, front, 0.5 - front, 0.5 - front, 0.0, 0.0]),
+        CURVES.index(vehicle.tyre),
+        vehicle.relaxation == RELAXATIONS[1],
+        vehicle.load_exponent,
+        vehicle.camber_thrust,
+        vehicle.grip,
+        vehicle.rolling,
+        vehicle.combined,
+        vehicle.ackermann * vehicle.track[0] / 2 / (m.a + m.b),
+    )
+
+
+@kernel
+def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+    long = math.sqrt(x * x + y * y + z * z)
+    return x / long, y / long, z / long
+
+
+@kernel
+def _cross(one: tuple[float, float, float], two: tuple[float, float, float]) -> tuple[float, float, float]:
+    return (
+        one[1] * two[2] - one[2] * two[1],
+        one[2] * two[0] - one[0] * two[2],
+        one[0] * two[1] - one[1] * two[0],
+    )
+
+
+@kernel
+def _dot(one: tuple[float, float, float], two: tuple[float, float, float]) -> float:
+    return one[0] * two[0] + one[1] * two[1] + one[2] * two[2]
+
+
+@kernel
+def _turned(turn: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
+    """turn: a body's axes as columns, shape (9,), row by row."""
+    return (
+        turn[0] * v[0] + turn[1] * v[1] + turn[2] * v[2],
+        turn[3] * v[0] + turn[4] * v[1] + turn[5] * v[2],
+        turn[6] * v[0] + turn[7] * v[1] + turn[8] * v[2],
+    )
+
+
+@kernel
+def tyre_on_ground(
+    k: int, tyres: TyreSet, soil: Array, drive: float, slip: float, along: float, across: float, load: float,
+    camber: float, step: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """(force along the wheel, force across it to the right, N; tan of the lagged slip after the step).
+
+    along, across: m/s of the contact. soil: shape (6,), as PARAMETERS, of the axles.
+    """
+    length, cornering = soil[3 + k // 2], 0.5 * soil[k // 2]
+    limit = tyres.grip * load
+    driven = tyres.driven[k] * drive
+    pushed = driven - tyres.rolling * load * math.tanh(along / ROLLING_SPEED)
+    stiffness = stiffness_at(cornering, load, tyres.static[k], tyres.exponent)
+    lag = lag_length(tyres.string, length, tyres.curve, math.atan(slip), stiffness, limit)
+    after = lagged(slip, along, across, lag, step)
+    alpha = math.atan(0.5 * (slip + after))  # amid the step: the force is not late by half of it
+    side = side_force(tyres.curve, alpha, stiffness, limit) + tyres.camber * load * math.sin(camber)
+    if tyres.combined:
+        side *= left_for_side(driven, limit)
+    if load > 0.0:
+        side -= carcass_damping(cornering, length, along) * across
+    return pushed, side, after
+
+
+@kernel
+def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float:
+    """Of a body along its own x axis, m/s. Arguments as those of plant.moved."""
+    arm = (place[0] - root[0], place[1] - root[1], place[2] - root[2])
+    spin = _cross((twist[0], twist[1], twist[2]), arm)
+    velocity = (twist[3] + spin[0], twist[4] + spin[1], twist[5] + spin[2])
+    return _dot(velocity, (turn[0], turn[3], turn[6]))
+
+
+@kernel
+def govern(wanted: float, forward: float, drive: Array, step: float) -> None:
+    """Drive force towards a speed, m/s. drive: N, and the integral of the speed that was missing, m."""
+    error = wanted - forward
+    missing = drive[1] + error * step
+    asked = GOVERNOR[0] * error + GOVERNOR[1] * missing
+    drive[0] = min(max(asked, -DRIVE_LIMIT), DRIVE_LIMIT)
+    if asked == drive[0]:
+        drive[1] = missing
+
+
+@kernel
+def steering_angles(tyres: TyreSet, mean: float) -> tuple[float, float]:
+    """Angles of the left and right front wheel, rad, whose cotangents' mean is that of `mean`."""
+    tangent = math.tan(mean)
+    skew = tyres.ackermann * tangent
+    return math.atan(tangent / (1.0 + skew)), math.atan(tangent / (1.0 - skew))
+
+
+@kernel
+def apply_forces(
+    field: HeightField, tyres: TyreSet, soil: Array, delta: float, wanted: float, step: float,
+    xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
+    slip: Array, drive: Array, xfrc: Array, told: Array,
+) -> None:  # fmt: skip
+    """Fill xfrc, shape (4, 6), N and N m about each body's xipos, and told, shape (6, len(TOLD)); slip, shape
+    (6,), and drive, shape (2,), go on by a step.
+
+    xpos, xmat, xipos, cvel, com: MuJoCo's places, axes, CGs and velocities of its bodies, and the points that
+    the velocities are of. delta: mean angle of the front wheels, rad. wanted: speed, m/s.
+    """
+    xfrc[:, :] = 0.0
+    angles = steering_angles(tyres, delta)
+    root = com[1]
+    govern(wanted, forward_speed(xpos[1], xmat[1], cvel[1], root), drive, step)
+    for k in range(6):
+        b = tyres.body[k]
+        turn = xmat[b]
+        place = _turned(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
+        hub = (xpos[b, 0] + place[0], xpos[b, 1] + place[1], xpos[b, 2] + place[2])
+        delta = angles[k] if k < 2 else 0.0
+        axis = _turned(turn, (-math.sin(delta), math.cos(delta), 0.0))
+        radius = tyres.radius[k]
+        reach = (turn[2] * radius, turn[5] * radius, turn[8] * radius)  # below, along the body's z
+        up, north, east = height(field, hub[0] + reach[0], hub[1] + reach[1])
+        down = _unit(north, east, 1.0)  # the ground's normal
+        ahead = _cross(axis, down)
+        ahead = _unit(ahead[0], ahead[1], ahead[2])
+        right = _cross(down, ahead)
+        below = _cross(ahead, axis)
+        # The ground near by is a plane: where the disc's plane meets it, along `below`.
+        short = north * reach[0] + east * reach[1] + reach[2] - (hub[2] + reach[2] + up)
+        far = short / (north * below[0] + east * below[1] + below[2])
+        contact = (hub[0] + far * below[0], hub[1] + far * below[1], hub[2] + far * below[2])
+        arm = (contact[0] - root[0], contact[1] - root[1], contact[2] - root[2])
+        spun = _cross((cvel[b, 0], cvel[b, 1], cvel[b, 2]), arm)
+        moving = (cvel[b, 3] + spun[0], cvel[b, 4] + spun[1], cvel[b, 5] + spun[2])
+        deflection = radius - far
+        load = 0.0
+        if deflection > 0.0:
+            load = max(tyres.stiffness[k] * deflection + tyres.damping[k] * _dot(moving, down), 0.0)
+        camber = math.asin(_dot(axis, down))
+        pushed, side, slip[k] = tyre_on_ground(
+            k, tyres, soil, drive[0], slip[k], _dot(moving, ahead), _dot(moving, right), load, camber, step
+        )
+        if load <= 0.0:
+            pushed = 0.0
+        force = (
+            pushed * ahead[0] + side * right[0] - load * down[0],
+            pushed * ahead[1] + side * right[1] - load * down[1],
+            pushed * ahead[2] + side * right[2] - load * down[2],
+        )
+        lever = (contact[0] - xipos[b, 0], contact[1] - xipos[b, 1], contact[2] - xipos[b, 2])
+        moment = _cross(lever, force)
+        for i in range(3):
+            xfrc[b, i] += force[i]
+            xfrc[b, 3 + i] += moment[i]
+        told[k, 0], told[k, 1], told[k, 2], told[k, 3] = load, pushed, side, math.atan(slip[k])
+        told[k, 4], told[k, 5], told[k, 6], told[k, 7] = deflection, up, camber, _dot(force, moving)
+
+
+assert len(WHEELS) == 6

@@ -1,0 +1,57 @@
+"""A scenario on the spatial plant, from what is drawn to what was true. simulator/tractor.py calls it."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.simulator import noise
+from tilth.simulator.noise import generator
+from tilth.simulator.pilots import HOLD, Driver
+from tilth.simulator.scenario import STEP_S
+from tilth.simulator.spatial.height_field import height_field
+from tilth.simulator.spatial.plant import AT, Space, placed, run
+from tilth.simulator.spatial.vehicle import Masses, Vehicle, vehicle_of
+from tilth.simulator.tractor import BodyTrack, Setting, Truth
+
+Array = NDArray[np.float64]
+
+
+def vehicle_in(setting: Setting) -> Vehicle:
+    """The rig of a run in space, drawn where the scenario says so."""
+    masses = Masses(*(getattr(setting.rig, name) for name in Masses._fields))
+    return vehicle_of(masses, setting.scenario, generator(setting.seed, noise.SPATIAL))
+
+
+def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], None] | None) -> Truth:
+    """Raises NotInstalled."""
+    scenario, vehicle = setting.scenario, vehicle_in(setting)
+    ground = height_field(scenario.ground, vehicle.rms, generator(setting.seed, noise.GROUND))
+    step = STEP_S / math.ceil(STEP_S / scenario.spatial.step - 1e-9)
+    start = driver.start()
+    plant = placed(vehicle, ground, step, float(start[2]), setting.soil.theta)
+    act = driver.actuator
+    valve = None if act is None else (act.gain / act.inertia, act.damping / act.inertia)
+    motion = run(plant, start, driver, valve, setting.soil.at, len(setting.time), HOLD, progress)
+    front, rear, implement = vehicle.track
+    rig = setting.rig._replace(
+        w_f=front,
+        w_r=rear,
+        w_i=implement,
+        h_h=vehicle.hitch_height,
+        load_exponent=vehicle.load_exponent,
+        front_drive=vehicle.front_drive,
+        **dict.fromkeys(("grip_f", "grip_r", "grip_i"), vehicle.grip),
+    )
+    tractor, cart = (_track(motion.bodies[:, k]) for k in range(2))
+    return Truth(
+        setting.seed, scenario, setting.parameters, rig.geometry, setting.nuisances, setting.time,
+        motion.states[:, -2], tractor, cart, rig, motion.soil, motion.states, Space(vehicle, motion),
+    )  # fmt: skip
+
+
+def _track(rows: Array) -> BodyTrack:
+    """One body's, of plant.MOVED, shape (n, len(MOVED))."""
+    names = ("north", "east", "heading", "forward", "right", "yaw_rate", "roll", "pitch", "gyro_z")
+    return BodyTrack(*(np.ascontiguousarray(rows[:, AT[name]]) for name in names))

@@ -1,0 +1,55 @@
+"""What the rig in space is made of: as told, nominal or drawn."""
+
+import numpy as np
+import pytest
+
+from tilth.schemas.axle_loads import axle_loads
+from tilth.simulator.scenario import Scenario, Spatial, parse_scenario
+from tilth.simulator.spatial import vehicle as v
+
+RIG = v.Masses(1.7, 1.2, 2.1, 3.62, 0.1, 9391.0, 2127.0, 35709.0, 6402.0, 1.1, 1.2)
+
+
+def made(spatial: Spatial, seed: int = 1) -> v.Vehicle:
+    return v.vehicle_of(RIG, Scenario(plant="spatial", spatial=spatial), np.random.default_rng(seed))
+
+
+def test_nothing_told_is_nominal() -> None:
+    one = made(Spatial())
+    assert (one.stiffness, one.pin_height, one.track) == (v.STIFFNESS, 0.75, v.TRACK)
+    assert (one.tyre, one.relaxation, one.camber_thrust, one.rms) == ("exponential", "first_order", 0.0, 0.0)
+    assert one == made(Spatial(), seed=2)
+    assert one.grip == Scenario().soil.grip
+
+
+def test_draws_are_of_the_seed_and_within_their_ends() -> None:
+    many = [made(Spatial(draw=True), seed) for seed in range(40)]
+    assert many[3] == made(Spatial(draw=True), 3) != many[4]
+    assert {one.tyre for one in many} == {"exponential", "tanh", "brush", "magic"}
+    assert {one.relaxation for one in many} == {"first_order", "string"}
+    for name in ("pin_height", "hitch_height", "load_exponent", "camber_thrust", "grip", "rms"):
+        low, high = v.DRAWN[name]
+        values = [getattr(one, name) for one in many]
+        assert (
+            low <= min(values) < low + 0.2 * (high - low) and high - 0.2 * (high - low) < max(values) <= high
+        )
+    factors = [one.stiffness[0] / v.STIFFNESS[0] for one in many]
+    assert 0.7 <= min(factors) < 0.9 and 1.3 < max(factors) <= 1.5
+
+
+def test_what_is_told_is_not_drawn_and_changes_no_other_draw() -> None:
+    told = parse_scenario(
+        'plant = "spatial"\nground = { rms = 0.0 }\n[spatial]\ndraw = true\npin_height = 0.3\ntyre = "brush"'
+    )
+    one, other = (
+        v.vehicle_of(RIG, s, np.random.default_rng(5))
+        for s in (told, Scenario(plant="spatial", spatial=Spatial(draw=True)))
+    )
+    assert (one.pin_height, one.tyre, one.rms) == (0.3, "brush", 0.0)
+    assert one._replace(pin_height=other.pin_height, tyre=other.tyre, rms=other.rms) == other
+
+
+def test_static_loads_are_those_of_the_layer_below() -> None:
+    told = axle_loads(*RIG[:7], v.GRAVITY)
+    assert v.static_loads(made(Spatial())) == pytest.approx(told)
+    assert sum(v.static_loads(made(Spatial()))) == pytest.approx(v.GRAVITY * (RIG.m_t + RIG.m_i))
