@@ -42,7 +42,7 @@ for log in sys.argv[1:]:
     cache=log+'.stretches.npy'
     ss=[with_roll(x) for x in collect(log)]
     ts=tracker.initial(machine)
-    for s in ss: tracker.take_stretch(ts,machine,s)
+    for s in ss: tracker.take_segment(ts,machine,s)
     cov=ts.covariance[:6,:6]; sd=np.sqrt(np.diag(cov))*1.3
     e=ts.mean[:6]-t
     print(Path(log).stem, 'tracker', ' '.join(f'{100*(math.exp(x)-1):+4.0f}({abs(x)/s:.1f})' for x,s in zip(e,sd)), 'roll', *( [f'{n}={ts.mean[AT[n]]:+.2f}({math.sqrt(ts.covariance[AT[n],AT[n]]):.2f})' for n in NAMES if n.startswith('roll_')]),flush=True)

@@ -80,13 +80,20 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     body = body_of(obs.kind, obs.place)
     lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
     if obs.kind == VELOCITY:
-        return predict_velocity(x, obs, body, lever, point, setup.rig.h_h, h)
+        return predict_velocity(x, obs, body, lever, point, setup.rig.h_h, setup.heights[obs.place], h)
     return predict_position(x, obs, body, lever, point, setup, h)
 
 
 @kernel
 def predict_velocity(
-    x: Array, obs: Observation, body: int, lever: float, point: Point, drawbar: float, h: Array
+    x: Array,
+    obs: Observation,
+    body: int,
+    lever: float,
+    point: Point,
+    drawbar: float,
+    height: float,
+    h: Array,
 ) -> float:
     """Of a receiver, to the right of psi_ref, m/s. lever: how far it is ahead of its body's CG, m."""
     u, c, d = obs.u, point.geometry[2], point.geometry[3]
@@ -95,15 +102,16 @@ def predict_velocity(
     h[X_V] = cosine
     if body == 0:
         h[X_R] = lever * cosine
-        across = x[X_V] + x[X_R] * lever
+        across = x[X_V] + x[X_R] * lever + height * x[X_ROLL + 2]
+        h[X_ROLL + 2] = height * cosine
         h[X_PSI] = u * cosine - across * sine
         return float(u * sine + across * cosine)
     across = x[X_V] - c * x[X_R] + drawbar * x[X_ROLL + 2]
-    h[X_ROLL + 2], h[X_ROLL + 3] = drawbar * cosine, -drawbar
+    h[X_ROLL + 2], h[X_ROLL + 3] = drawbar * cosine, height - drawbar
     h[X_R] = -c * cosine
     h[X_R + 1] = lever - d
     h[X_PSI] = u * cosine - across * sine
-    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1] - drawbar * x[X_ROLL + 3])
+    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1] + (height - drawbar) * x[X_ROLL + 3])
 
 
 @kernel
@@ -116,6 +124,8 @@ def predict_position(
     aside = setup.levers[obs.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
     if body == 1:
         aside += point.unknowns[AT_ASIDE]
+    height = setup.heights[obs.place]
+    aside += height * (x[X_ROLL + body] + x[X_SLOPE + body] / GRAVITY)
     psi = x[X_PSI + body]
     sine, cosine = math.sin(psi), math.cos(psi)
     sine_t, cosine_t = math.sin(x[X_PSI]), math.cos(x[X_PSI])
@@ -130,6 +140,8 @@ def predict_position(
         if body == 1:
             h[X_PSI] = hitch * sine_t
         h[X_ROLL], h[X_ROLL + 1] = -drawbar * sine_t, drawbar * sine
+        h[X_ROLL + body] -= height * sine
+        h[X_SLOPE + body] = -height * sine / GRAVITY
         return float(
             x[X_POSITION] - hitch * cosine_t + ahead * cosine - aside * sine - sway_t * sine_t + sway_i * sine
         )
@@ -139,9 +151,15 @@ def predict_position(
     if body == 1:
         h[X_PSI] = -hitch * cosine_t
     h[X_ROLL], h[X_ROLL + 1] = drawbar * cosine_t, -drawbar * cosine
+    h[X_ROLL + body] += height * cosine
+    h[X_SLOPE + body] = height * cosine / GRAVITY
     return float(
-        x[X_POSITION + 1] - hitch * sine_t + ahead * sine + aside * cosine
-        + sway_t * cosine_t - sway_i * cosine
+        x[X_POSITION + 1]
+        - hitch * sine_t
+        + ahead * sine
+        + aside * cosine
+        + sway_t * cosine_t
+        - sway_i * cosine
     )
 
 

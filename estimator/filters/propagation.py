@@ -203,7 +203,9 @@ def transition_jacobian(
         F_T[j, X_POSITION] = F[X_POSITION, j]
         F_T[j, X_POSITION + 1] = F[X_POSITION + 1, j]
     for i in range(X_PUSH, N_STATES):
-        F[i, i] = F_T[i, i] = push_decay[i - X_PUSH] if i < X_POSITION else (1.0 if i < X_PAIR else PAIR_DECAY)
+        F[i, i] = F_T[i, i] = (
+            push_decay[i - X_PUSH] if i < X_POSITION else (1.0 if i < X_PAIR else PAIR_DECAY)
+        )
 
 
 @kernel
@@ -294,5 +296,12 @@ def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
 def plant_of(theta: Array, rig: Rig, roll: RollModes) -> Plant:
     """The nonlinear model with these parameters."""
     return Plant(
-        theta, rig, np.zeros(N_ROLLING), np.zeros(11), np.zeros((6, 3)), np.zeros(N_ROLLING), roll, roll_work()
+        theta,
+        rig,
+        np.zeros(N_ROLLING),
+        np.zeros(11),
+        np.zeros((6, 3)),
+        np.zeros(N_ROLLING),
+        roll,
+        roll_work(),
     )

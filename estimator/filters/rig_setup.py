@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of, static_loads
 from tilth.estimator.models.rolling import RollModes
+from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ class RigSetup(NamedTuple):
     sds: Array  # (3,), rad: of the wheel angle at a tick, and of the slow heading error of either pair
     rig: Rig
     roll: RollModes
+    heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
     planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
 
 
@@ -57,11 +59,23 @@ def nominal_roll(machine: Machine) -> RollModes:
     return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
 
 
+def _heights(machine: Machine) -> Array:
+    by_mount = {r.mount: 0.0 if r.roll_corrected else r.position[2] for r in machine.receiver}
+    return np.array([by_mount.get(mount, 0.0) for mount in Mount])
+
+
 def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
     """The setup of a machine. planar: False for the relaxation model alone, without nonlinear correction."""
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
     return RigSetup(
-        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine), planar
+        unknowns.base_geometry(machine),
+        levers,
+        middles,
+        sds,
+        rig_of(machine),
+        nominal_roll(machine),
+        _heights(machine),
+        planar,
     )

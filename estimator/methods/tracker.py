@@ -206,7 +206,20 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) 
     state.x = np.zeros(N_TRACKER)
     state.x[:N_STATES] = likelihood.first_state(record, setup)
     pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
-    state.P_xx = np.diag([*np.square(START), *state.push, SLOPE_SD**2, SLOPE_SD**2, UNEVEN_SD**2, UNEVEN_SD**2, START_PLACE**2, START_PLACE**2, *pairs, slow**2])
+    state.P_xx = np.diag(
+        [
+            *np.square(START),
+            *state.push,
+            SLOPE_SD**2,
+            SLOPE_SD**2,
+            UNEVEN_SD**2,
+            UNEVEN_SD**2,
+            START_PLACE**2,
+            START_PLACE**2,
+            *pairs,
+            slow**2,
+        ]
+    )
     state.P_xtheta = np.zeros((N_TRACKER, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
     state.restarts += 1

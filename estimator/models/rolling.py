@@ -122,7 +122,11 @@ def accelerations_rolling(
         - roll.stiffness_t * x[LEAN] + (roll.stiffness_t + 9.81 * rig.m_t * rig.h_t) * w[9] - roll.damping_t * x[LEAN + 2]
     )  # fmt: skip
     M[5, SPEEDS] += (
-        -z * cart_y + rig.h_i * rig.m_i * w[2] + (roll.stiffness_i + 9.81 * rig.m_i * rig.h_i) * w[10] - roll.stiffness_i * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
+        -z * cart_y
+        + rig.h_i * rig.m_i * w[2]
+        + (roll.stiffness_i + 9.81 * rig.m_i * rig.h_i) * w[10]
+        - roll.stiffness_i * x[LEAN + 1]
+        - roll.damping_i * x[LEAN + 3]
     )
     solve(M)
 

@@ -164,7 +164,7 @@ def _interpolate_halves(values: Halves, since_ns: int) -> float:
 
 def _tilt_displacement(span: _Span, receiver: Receiver, since_ns: int) -> tuple[float, float, float]:
     """(forward, right, right per rad of roll): shift of a receiver's reported point by roll and pitch, m."""
-    roll = _interpolate_halves(span.roll, since_ns)
+    roll = 0.0  # a state of the filters
     forward, right = lever(receiver.position, 0.0, receiver.roll_corrected, roll, _at(span.pitch, since_ns))
     height = 0.0 if receiver.roll_corrected else receiver.position[2]
     per_roll = height * math.cos(roll) - receiver.position[1] * math.sin(roll)
@@ -177,11 +177,9 @@ def _velocity_across(
     """(velocity to the right of psi, corrected for roll and pitch; sd that this correction adds), m/s."""
     psi = _at(span.psi, since_ns)
     forward, _, per_roll = _tilt_displacement(span, receiver, since_ns)
-    tilt_velocity = per_roll * _interpolate_halves(span.roll_rate, since_ns) + forward * _at(
-        span.yaw_rate, since_ns
-    )
+    tilt_velocity = forward * _at(span.yaw_rate, since_ns)
     across = east * math.cos(psi) - north * math.sin(psi) - tilt_velocity
-    return across, COLOURED_NOISE_FACTOR * per_roll * span.sd_roll_rate
+    return across, 0.0 * per_roll
 
 
 def _position_upright(
