@@ -42,7 +42,7 @@ ROUNDS = 7
 COLD = """
 import pickle, sys, time
 began = time.perf_counter()
-from tilth.estimator import pem
+from tilth.estimator.methods import pem
 machine, job = pickle.load(open(sys.argv[1], "rb"))
 imported = time.perf_counter()
 pem.fit(machine, job)

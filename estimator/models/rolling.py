@@ -6,7 +6,8 @@ line is what tyres and hitch hold; the CG at height h sways above it, so that th
 m (a_y + h p'). The front axle hangs on a pin at height z_pin, the drawbar is at h_h.
 
 Source: Kane's equations for two rigid bodies with generalised speeds u, v, r_t, r_i, p_t, p_i; small lean.
-States: those of nonlinear.STATES before the actuator's, then phi_t, phi_i (rad), p_t, p_i (rad/s).
+States: those of nonlinear.STATES before the actuator's, then phi_t, phi_i (rad), p_t, p_i (rad/s). Inputs:
+nonlinear.INPUTS, then how far uneven ground turns the wheels of either body about its long axis (rad).
 """
 
 import math
@@ -117,17 +118,13 @@ def accelerations_rolling(
     M[1, SPEEDS] += force_y + cart_ty
     M[2, SPEEDS] += moment_t - rig.c * cart_ty
     M[3, SPEEDS] += moment_i - rig.d * cart_y
-    M[4, SPEEDS] += (
-        z * cart_ty + roll.pin * front_y + rig.h_t * rig.m_t * w[1]
-        - roll.stiffness_t * x[LEAN] + (roll.stiffness_t + 9.81 * rig.m_t * rig.h_t) * w[9] - roll.damping_t * x[LEAN + 2]
-    )  # fmt: skip
-    M[5, SPEEDS] += (
-        -z * cart_y
-        + rig.h_i * rig.m_i * w[2]
-        + (roll.stiffness_i + 9.81 * rig.m_i * rig.h_i) * w[10]
-        - roll.stiffness_i * x[LEAN + 1]
-        - roll.damping_i * x[LEAN + 3]
-    )
+    # The springs hold the lean against the ground under the wheels; gravity takes a part of that off.
+    spring_t = roll.stiffness_t + rig.g * rig.m_t * rig.h_t
+    spring_i = roll.stiffness_i + rig.g * rig.m_i * rig.h_i
+    M[4, SPEEDS] += z * cart_ty + roll.pin * front_y + rig.h_t * rig.m_t * w[1]
+    M[4, SPEEDS] += spring_t * w[9] - roll.stiffness_t * x[LEAN] - roll.damping_t * x[LEAN + 2]
+    M[5, SPEEDS] += -z * cart_y + rig.h_i * rig.m_i * w[2]
+    M[5, SPEEDS] += spring_i * w[10] - roll.stiffness_i * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
     solve(M)
 
 
@@ -142,8 +139,8 @@ def rates_rolling(
     shifts[:] = 0.0
     wheel_forces(planar, w, delta, theta, rig, shifts, forces)
     # Loads go from side to side as the lean presses the tyres: what springs and dampers hold.
-    moment_t = -(roll.stiffness_t + 9.81 * rig.m_t * rig.h_t) * x[LEAN] - roll.damping_t * x[LEAN + 2]
-    moment_i = -(roll.stiffness_i + 9.81 * rig.m_i * rig.h_i) * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
+    moment_t = -(roll.stiffness_t + rig.g * rig.m_t * rig.h_t) * x[LEAN] - roll.damping_t * x[LEAN + 2]
+    moment_i = -(roll.stiffness_i + rig.g * rig.m_i * rig.h_i) * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
     front_y = (forces[0, 1] + forces[1, 1]) * math.sin(delta) + (forces[0, 2] + forces[1, 2]) * math.cos(
         delta
     )
