@@ -20,6 +20,7 @@ import plain_least_squares
 import plain_statsmodels
 from estimation_study import Case, Fitted, Followed
 from numpy.typing import NDArray
+from timing import best
 
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.unknowns import AT, NOISE, SIX
@@ -182,10 +183,10 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     mean, sd = unknowns.prior(machine())
     job = pem.Job(0, 0, record, mean, np.diag(sd**2))
     pem.fit(machine(), job)
-    fit = best(lambda: pem.fit(machine(), job))
+    fit = best(lambda: pem.fit(machine(), job), ROUNDS)
     linear_run = linear_plant.plant(rig_of(machine()), 1, "random", 30.0 * scale)
     own, first = linear_plant.record_of(linear_run), linear_plant.prior(machine())
-    known = best(lambda: likelihood.maximise_posterior(own, linear_plant.setup(machine()), *first))
+    known = best(lambda: likelihood.maximise_posterior(own, linear_plant.setup(machine()), *first), ROUNDS)
     imported, cold = _cold(job)
     rows = [
         ("fit of a window at 50 Hz, all nuisances", f"{1e3 * fit:.0f} ms", "≤ 150 ms", fit <= 0.15, (fit,)),
@@ -194,7 +195,7 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
          cold + imported <= 2.0, (cold, imported)),
     ]  # fmt: skip
     if "tracker" in ROW:
-        update = best(lambda: _track(given)) / (10 * len(given))
+        update = best(lambda: _track(given), ROUNDS) / (10 * len(given))
         rows.append(("tracker, per update of 20 ms", f"{1e6 * update:.1f} µs", "≤ 15 µs", update <= 15e-6,
                      (update,)))  # fmt: skip
     return rows
@@ -205,16 +206,6 @@ def _track(given: list[tuple[Pose, Segment | None]]) -> None:
     state = row.initial(machine())
     for pose, segment in given:
         row.take(state, machine(), pose, segment)
-
-
-def best(way: Callable[[], object]) -> float:
-    """Seconds, the least of ROUNDS."""
-    times = []
-    for _ in range(ROUNDS):
-        began = time.perf_counter()
-        way()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def _cold(job: pem.Job) -> tuple[float, float]:

@@ -11,12 +11,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from timing import best
 
 from tilth.estimator.models import linear_analysis as la
 from tilth.estimator.models import nonlinear
@@ -50,16 +50,6 @@ def main() -> None:
         compare(linear_ways(model))
     compare(nonlinear_ways())
     starts()
-
-
-def best(way: Callable[[], object], rounds: int = ROUNDS) -> float:
-    """Seconds of the quickest round."""
-    times = []
-    for _ in range(rounds):
-        began = time.perf_counter()
-        way()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def compare(ways: dict[str, Callable[[], object]]) -> None:

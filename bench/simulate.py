@@ -11,7 +11,6 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from timing import best
 
 from tilth.estimator.models import nonlinear
 from tilth.schemas.machine import Machine, parse_machine
@@ -30,17 +30,6 @@ from tilth.simulator.traffic import traffic
 SCENARIOS = Path(__file__).resolve().parents[1] / "examples" / "scenarios"
 OUTPUTS = ("demo", "row_autosteer", "side_slope", "soil_change", "field_day")
 REFERENCE_S = 10.0  # of the run that solve_ivp gets
-ROUNDS = 3
-
-
-def best(way: Callable[[], object]) -> float:
-    """Seconds, the least of ROUNDS."""
-    times = []
-    for _ in range(ROUNDS):
-        start = time.perf_counter()
-        way()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def reference(truth: Truth, until_s: float) -> NDArray[np.float64]:

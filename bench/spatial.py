@@ -8,9 +8,9 @@ Beside it the planar plant on the same drive, which has no bodies in space to so
 import argparse
 import os
 import platform
-import time
-from collections.abc import Callable
 from importlib import resources
+
+from timing import best
 
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Spatial
@@ -18,7 +18,6 @@ from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 from tilth.simulator.tractor import drive
 
-ROUNDS = 3
 STEERING = DrivenManoeuvre("random", 6.0)
 CASES = {
     "planar": Scenario(steering=STEERING),
@@ -28,16 +27,6 @@ CASES = {
         plant="spatial", steering=STEERING, ground=Ground(rms=0.01), spatial=Spatial(step=0.001)
     ),
 }
-
-
-def best(way: Callable[[], object]) -> float:
-    """Seconds, the least of ROUNDS."""
-    times = []
-    for _ in range(ROUNDS):
-        start = time.perf_counter()
-        way()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def rate(machine: Machine, scenario: Scenario, seconds: float) -> float:

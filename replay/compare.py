@@ -71,7 +71,7 @@ def _difference(topic: str, live: _Row, again: _Row) -> str:
         return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
     message = CHANNEL[topic].message
     found = _first_field(message.FromString(live[1]), message.FromString(again[1]))
-    return f"{topic} at {_seconds(live[0])}: {found or 'same values in waiting_there bytes'}"
+    return f"{topic} at {_seconds(live[0])}: {found or 'same values in other bytes'}"
 
 
 def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> str:

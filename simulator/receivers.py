@@ -215,7 +215,7 @@ def _place(machine: Machine, truth: Truth, mount: Mount) -> tuple[float, float]:
     """True (forward, right) of the antenna from the true CG: the surveyed pair of a body, turned by its
     alignment error, each moved by its own error."""
     body = mount.split("_")[0]
-    surveyed = {r.mount: np.array(r.position[:2]) for r in machine.receiver if r.mount.startswith(body)}
+    surveyed = {r.mount: np.array(r.position[:2]) for r in machine.receiver if r.mount.body == body}
     middle = np.mean(list(surveyed.values()), axis=0)
     told = truth.nuisances
     arm = surveyed.get(mount, middle) - middle
@@ -240,7 +240,7 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     k = np.round((epochs - truth.time[0]) / STEP_S).astype(np.int64)
     psi, roll, pitch, r = body.heading[k], body.roll[k], body.pitch[k], body.yaw_rate[k]
     late = round(truth.nuisances[f"roll_delay_{receiver.mount}"] / STEP_S)
-    felt = body.roll[np.maximum(k - late, 0)] + truth.nuisances[f"roll_zero_{receiver.mount}"]
+    measured_roll = body.roll[np.maximum(k - late, 0)] + truth.nuisances[f"roll_zero_{receiver.mount}"]
     forward, right = _place(machine, truth, mount)
     ahead = forward * np.cos(pitch) - above * back[k]
     aside = (right + moved_m) * np.cos(roll) + above * side[k]
@@ -254,7 +254,7 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
         u * cosine - v * sine,
         u * sine + v * cosine,
         r if body.gyro is None else body.gyro[k],
-        felt,
+        measured_roll,
         pitch,
     )
 

@@ -24,7 +24,7 @@ from tilth.schemas.machine import Machine
 from tilth.simulator.ground import AXLES, crossings
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import STEP_S, Scenario
-from tilth.simulator.spatial.forces import TOLD
+from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.vehicle import WHEELS
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.traffic import host_clock, traffic
@@ -89,8 +89,8 @@ def _mcap(path: Path, source: SimulationInput) -> Writer:
     start_ns = source.scenario.utc_start_ns
     run = RunPart(f"simulated-{source.seed}", 1, start_ns)
     writer = LogWriter(path, source.machine, source.machine_text, run)
-    told = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
-    writer.metadata("simulated", told)
+    metadata = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
+    writer.metadata("simulated", metadata)
     return writer
 
 
@@ -192,13 +192,15 @@ COLUMNS: Final = (
 def _wheels() -> Iterator[Column]:
     for k, wheel in enumerate(WHEELS):
         for name, unit, meaning in _OF_A_WHEEL:
-            yield Column(f"{name}_{wheel}", unit, f"{meaning}, {wheel.replace('_', ' ')}", _told(k, name))
+            yield Column(
+                f"{name}_{wheel}", unit, f"{meaning}, {wheel.replace('_', ' ')}", _tyre_column(k, name)
+            )
 
 
-def _told(k: int, name: str) -> Callable[[Truth], Array]:
+def _tyre_column(k: int, name: str) -> Callable[[Truth], Array]:
     def of(truth: Truth) -> Array:
         assert truth.space is not None
-        samples: Array = truth.space.motion.tyres[:, k, TOLD.index(name)]
+        samples: Array = truth.space.motion.tyres[:, k, TYRE_COLUMNS.index(name)]
         return samples
 
     return of

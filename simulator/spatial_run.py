@@ -11,7 +11,7 @@ from tilth.simulator.noise import generator
 from tilth.simulator.pilots import HOLD, Driver
 from tilth.simulator.scenario import STEP_S
 from tilth.simulator.spatial.height_field import height_field
-from tilth.simulator.spatial.plant import AT, Space, placed, run
+from tilth.simulator.spatial.plant import AT, Space, run, settled_plant
 from tilth.simulator.spatial.vehicle import Masses, Vehicle, vehicle_of
 from tilth.simulator.tractor import BodyTrack, Setting, Truth
 
@@ -30,7 +30,7 @@ def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], 
     ground = height_field(scenario.ground, vehicle.rms, generator(setting.seed, noise.GROUND))
     step = STEP_S / math.ceil(STEP_S / scenario.spatial.step - 1e-9)
     start = driver.start()
-    plant = placed(vehicle, ground, step, float(start[2]), setting.soil.theta)
+    plant = settled_plant(vehicle, ground, step, float(start[2]), setting.soil.theta)
     act = driver.actuator
     valve = None if act is None else (act.gain / act.inertia, act.damping / act.inertia)
     motion = run(plant, start, driver, valve, setting.soil.at, len(setting.time), HOLD, progress)
@@ -52,6 +52,6 @@ def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], 
 
 
 def _track(rows: Array) -> BodyTrack:
-    """One body's, of plant.MOVED, shape (n, len(MOVED))."""
+    """One body's, of plant.BODY_COLUMNS, shape (n, len(BODY_COLUMNS))."""
     names = ("north", "east", "heading", "forward", "right", "yaw_rate", "roll", "pitch", "gyro_z")
     return BodyTrack(*(np.ascontiguousarray(rows[:, AT[name]]) for name in names))

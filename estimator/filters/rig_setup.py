@@ -35,7 +35,7 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
 
     None without a pair, or if both antennas are at one place. body: tractor or implement.
     """
-    pair = [r for r in machine.receiver if r.mount.value.startswith(body)]
+    pair = [r for r in machine.receiver if r.mount.body == body]
     if len(pair) != 2:
         return None
     length = math.dist(pair[0].position[:2], pair[1].position[:2])

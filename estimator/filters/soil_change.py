@@ -25,7 +25,7 @@ without a change the largest was 21."""
 LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
 # largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
 KNOWN_SD: Final = 0.2
-MOST_CHECKPOINTS: Final = 10  # kept, one in EVERY segments: 4 s
+MOST_CHECKPOINTS: Final = 10  # stored, one in CHECKPOINT_SEGMENTS segments: 4 s
 CHECKPOINT_SEGMENTS: Final = 2
 
 

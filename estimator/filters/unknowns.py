@@ -125,7 +125,7 @@ def pair_middles(machine: Machine) -> Array:
     """(forward, right) of the middle of each body's receivers, m, shape (2, 2)."""
     middles = np.zeros((2, 2))
     for k, body in enumerate(("tractor", "implement")):
-        places = [r.position[:2] for r in machine.receiver if r.mount.startswith(body)]
+        places = [r.position[:2] for r in machine.receiver if r.mount.body == body]
         if places:
             middles[k] = np.mean(places, axis=0)
     return middles
@@ -144,7 +144,7 @@ def _common_latency(machine: Machine) -> float:
 
 def _survey(machine: Machine, body: str) -> float:
     """Sd of the middle of a body's receivers, m."""
-    sds = [r.survey_sd for r in machine.receiver if r.mount.startswith(body)]
+    sds = [r.survey_sd for r in machine.receiver if r.mount.body == body]
     return math.hypot(*sds) / len(sds) if sds else 0.0
 
 

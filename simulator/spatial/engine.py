@@ -73,13 +73,13 @@ def _mjcf(vehicle: Vehicle, step: float) -> str:
   <worldbody>
     <body name="tractor">
       <freejoint/>
-      <inertial pos="{_words(centre)}" mass="{chassis!r}" fullinertia="{_tensor(inertia)}"/>
-      <body name="beam" pos="{_words(pin)}">
+      <inertial pos="{_numbers(centre)}" mass="{chassis!r}" fullinertia="{_tensor(inertia)}"/>
+      <body name="beam" pos="{_numbers(pin)}">
         <joint type="hinge" axis="1 0 0"/>
         <inertial pos="0 0 0" mass="{beam!r}" fullinertia="{_tensor(beam_inertia)}"/>
       </body>
-      <body name="implement" pos="{_words([-m.c - m.d, 0.0, m.h_t - m.h_i])}">
-        <joint type="ball" pos="{_words([m.d, 0.0, m.h_i - vehicle.hitch_height])}"/>
+      <body name="implement" pos="{_numbers([-m.c - m.d, 0.0, m.h_t - m.h_i])}">
+        <joint type="ball" pos="{_numbers([m.d, 0.0, m.h_i - vehicle.hitch_height])}"/>
         <inertial pos="0 0 0" mass="{m.m_i!r}" fullinertia="{_tensor(cart)}"/>
       </body>
     </body>
@@ -93,8 +93,8 @@ def _about(mass: float, place: Array) -> Tensor:
 
 
 def _tensor(inertia: Tensor) -> str:
-    return _words([inertia[at] for at in _UPPER])
+    return _numbers([inertia[at] for at in _UPPER])
 
 
-def _words(values: Any) -> str:
+def _numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)

@@ -19,15 +19,15 @@ from tilth.simulator.spatial.tyre import (
     carcass_damping,
     lag_length,
     lagged,
-    left_for_side,
     side_force,
+    side_share,
     stiffness_at,
 )
 from tilth.simulator.spatial.vehicle import RADIUS, WHEELS, Vehicle, static_loads, wheel_places
 
 Array = NDArray[np.float64]
 
-TOLD: Final = ("load", "along", "across", "slip", "deflection", "elevation", "camber", "power")
+TYRE_COLUMNS: Final = ("load", "along", "across", "slip", "deflection", "elevation", "camber", "power")
 """Of each tyre: N; N; N; rad; m; m; rad, leaning right of the ground's normal; W, done on the bodies."""
 GOVERNOR: Final = (60e3, 60e3)  # N s/m and N/m: proportional, integral; assumed: a transmission's
 DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
@@ -102,7 +102,7 @@ def _dot(one: tuple[float, float, float], two: tuple[float, float, float]) -> fl
 
 
 @kernel
-def _turned(turn: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
+def _rotated(turn: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
     """turn: a body's axes as columns, shape (9,), row by row."""
     return (
         turn[0] * v[0] + turn[1] * v[1] + turn[2] * v[2],
@@ -130,7 +130,7 @@ def tyre_on_ground(
     alpha = math.atan(0.5 * (slip + after))  # amid the step: the force is not late by half of it
     side = side_force(tyres.curve, alpha, stiffness, limit) + tyres.camber * load * math.sin(camber)
     if tyres.combined:
-        side *= left_for_side(driven, limit)
+        side *= side_share(driven, limit)
     if load > 0.0:
         side -= carcass_damping(cornering, length, along) * across
     return pushed, side, after
@@ -138,7 +138,7 @@ def tyre_on_ground(
 
 @kernel
 def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float:
-    """Of a body along its own x axis, m/s. Arguments as those of plant.moved."""
+    """Of a body along its own x axis, m/s. arguments as those of plant.body_motion."""
     arm = (place[0] - root[0], place[1] - root[1], place[2] - root[2])
     spin = _cross((twist[0], twist[1], twist[2]), arm)
     velocity = (twist[3] + spin[0], twist[4] + spin[1], twist[5] + spin[2])
@@ -146,14 +146,14 @@ def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float
 
 
 @kernel
-def govern(wanted: float, forward: float, drive: Array, step: float) -> None:
-    """Drive force towards a speed, m/s. drive: N, and the integral of the speed that was missing, m."""
-    error = wanted - forward
-    missing = drive[1] + error * step
-    asked = GOVERNOR[0] * error + GOVERNOR[1] * missing
-    drive[0] = min(max(asked, -DRIVE_LIMIT), DRIVE_LIMIT)
-    if asked == drive[0]:
-        drive[1] = missing
+def govern(target_speed: float, forward: float, drive: Array, step: float) -> None:
+    """Drive force towards a speed, m/s. drive: N, and the integral of the speed error, m."""
+    error = target_speed - forward
+    integral = drive[1] + error * step
+    requested = GOVERNOR[0] * error + GOVERNOR[1] * integral
+    drive[0] = min(max(requested, -DRIVE_LIMIT), DRIVE_LIMIT)
+    if requested == drive[0]:
+        drive[1] = integral
 
 
 @kernel
@@ -166,27 +166,27 @@ def steering_angles(tyres: TyreSet, mean: float) -> tuple[float, float]:
 
 @kernel
 def apply_forces(
-    field: HeightField, tyres: TyreSet, soil: Array, delta: float, wanted: float, step: float,
+    field: HeightField, tyres: TyreSet, soil: Array, delta: float, target_speed: float, step: float,
     xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
-    slip: Array, drive: Array, xfrc: Array, told: Array,
+    slip: Array, drive: Array, xfrc: Array, tyre_rows: Array,
 ) -> None:  # fmt: skip
-    """Fill xfrc, shape (4, 6), N and N m about each body's xipos, and told, shape (6, len(TOLD)); slip, shape
-    (6,), and drive, shape (2,), go on by a step.
+    """Fill xfrc, shape (4, 6), N and N m about each xipos, and tyre_rows, shape (6, len(TYRE_COLUMNS)).
 
-    xpos, xmat, xipos, cvel, com: MuJoCo's places, axes, CGs and velocities of its bodies, and the points that
-    the velocities are of. delta: mean angle of the front wheels, rad. wanted: speed, m/s.
+    slip, shape (6,), and drive, shape (2,), go on by a step. xpos, xmat, xipos, cvel, com: MuJoCo's places,
+    axes, CGs and velocities of its bodies, and the points that the velocities are of. delta: mean angle of
+    the front wheels, rad. target_speed: m/s.
     """
     xfrc[:, :] = 0.0
     angles = steering_angles(tyres, delta)
     root = com[1]
-    govern(wanted, forward_speed(xpos[1], xmat[1], cvel[1], root), drive, step)
+    govern(target_speed, forward_speed(xpos[1], xmat[1], cvel[1], root), drive, step)
     for k in range(6):
         b = tyres.body[k]
         turn = xmat[b]
-        place = _turned(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
+        place = _rotated(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
         hub = (xpos[b, 0] + place[0], xpos[b, 1] + place[1], xpos[b, 2] + place[2])
         delta = angles[k] if k < 2 else 0.0
-        axis = _turned(turn, (-math.sin(delta), math.cos(delta), 0.0))
+        axis = _rotated(turn, (-math.sin(delta), math.cos(delta), 0.0))
         radius = tyres.radius[k]
         reach = (turn[2] * radius, turn[5] * radius, turn[8] * radius)  # below, along the body's z
         up, north, east = height(field, hub[0] + reach[0], hub[1] + reach[1])
@@ -222,8 +222,18 @@ def apply_forces(
         for i in range(3):
             xfrc[b, i] += force[i]
             xfrc[b, 3 + i] += moment[i]
-        told[k, 0], told[k, 1], told[k, 2], told[k, 3] = load, pushed, side, math.atan(slip[k])
-        told[k, 4], told[k, 5], told[k, 6], told[k, 7] = deflection, up, camber, _dot(force, moving)
+        tyre_rows[k, 0], tyre_rows[k, 1], tyre_rows[k, 2], tyre_rows[k, 3] = (
+            load,
+            pushed,
+            side,
+            math.atan(slip[k]),
+        )
+        tyre_rows[k, 4], tyre_rows[k, 5], tyre_rows[k, 6], tyre_rows[k, 7] = (
+            deflection,
+            up,
+            camber,
+            _dot(force, moving),
+        )
 
 
 assert len(WHEELS) == 6

@@ -1,8 +1,8 @@
 """The virtual tractor in space, driven: the engine's steps between the samples of a run.
 
-Steering is kinematic: a wheel angle is what it is asked to be, or what a hydraulic valve makes of a command.
-The drive holds the speed by a proportional and integral governor, so that a rig that is told to stand stands
-on any slope. It stands and settles before the run begins.
+Steering is kinematic: the wheel angle is the commanded one, or what a hydraulic valve makes of a command.
+A proportional and integral governor holds the speed, so that a rig with a target speed of zero stands on any
+slope. The rig stands and settles before the run begins.
 """
 
 import math
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tilth.estimator.compiled import kernel
 from tilth.simulator.scenario import STEP_S
 from tilth.simulator.spatial.engine import IMPLEMENT, TRACTOR, engine, mujoco
-from tilth.simulator.spatial.forces import TOLD, TyreSet, apply_forces, tyres_of
+from tilth.simulator.spatial.forces import TYRE_COLUMNS, TyreSet, apply_forces, tyres_of
 from tilth.simulator.spatial.height_field import HeightField, height
 from tilth.simulator.spatial.vehicle import Vehicle
 
@@ -25,21 +25,21 @@ Array = NDArray[np.float64]
 SETTLING_S: Final = 2.0
 SETTLING_DAMPING: Final = 6.0  # times that of the tyres, meanwhile
 BODIES: Final = (TRACTOR, IMPLEMENT)
-MOVED: Final = (
+BODY_COLUMNS: Final = (
     "north", "east", "down", "roll", "pitch", "heading", "forward", "right", "roll_rate", "pitch_rate",
     "yaw_rate", "gyro_x", "gyro_y", "gyro_z",
 )  # fmt: skip
 """Of each body: place of its CG in the world, m; Euler angles (heading, pitch, roll), rad, the heading not
 wrapped; horizontal velocity of the CG along and across the heading, m/s; rates of those angles, rad/s; turn
 rates about its own axes, rad/s."""
-AT: Final = {name: k for k, name in enumerate(MOVED)}
+AT: Final = {name: k for k, name in enumerate(BODY_COLUMNS)}
 
 _OF_THE_TRACTOR: Final = [AT[name] for name in ("north", "east", "heading", "forward", "right", "yaw_rate")]
 _OF_THE_IMPLEMENT: Final = [AT["heading"], AT["yaw_rate"]]
-_SLIP: Final = TOLD.index("slip")
+_SLIP: Final = TYRE_COLUMNS.index("slip")
 
 
-class Hand(Protocol):
+class SteeringSource(Protocol):
     """Who steers: the part of simulator/pilots.py's Driver that the plant needs."""
 
     def steer(self, k: int, end: int, x: Array) -> tuple[Array | float, Array | float]: ...
@@ -52,8 +52,8 @@ class Motion:
     states: (
         Array  # (n, 13), as the planar plant's: CGs, headings, velocities, mean slip, wheel angle and rate
     )
-    bodies: Array  # (n, 2, len(MOVED)), tractor and implement
-    tyres: Array  # (n, 6, len(TOLD))
+    bodies: Array  # (n, 2, len(BODY_COLUMNS)), tractor and implement
+    tyres: Array  # (n, 6, len(TYRE_COLUMNS))
     beam: Array  # (n,), rad, of the front axle about its pin, right side down of the tractor
     drive: Array  # (n,), N
     soil: Array  # (n, 6), PARAMETERS under each axle
@@ -78,7 +78,7 @@ class SpatialPlant:
     model: Any = field(init=False)
     data: Any = field(init=False)
     slip: Array = field(init=False)  # (6,), tangents
-    told: Array = field(init=False)  # (6, len(TOLD)), of the last step
+    tyre_rows: Array = field(init=False)  # (6, len(TYRE_COLUMNS)), of the last step
     drive: Array = field(default_factory=lambda: np.zeros(2))  # N; m, what the governor has added up
     soil: Array = field(default_factory=lambda: np.zeros(6))
     turns: list[float] = field(default_factory=lambda: [0.0, 0.0])  # headings of the last look, not wrapped
@@ -89,7 +89,7 @@ class SpatialPlant:
         """Raises NotInstalled."""
         self.tyres = tyres_of(self.vehicle)
         self.model, self.data = engine(self.vehicle, self.step)
-        self.slip, self.told = np.zeros(6), np.zeros((6, len(TOLD)))
+        self.slip, self.tyre_rows = np.zeros(6), np.zeros((6, len(TYRE_COLUMNS)))
         data = self.data
         self._engine = (data.xpos, data.xmat, data.xipos, data.cvel, data.subtree_com)
         self._forces = data.xfrc_applied
@@ -98,28 +98,31 @@ class SpatialPlant:
         """Places and velocities of all bodies at this instant: the first half of a step."""
         mujoco().mj_step1(self.model, self.data)
 
-    def advance(self, delta: float, wanted: float, tyres: TyreSet | None = None) -> None:
-        """Forces, and the second half of a step. delta: mean wheel angle amid the step, rad; wanted: m/s."""
+    def advance(self, delta: float, target_speed: float, tyres: TyreSet | None = None) -> None:
+        """Forces, and the second half of a step.
+
+        delta: mean wheel angle amid the step, rad. target_speed: m/s.
+        """
         xpos, xmat, xipos, cvel, com = self._engine
         apply_forces(
-            self.ground, tyres or self.tyres, self.soil, delta, wanted, self.step,
-            xpos, xmat, xipos, cvel, com, self.slip, self.drive, self._forces, self.told,
+            self.ground, tyres or self.tyres, self.soil, delta, target_speed, self.step,
+            xpos, xmat, xipos, cvel, com, self.slip, self.drive, self._forces, self.tyre_rows,
         )  # fmt: skip
         mujoco().mj_step2(self.model, self.data)
 
     def bodies(self) -> Array:
-        """MOVED of tractor and implement, after `kinematics`, shape (2, len(MOVED))."""
-        rows = np.empty((2, len(MOVED)))
+        """BODY_COLUMNS of tractor and implement, after `kinematics`, shape (2, len(BODY_COLUMNS))."""
+        rows = np.empty((2, len(BODY_COLUMNS)))
         xpos, xmat, _, cvel, com = self._engine
         for k, body in enumerate(BODIES):
-            moved(xpos[body], xmat[body], cvel[body], com[TRACTOR], self.turns[k], rows[k])
+            body_motion(xpos[body], xmat[body], cvel[body], com[TRACTOR], self.turns[k], rows[k])
             self.turns[k] = float(rows[k, 5])
         return rows
 
 
 @kernel
-def moved(place: Array, turn: Array, twist: Array, root: Array, before: float, out: Array) -> None:
-    """Fill out, shape (len(MOVED),), with what MOVED says of one body.
+def body_motion(place: Array, turn: Array, twist: Array, root: Array, before: float, out: Array) -> None:
+    """Fill out, shape (len(BODY_COLUMNS),), with what BODY_COLUMNS says of one body.
 
     turn: its axes as columns, shape (9,), row by row. twist: its turn rate and the velocity of the point
     `root`, shape (6,). before: its heading at the last look, rad.
@@ -142,7 +145,9 @@ def moved(place: Array, turn: Array, twist: Array, root: Array, before: float, o
     out[10] = yaw_rate
 
 
-def placed(vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array) -> SpatialPlant:
+def settled_plant(
+    vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array
+) -> SpatialPlant:
     """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,)."""
     plant = SpatialPlant(vehicle, ground, step)
     plant.turns = [heading, heading]
@@ -185,7 +190,7 @@ def _state(plant: SpatialPlant, rows: Array, delta: float, rate: float) -> Array
     x = np.empty(13)
     x[[0, 1, 2, 4, 5, 6]] = t[_OF_THE_TRACTOR]
     x[[3, 7]] = i[_OF_THE_IMPLEMENT]
-    slip = plant.told[:, _SLIP]
+    slip = plant.tyre_rows[:, _SLIP]
     x[8:11] = (slip[0::2] + slip[1::2]) / 2
     x[11], x[12] = delta, rate
     return x
@@ -194,14 +199,14 @@ def _state(plant: SpatialPlant, rows: Array, delta: float, rate: float) -> Array
 def run(
     plant: SpatialPlant,
     start: Array,
-    hand: Hand,
+    steering: SteeringSource,
     valve: tuple[float, float] | None,
     soil: Callable[[float, Array], Array],
     n: int,
     hold: int,
     progress: Callable[[float], None] | None = None,
 ) -> Motion:
-    """Drive for n samples; `hand` is asked every `hold` of them.
+    """Drive for n samples; `steering` gives commands for every `hold` of them.
 
     start: first state, shape (13,), of which speed and wheel angle are taken. valve: wheel's angular
     acceleration per command, 1/s^2, and its damping, 1/s; None: the wheels are turned directly. soil: of time
@@ -209,7 +214,7 @@ def run(
     """
     substeps = round(STEP_S / plant.step)
     into = Motion(
-        np.zeros((n, 13)), np.zeros((n, 2, len(MOVED))), np.zeros((n, 6, len(TOLD))),
+        np.zeros((n, 13)), np.zeros((n, 2, len(BODY_COLUMNS))), np.zeros((n, 6, len(TYRE_COLUMNS))),
         np.zeros(n), np.zeros(n), np.zeros((n, 6)),
     )  # fmt: skip
     _set_going(plant, float(start[4]))
@@ -218,19 +223,19 @@ def run(
     for k in range(0, n, hold):
         end = min(k + hold, n)
         x = _state(plant, plant.bodies(), delta, rate)
-        told = hand.steer(k, min(end, n - 1), x)
+        pair = steering.steer(k, min(end, n - 1), x)
         shape = (min(end, n - 1) - k + 1,)
-        asked, speeds = (np.broadcast_to(np.asarray(one, np.float64), shape).tolist() for one in told)
+        commands, speeds = (np.broadcast_to(np.asarray(one, np.float64), shape).tolist() for one in pair)
         plant.soil = np.ascontiguousarray(soil(k * STEP_S, x), np.float64)
         for j in range(k, end):
-            now, after = j - k, min(j - k + 1, len(asked) - 1)
+            now, after = j - k, min(j - k + 1, len(commands) - 1)
             if valve is None:
-                delta, rate = asked[now], (asked[after] - asked[now]) / STEP_S
+                delta, rate = commands[now], (commands[after] - commands[now]) / STEP_S
             rows, beam = plant.bodies(), float(plant.data.qpos[7])
             at_sample = delta, rate
             for s in range(substeps):
                 share = (s + 0.5) / substeps
-                command = asked[now] + share * (asked[after] - asked[now])
+                command = commands[now] + share * (commands[after] - commands[now])
                 if valve is not None:
                     rate += plant.step * (valve[0] * command - valve[1] * rate)
                     delta += plant.step * rate
@@ -238,7 +243,7 @@ def run(
                 plant.advance(amid, speeds[now] + share * (speeds[after] - speeds[now]))
                 if s == 0:
                     into.states[j], into.bodies[j] = _state(plant, rows, *at_sample), rows
-                    into.tyres[j], into.soil[j] = plant.told, plant.soil
+                    into.tyres[j], into.soil[j] = plant.tyre_rows, plant.soil
                     into.drive[j], into.beam[j] = plant.drive[0], beam
                 plant.kinematics()
         if progress is not None:

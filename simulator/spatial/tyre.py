@@ -52,7 +52,7 @@ def stiffness_at(stiffness: float, load: float, static: float, exponent: float) 
 
 
 @kernel
-def left_for_side(along: float, limit: float) -> float:
+def side_share(along: float, limit: float) -> float:
     """Share of the side force that a drive or brake force leaves: friction ellipse. Both N."""
     if limit <= 0.0:
         return 0.0

@@ -140,18 +140,18 @@ def test_roll_sensors_have_their_noise_zero_and_delay(machine: Machine) -> None:
     np.testing.assert_allclose([r.roll for r in one], truth.tractor.roll[k])
     np.testing.assert_allclose([r.roll for r in other], truth.tractor.roll[k - 10] + np.radians(0.7))
     noisy = replace(plain, noise=1.0, roll_sensor=RollSensor(sd_deg=0.5))
-    told = reports(machine, drive(machine, 1, 60.0, noisy), machine.receiver[0], 1.0)
+    found = reports(machine, drive(machine, 1, 60.0, noisy), machine.receiver[0], 1.0)
     flat = drive(machine, 1, 60.0, noisy)
-    k = np.round(np.array([r.epoch_s for r in told]) / 0.01).astype(int)
-    assert np.std([r.roll for r in told] - flat.tractor.roll[k]) == pytest.approx(np.radians(0.5), rel=0.12)
+    k = np.round(np.array([r.epoch_s for r in found]) / 0.01).astype(int)
+    assert np.std([r.roll for r in found] - flat.tractor.roll[k]) == pytest.approx(np.radians(0.5), rel=0.12)
 
 
 def test_roll_sensors_are_drawn_for_each_receiver(machine: Machine) -> None:
     seen: dict[str, list[float]] = {"sd": [], "zero": [], "delay": []}
     for seed in range(30):
-        told = drive(machine, seed, 0.1, Scenario(roll_sensor=RollSensor(draw=True))).nuisances
+        found = drive(machine, seed, 0.1, Scenario(roll_sensor=RollSensor(draw=True))).nuisances
         for what, values in seen.items():
-            values += [told[f"roll_{what}_{r.mount}"] for r in machine.receiver]
+            values += [found[f"roll_{what}_{r.mount}"] for r in machine.receiver]
     assert len(set(seen["zero"])) == 120
     for what, low, high in (("sd", 0.2, 0.5), ("zero", -1.0, 1.0)):
         degrees = np.degrees(seen[what])
@@ -199,17 +199,17 @@ def test_simulate_writes_a_log_and_what_is_true(tmp_path: Path, capsys: pytest.C
     drawn = ROOT / "examples" / "scenarios" / "spatial_drawn.toml"
     assert main(["simulate", str(drawn), "--out", str(log), "--seconds", "3", "--json"]) == 0
     capsys.readouterr()
-    told: dict[str, Any] = json.loads(Path(f"{log}.truth.json").read_text())
+    truth: dict[str, Any] = json.loads(Path(f"{log}.truth.json").read_text())
     header, *rows = Path(f"{log}.truth.csv").read_text().splitlines()
-    assert header.split(",") == list(told["table"]["columns"])
+    assert header.split(",") == list(truth["table"]["columns"])
     table = dict(zip(header.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
     loads = sum(
         table[f"load_{axle}_{side}"] for axle in ("front", "rear", "implement") for side in ("left", "right")
     )
-    masses = told["vehicle"]["masses"]
+    masses = truth["vehicle"]["masses"]
     assert np.mean(loads) == pytest.approx(9.80665 * (masses["m_t"] + masses["m_i"]), rel=0.03)
-    assert told["vehicle"]["tyre"] in ("exponential", "tanh", "brush", "magic")
-    assert {f"roll_zero_{m}" for m in ("tractor_front", "implement_rear")} <= set(told["nuisances"])
+    assert truth["vehicle"]["tyre"] in ("exponential", "tanh", "brush", "magic")
+    assert {f"roll_zero_{m}" for m in ("tractor_front", "implement_rear")} <= set(truth["nuisances"])
     assert main(["replay", str(log), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["poses"] > 5
 

@@ -13,26 +13,26 @@ import pytest
 from tilth.simulator.scenario import STEP_S, Bump, Ground, Scenario, Soil, Spatial
 from tilth.simulator.spatial import vehicle as v
 from tilth.simulator.spatial.engine import TRACTOR
-from tilth.simulator.spatial.forces import TOLD
+from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.height_field import height_field
-from tilth.simulator.spatial.plant import AT, Motion, SpatialPlant, placed, run
+from tilth.simulator.spatial.plant import AT, Motion, SpatialPlant, run, settled_plant
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra `spatial`")
 
 RIG = v.Masses(1.7, 1.2, 2.1, 3.62, 0.1, 9391.0, 2127.0, 35709.0, 6402.0, 1.1, 1.2)
 NOMINAL, EVEN = Spatial(), Ground()
 SOIL = np.array([220e3, 486e3, 167e3, 1.1, 1.5, 1.1])
-LOAD, ALONG, ACROSS, SLIP = (TOLD.index(name) for name in ("load", "along", "across", "slip"))
+LOAD, ALONG, ACROSS, SLIP = (TYRE_COLUMNS.index(name) for name in ("load", "along", "across", "slip"))
 
 
 class Straight:
     """A constant wheel angle, rad, and speed, m/s."""
 
     def __init__(self, delta: float, speed: float) -> None:
-        self.asked = delta, speed
+        self.commands = delta, speed
 
     def steer(self, k: int, end: int, x: np.ndarray) -> tuple[float, float]:
-        return self.asked
+        return self.commands
 
 
 def stand(
@@ -42,7 +42,7 @@ def stand(
     scenario = Scenario(plant="spatial", spatial=spatial, ground=ground, soil=Soil(rolling=rolling))
     made = v.vehicle_of(masses, scenario, np.random.default_rng(1))
     field = height_field(ground, made.rms, np.random.default_rng(2))
-    return placed(made, field, spatial.step, heading, soil)
+    return settled_plant(made, field, spatial.step, heading, soil)
 
 
 def drive(
@@ -155,7 +155,7 @@ def test_energy_is_what_the_forces_have_done() -> None:
         plant.kinematics()
         energies.append(float(data.energy.sum()))
         plant.advance(math.radians(8.0), 4.5)
-        powers.append(float(plant.told[:, TOLD.index("power")].sum()))
+        powers.append(float(plant.tyre_rows[:, TYRE_COLUMNS.index("power")].sum()))
     work = plant.step * np.concatenate([[0.0], np.cumsum(np.add(powers[1:], powers[:-1]) / 2)])
     energy = np.array(energies) - energies[0]
     assert np.ptp(energy) > 2000.0
@@ -189,7 +189,7 @@ def test_at_rest_on_level_ground_it_is_as_the_machine_file_says() -> None:
     assert -rows[:, AT["down"]] == pytest.approx([RIG.h_t, RIG.h_i], abs=1e-5)
     np.testing.assert_allclose(rows[:, [AT["roll"], AT["pitch"]]], 0.0, atol=1e-5)
     np.testing.assert_allclose(
-        plant.told[:, LOAD], np.repeat(v.static_loads(plant.vehicle), 2) / 2, rtol=1e-4
+        plant.tyre_rows[:, LOAD], np.repeat(v.static_loads(plant.vehicle), 2) / 2, rtol=1e-4
     )
 
 
@@ -222,7 +222,7 @@ def test_one_wheel_on_a_bump_rolls_the_body_and_pushes_nothing_sideways() -> Non
         motion = drive(plant, 5.0, speed=0.0)
         rolls.append(motion.bodies[-1, 0, AT["roll"]])
         assert abs(motion.tyres[-1, :, ACROSS].sum()) < 200.0  # as a slope it would be 4800 N
-    assert motion.tyres[-1, 3, TOLD.index("elevation")] == pytest.approx(0.1)
+    assert motion.tyres[-1, 3, TYRE_COLUMNS.index("elevation")] == pytest.approx(0.1)
     assert abs(rolls[0]) < 0.004
     leaning = v.GRAVITY * static_gradients(plant)[0]  # its weight leans on as it is tilted
     assert rolls[1] == pytest.approx(-0.1 / v.TRACK[1] * (1 + leaning), rel=0.02)  # right side up
@@ -232,7 +232,7 @@ def test_one_wheel_on_a_bump_rolls_the_body_and_pushes_nothing_sideways() -> Non
 def test_the_implement_meets_what_the_tractor_met() -> None:
     bump = Bump(20.0, 0.0, 0.05, 1.0, 8.0)
     motion = drive(stand(ground=Ground(bumps=(bump,))), 9.0)
-    highest = np.argmax(motion.tyres[:, [2, 4], TOLD.index("elevation")] > 0.045, axis=0) * STEP_S
+    highest = np.argmax(motion.tyres[:, [2, 4], TYRE_COLUMNS.index("elevation")] > 0.045, axis=0) * STEP_S
     assert highest[1] - highest[0] == pytest.approx((2.1 - 1.2 + 3.72) / 4.5, abs=0.02)
 
 
@@ -268,8 +268,8 @@ def test_drive_takes_side_force_where_it_is_combined() -> None:
             plant.kinematics()
             plant.advance(math.radians(3.0), 9.0)
         assert plant.drive[0] == 40e3
-        held.append(plant.told[2:4, ACROSS].sum() / plant.told[2:4, SLIP].mean())
-    limit = 0.6 * plant.told[2:4, LOAD].sum()
+        held.append(plant.tyre_rows[2:4, ACROSS].sum() / plant.tyre_rows[2:4, SLIP].mean())
+    limit = 0.6 * plant.tyre_rows[2:4, LOAD].sum()
     assert held[1] / held[0] == pytest.approx(math.sqrt(1 - (40e3 / limit) ** 2), rel=0.05)
 
 
@@ -278,8 +278,8 @@ def test_the_gyro_is_fixed_to_the_body() -> None:
     motion = drive(stand(ground=Ground(slope_deg=12.0, downhill_deg=90.0)), 6.0, 8.0)
     t = motion.bodies[100:, 0]
     turn = np.cos(t[:, AT["pitch"]]) * np.cos(t[:, AT["roll"]]) * t[:, AT["yaw_rate"]]
-    felt = turn - np.sin(t[:, AT["roll"]]) * t[:, AT["pitch_rate"]]
-    np.testing.assert_allclose(t[:, AT["gyro_z"]], felt, atol=1e-9)
+    turn_rate = turn - np.sin(t[:, AT["roll"]]) * t[:, AT["pitch_rate"]]
+    np.testing.assert_allclose(t[:, AT["gyro_z"]], turn_rate, atol=1e-9)
     assert np.abs(t[:, AT["gyro_z"]] - t[:, AT["yaw_rate"]]).max() > 0.002
     np.testing.assert_allclose(
         np.gradient(t[:, AT["roll"]], STEP_S)[5:-5], t[5:-5, AT["roll_rate"]], atol=2e-3

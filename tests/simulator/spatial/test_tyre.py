@@ -54,7 +54,7 @@ def test_stiffness_grows_with_load() -> None:
 
 
 def test_drive_takes_side_force_by_an_ellipse() -> None:
-    left = tyre.left_for_side.interpreted()
+    left = tyre.side_share.interpreted()
     assert [left(f, LIMIT) for f in (0.0, 0.6 * LIMIT, -0.6 * LIMIT, 2 * LIMIT)] == pytest.approx(
         [1, 0.8, 0.8, 0]
     )

@@ -1,4 +1,4 @@
-"""What the rig in space is made of: as told, nominal or drawn."""
+"""What the rig in space is made of: as given, nominal or drawn."""
 
 import numpy as np
 import pytest
@@ -38,18 +38,18 @@ def test_draws_are_of_the_seed_and_within_their_ends() -> None:
 
 
 def test_what_is_told_is_not_drawn_and_changes_no_other_draw() -> None:
-    told = parse_scenario(
+    given = parse_scenario(
         'plant = "spatial"\nground = { rms = 0.0 }\n[spatial]\ndraw = true\npin_height = 0.3\ntyre = "brush"'
     )
     one, other = (
         v.vehicle_of(RIG, s, np.random.default_rng(5))
-        for s in (told, Scenario(plant="spatial", spatial=Spatial(draw=True)))
+        for s in (given, Scenario(plant="spatial", spatial=Spatial(draw=True)))
     )
     assert (one.pin_height, one.tyre, one.rms) == (0.3, "brush", 0.0)
     assert one._replace(pin_height=other.pin_height, tyre=other.tyre, rms=other.rms) == other
 
 
 def test_static_loads_are_those_of_the_layer_below() -> None:
-    told = axle_loads(*RIG[:7], v.GRAVITY)
-    assert v.static_loads(made(Spatial())) == pytest.approx(told)
+    given = axle_loads(*RIG[:7], v.GRAVITY)
+    assert v.static_loads(made(Spatial())) == pytest.approx(given)
     assert sum(v.static_loads(made(Spatial()))) == pytest.approx(v.GRAVITY * (RIG.m_t + RIG.m_i))
