@@ -1,4 +1,4 @@
-"""Predicted measurements of the filters, and their Jacobians over the state."""
+"""Predicted measurements of the filters, and their Jacobians over the state and over the unknowns."""
 
 import math
 from typing import NamedTuple
@@ -7,15 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import DT, X_PAIR, X_POSITION, X_PSI, X_R, X_ROLL, X_SLOPE, X_V, Point
+from tilth.estimator.filters.states import (
+    DT,
+    N_STATES,
+    X_ASIDE,
+    X_PAIR,
+    X_POSITION,
+    X_PSI,
+    X_R,
+    X_ROLL,
+    X_SLOPE,
+    X_V,
+    Point,
+)
 from tilth.estimator.filters.unknowns import (
     AT_ASIDE,
     AT_CG,
     AT_LEVER,
     AT_PAIR,
-    AT_ROLL_MODES,
+    AT_ROLL_LATE,
+    AT_ROLL_ZERO,
     AT_S_POSITION,
+    AT_S_ROLL,
     AT_S_VELOCITY,
     AT_S_YAW_RATE,
 )
@@ -38,7 +53,7 @@ Array = NDArray[np.float64]
 class Observation(NamedTuple):
     """One measurement without its value: kind, place, and the point of linearisation."""
 
-    kind: int  # record.YAW_RATE to HEADING
+    kind: int  # record.YAW_RATE to ROLL_ANGLE
     place: int  # as record.PLACE
     share: float  # time since the tick before, in ticks, [0, 1)
     u: float  # m/s
@@ -48,7 +63,7 @@ class Observation(NamedTuple):
 @kernel
 def body_of(kind: int, place: int) -> int:
     """0 for the tractor, 1 for the implement."""
-    if kind in (YAW_RATE, HEADING, ROLL_ANGLE):
+    if kind == YAW_RATE or kind == HEADING:
         return place
     return 0 if place < 2 else 1
 
@@ -65,7 +80,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 @kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
-    """Predicted measurement at state x, (15,); fills h, (15,), with its Jacobian."""
+    """Predicted measurement at state x, (24,); fills h, (24,) or longer, with its Jacobian."""
     h[:] = 0.0
     if obs.kind == YAW_RATE:
         h[X_R + obs.place] = 1.0
@@ -73,11 +88,12 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     if obs.kind == HEADING:
         h[X_PSI + obs.place] = 1.0
         return float(x[X_PSI + obs.place])
-    if obs.kind == ROLL_ANGLE:
-        h[X_ROLL + obs.place], h[X_SLOPE + obs.place] = 1.0, 1.0 / GRAVITY
-        zero = point.unknowns[AT_ROLL_MODES + 7 + obs.place]
-        return float(x[X_ROLL + obs.place] + x[X_SLOPE + obs.place] / GRAVITY + zero)
     body = body_of(obs.kind, obs.place)
+    if obs.kind == ROLL_ANGLE:
+        late = point.unknowns[AT_ROLL_LATE + body]
+        h[X_ROLL + body], h[X_ROLL + 2 + body], h[X_SLOPE + body] = 1.0, -late, 1.0 / GRAVITY
+        roll = x[X_ROLL + body] + x[X_SLOPE + body] / GRAVITY - late * x[X_ROLL + 2 + body]
+        return float(roll + point.unknowns[AT_ROLL_ZERO + obs.place])
     lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
     if obs.kind == VELOCITY:
         return predict_velocity(x, obs, body, lever, point, setup.rig.h_h, setup.heights[obs.place], h)
@@ -164,12 +180,60 @@ def predict_position(
 
 
 @kernel
+def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, float]:
+    """Derivatives of a receiver's measurement, per metre: by its position forward, by the distance of the
+    hitch behind the tractor's CG, by its position to the right."""
+    if obs.kind == VELOCITY:
+        cosine = math.cos(x[X_PSI] - obs.psi_ref)
+        return (x[X_R] * cosine, 0.0, 0.0) if body == 0 else (x[X_R + 1], -x[X_R] * cosine, 0.0)
+    sine, cosine = math.sin(x[X_PSI + body]), math.cos(x[X_PSI + body])
+    if obs.kind == NORTH:
+        return cosine, 0.0 if body == 0 else -math.cos(x[X_PSI]), -sine
+    return sine, 0.0 if body == 0 else -math.sin(x[X_PSI]), cosine
+
+
+@kernel
+def predict_joint_measurement(
+    x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
+) -> float:
+    """Predicted measurement at x, (24,); fills h, (24 + a,), with its Jacobian over the joint state."""
+    value: float = predict_measurement(x, obs, point, setup, h)
+    if obs.kind == YAW_RATE or obs.kind == HEADING:
+        return value
+    body = body_of(obs.kind, obs.place)
+    if obs.kind == ROLL_ANGLE:
+        for j in range(active.places.shape[0]):
+            if active.places[j] == AT_ROLL_ZERO + obs.place:
+                h[N_STATES + j] = 1.0
+            elif active.places[j] == AT_ROLL_LATE + body:
+                h[N_STATES + j] = -x[X_ROLL + 2 + body]
+        return value
+    ahead, back, aside = lever_arms(x, obs, body)
+    if body == 1:
+        h[X_ASIDE] = aside
+        value += aside * x[X_ASIDE]
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        if place == AT_LEVER + body:
+            h[N_STATES + j] = ahead
+        elif place == AT_CG and body == 0:
+            h[N_STATES + j] = -ahead
+        elif place == AT_PAIR + body:
+            h[N_STATES + j] = h[X_PAIR + body]
+        elif place == AT_ASIDE and body == 1:
+            h[N_STATES + j] = aside
+        elif body == 1 and place != AT_CG + 1:  # this one shifts hitch and receivers alike: no effect
+            h[N_STATES + j] = back * active.geometry[j, 2] - ahead * active.geometry[j, 3]
+    return value
+
+
+@kernel
 def noise_factor(kind: int, unknowns: Array) -> float:
     """Factor on the stated sd of a measurement. unknowns: (n,)."""
     if kind == YAW_RATE:
         return math.exp(unknowns[AT_S_YAW_RATE])
     if kind == ROLL_ANGLE:
-        return 1.0
+        return math.exp(unknowns[AT_S_ROLL])
     if kind == VELOCITY:
         return math.exp(unknowns[AT_S_VELOCITY])
     return math.exp(unknowns[AT_S_POSITION])

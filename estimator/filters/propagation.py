@@ -1,174 +1,344 @@
-"""Propagates state and covariance over one tick: the discretised relaxation model plus a nonlinear
-correction.
+"""Propagates state and covariance over one tick: the filters' motion model.
 
-Between two ticks the relaxation model is integrated exactly for the mean of the inputs. The difference of the
-nonlinear model from it (large angles, tyre curve, load transfer) is evaluated once for two ticks, in their
-middle, and added. The
-tracker, whose model is the nonlinear one, uses the functions for the position and for the plant.
+The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few ticks;
+with them the mean takes one step per tick (exponential integrator), which is exact for a linear model. The
+states x, shape (24,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+constant, they are the joint state, shape (n,).
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
     ACROSS,
     ALONG,
     DT,
-    N_PUSH,
     N_STATES,
     PAIR_DECAY,
+    SLOPE_LENGTH,
+    SLOPE_SD,
+    START,
+    START_PLACE,
+    UNEVEN_LENGTH,
     X_ALPHA,
     X_PAIR,
     X_POSITION,
     X_PSI,
     X_PUSH,
     X_R,
+    X_SLOPE,
+    X_UNEVEN,
     X_V,
+    Places,
     Point,
 )
-from tilth.estimator.filters.unknowns import AT_ROLL_MODES
+from tilth.estimator.filters.unknowns import (
+    AT_CG,
+    AT_CURVATURE,
+    AT_GEOMETRY,
+    AT_LATENCY,
+    AT_ROLL_MODES,
+    AT_ROLLING,
+    AT_WHEEL_GAIN,
+    AT_WHEEL_ZERO,
+    N_ROLL_MODES,
+)
+from tilth.estimator.filters.unknowns import geometry as geometry_at
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.models.rolling import N_ROLLING, RollModes, RollWork, rates_rolling, roll_work
+from tilth.estimator.models.rolling import (
+    HELD,
+    N_INPUTS,
+    N_ROLLING,
+    UNEVEN,
+    RollModes,
+    RollWork,
+    rates_rolling,
+    roll_work,
+)
+from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
-NUDGE_LINEAR = 1e-6
-
-
-class RelaxationModel(NamedTuple):
-    """The states before X_PUSH at one speed: x' = A x + B inputs, and its discretisation over a tick."""
-
-    A: Array  # (8, 8)
-    B: Array  # (8, 3), of relaxation.INPUTS
-    F: Array  # (8, 8), of the state over DT
-    G: Array  # (8, 3), of inputs that are held
-    G_push: Array  # (12, 5), of the ground's pushes, held
+NUDGE: Final = 1e-5  # step of the differences, in the unit of each state or unknown
+EVERY: Final = 5  # ticks for which one set of Jacobians is used
+SLOWEST: Final = 1.0  # m/s: distances along the ground are driven at least as fast
 
 
 class Plant(NamedTuple):
-    """The nonlinear model at one point of the unknowns, and its work arrays."""
+    """The motion model at one point of the unknowns, and its work arrays."""
 
     theta: Array  # (6,)
     rig: Rig
+    roll: RollModes
+    scale: float  # of all motions; as RigSetup.scale
     x: Array  # (15,), its state
-    w: Array  # (9,), its inputs
+    w: Array  # (12,), its inputs
     forces: Array  # (6, 3)
     rates: Array  # (15,), x'
-    roll: RollModes
     work: RollWork
 
 
+class Active(NamedTuple):
+    """The unknowns that are estimated."""
+
+    places: Places  # (a,), indices into unknowns.NAMES
+    geometry: Array  # (a, 9), derivative of the geometry by each
+
+
+class DriveInputs(NamedTuple):
+    """Inputs of the rig in the middle of a tick."""
+
+    u: float  # m/s
+    u_rate: float  # m/s^2
+    wheel: float  # true wheel angle, rad
+    wheel_rate: float  # its rate, rad/s
+    wheel_scale: float  # true wheel angle over reading
+
+
+class Ground(NamedTuple):
+    """Sds of what the ground does."""
+
+    push: Array  # (3,), m/s^2, m/s^2, rad/s^2
+    memory_s: float  # time constant of the pushes
+    uneven: float  # rad
+
+
+class Transition(NamedTuple):
+    """Transition of x over one tick, linearised, and work arrays."""
+
+    rates_x: Array  # (12, 19), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
+    rates_wheel: Array  # (12,), over the true wheel angle
+    rates_unknowns: Array  # (12, a), over the active unknowns
+    rates: Array  # (12,), the rates themselves
+    nudged: Array  # (12,), overwritten
+    held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
+    wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
+    decay: Array  # (24,), factor on the states from X_PUSH on
+    q: Array  # (24,), variances of the process noise, without that of the position
+    F: Array  # (24, n), Jacobian of x one tick later over the joint state
+    F_T: Array  # (n, 24)
+    F_P: Array  # (24, 24 + a), overwritten
+
+
+# The inputs and the rates.
+
+
 @kernel
-def discretise(u: float, point: Point, rig: Rig, model: RelaxationModel, plant: Plant) -> None:
-    """Fill the model at speed u, m/s, about straight driving."""
-    A, B, F = model.A, model.B, model.F
-    at = np.zeros(N_STATES)
-    A[:, :] = 0.0
-    for j in range(X_PUSH):
-        for side in (-1.0, 1.0):
-            at[j] = side * NUDGE_LINEAR
-            plant.w[:] = 0.0
-            plant_rates(at, u, plant)
-            for i in range(X_PSI):
-                A[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
-        at[j] = 0.0
-    A[X_PSI, X_R] = A[X_PSI + 1, X_R + 1] = 1.0
-    B[:, :] = 0.0
-    for j in range(5):
-        place = j if j < 3 else 6 + j
-        for side in (-1.0, 1.0):
-            plant.w[:] = 0.0
-            plant.w[place] = side * NUDGE_LINEAR
-            plant_rates(at, u, plant)
-            for i in range(X_PSI):
-                B[i, j] += side * plant.rates[5 + i] / (2.0 * NUDGE_LINEAR)
-    F[:] = np.eye(X_PUSH)
-    held = DT * np.eye(X_PUSH)
-    power = np.eye(X_PUSH)
-    factor = 1.0
-    for order in range(1, 6):
+def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
+    """The wheel's reading `behind` seconds before tick k (linear between ticks, held at the ends)."""
+    n = ticks.shape[0]
+    at = k - behind / DT
+    if at <= 0.0:
+        return float(ticks[0, WHEEL_ANGLE])
+    if at >= n - 1:
+        return float(ticks[n - 1, WHEEL_ANGLE])
+    low = int(at)
+    share = at - low
+    return float(ticks[low, WHEEL_ANGLE] * (1.0 - share) + ticks[low + 1, WHEEL_ANGLE] * share)
+
+
+@kernel
+def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
+    """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
+    k = min(k, ticks.shape[0] - 1)
+    nxt = min(k + 1, ticks.shape[0] - 1)
+    scale = math.exp(-unknowns[AT_WHEEL_GAIN])
+    behind = unknowns[AT_LATENCY]
+    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, nxt, behind)
+    wheel = (0.5 * (early + late) - unknowns[AT_WHEEL_ZERO]) * scale
+    u, u_rate = 0.5 * (ticks[k, U] + ticks[nxt, U]), (ticks[nxt, U] - ticks[k, U]) / DT
+    return DriveInputs(u, u_rate, wheel, (late - early) / DT * scale, scale)
+
+
+@kernel
+def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
+    """The rig with this geometry (9,), rolling resistance and curvature of the tyre curve (1/grip)."""
+    grip = 1.0 / max(curvature, 1e-3)
+    return Rig(
+        geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],
+        geometry[7], geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i,
+        rig.h_t, rig.h_i, rig.h_h, rig.w_f, rig.w_r, rig.w_i, rig.roll_share_f, grip, grip, grip,
+        rig.load_exponent, rolling, rolling, rolling, rig.front_drive, 0.0, rig.drive_limit, rig.g,
+    )  # fmt: skip
+
+
+@kernel
+def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
+    """The roll modes at a point of the unknowns."""
+    k = np.exp(unknowns[AT_ROLL_MODES : AT_ROLL_MODES + 6])
+    return RollModes(
+        roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
+        roll.inertia_t * k[4], roll.inertia_i * k[5],
+        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0],
+    )  # fmt: skip
+
+
+@kernel
+def plant_of(setup: RigSetup) -> Plant:
+    """The motion model with the machine file's parameters."""
+    return Plant(
+        np.zeros(6), setup.rig, setup.roll, setup.scale,
+        np.zeros(N_ROLLING), np.zeros(N_INPUTS), np.zeros((6, 3)), np.zeros(N_ROLLING), roll_work(),
+    )  # fmt: skip
+
+
+@kernel
+def plant_at(plant: Plant, point: Point, setup: RigSetup) -> Plant:
+    """The plant at a point of the unknowns, with the same work arrays."""
+    rolling = point.unknowns[AT_ROLLING] if setup.scale == 1.0 else 0.0
+    return Plant(
+        point.theta, rig_at(setup.rig, point.geometry, rolling, point.unknowns[AT_CURVATURE]),
+        roll_at(setup.roll, point.unknowns),
+        setup.scale, plant.x, plant.w, plant.forces, plant.rates, plant.work,
+    )  # fmt: skip
+
+
+@kernel
+def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
+    """Fill out (12,), the rates of the states before X_PUSH."""
+    state, w, scale = plant.x, plant.w, plant.scale
+    state[2], state[3], state[4] = scale * x[X_PSI], scale * x[X_PSI + 1], drive.u
+    for i in range(X_PSI):
+        state[5 + i] = scale * x[i]
+    w[0], w[3], w[HELD] = scale * drive.wheel, drive.u, drive.u_rate if scale == 1.0 else 0.0
+    for body in range(2):
+        w[1 + body] = scale * (x[X_PUSH + body] + x[X_SLOPE + body])
+        w[UNEVEN + body] = scale * x[X_UNEVEN + body]
+    rates_rolling(state, w, plant.theta, plant.rig, plant.roll, plant.forces, plant.work, plant.rates)
+    for i in range(X_PSI):
+        out[i] = plant.rates[5 + i] / scale
+    out[X_R] += x[X_PUSH + 2]
+    out[X_PSI], out[X_PSI + 1] = x[X_R], x[X_R + 1]
+
+
+# The Jacobians.
+
+
+@kernel
+def rate_jacobians(
+    x: Array, drive: DriveInputs, point: Point, plant: Plant, setup: RigSetup, active: Active, out: Transition
+) -> None:
+    """Fill the Jacobians of the rates, by differences."""
+    base, nudged_rate = out.rates, out.nudged
+    state_rates(x, drive, plant, base)
+    at = x.copy()
+    for j in range(X_POSITION):
+        if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN:
+            continue  # of the headings only the difference matters
+        at[j] += NUDGE
+        state_rates(at, drive, plant, nudged_rate)
+        at[j] = x[j]
+        for i in range(X_PUSH):
+            out.rates_x[i, j] = (nudged_rate[i] - base[i]) / NUDGE
+    for i in range(X_PUSH):
+        out.rates_x[i, X_PSI + 1] = -out.rates_x[i, X_PSI]
+        out.rates_x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
+        out.rates_x[i, X_SLOPE] = out.rates_x[i, X_PUSH]
+        out.rates_x[i, X_SLOPE + 1] = out.rates_x[i, X_PUSH + 1]
+    nudged_drive = DriveInputs(
+        drive.u, drive.u_rate, drive.wheel + NUDGE, drive.wheel_rate, drive.wheel_scale
+    )
+    state_rates(x, nudged_drive, plant, nudged_rate)
+    for i in range(X_PUSH):
+        out.rates_wheel[i] = (nudged_rate[i] - base[i]) / NUDGE
+    for j in range(active.places.shape[0]):
+        depends = nudged_rates(x, drive, point, plant, setup, active, j, nudged_rate)
+        for i in range(X_PUSH):
+            out.rates_unknowns[i, j] = (nudged_rate[i] - base[i]) / NUDGE if depends else 0.0
+
+
+@kernel
+def nudged_rates(
+    x: Array, drive: DriveInputs, point: Point, plant: Plant, setup: RigSetup, active: Active, j: int,
+    out: Array,
+) -> bool:  # fmt: skip
+    """Fill out (12,), the rates with the j-th active unknown nudged; whether they depend on it."""
+    place = active.places[j]
+    roll_mode = AT_ROLL_MODES <= place < AT_ROLL_MODES + N_ROLL_MODES
+    if place < 6:
+        theta = point.theta.copy()
+        theta[place] *= 1.0 + NUDGE
+        nudged = plant_at(plant, Point(point.unknowns, theta, point.geometry), setup)
+    elif roll_mode or place == AT_ROLLING or place == AT_CURVATURE:
+        unknowns = point.unknowns.copy()
+        unknowns[place] += NUDGE
+        nudged = plant_at(plant, Point(unknowns, point.theta, point.geometry), setup)
+    elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
+        geometry = point.geometry + NUDGE * active.geometry[j]
+        nudged = plant_at(plant, Point(point.unknowns, point.theta, geometry), setup)
+    else:
+        return False
+    state_rates(x, drive, nudged, out)
+    return True
+
+
+@kernel
+def geometry_jacobian(base: Array, point: Point, active: Active) -> None:
+    """Fill active.geometry. base: (9,), the geometry of the machine file."""
+    unknowns = point.unknowns.copy()
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        unknowns[place] += NUDGE
+        active.geometry[j] = (geometry_at(base, unknowns) - point.geometry) / NUDGE
+        unknowns[place] = point.unknowns[place]
+
+
+@kernel
+def integrate_exponential(jacobian: Array, out: Array) -> None:
+    """Fill out (12, 12): the integral of the Jacobian's matrix exponential over DT, by a power series."""
+    A = jacobian[:, :X_PUSH].copy()
+    power, factor = np.eye(X_PUSH), DT
+    out[:] = DT * power
+    for order in range(2, 5):
         power = power @ A
         factor *= DT / order
-        F += factor * power
-        held += (factor * DT / (order + 1)) * power
-    model.G[:] = held @ B
-    model.G_push[:, 0:2] = model.G[:, 1:3]
-    model.G_push[:, 2] = held[:, 1]
-    model.G_push[:, 3:5] = model.G[:, 1:3]
-    model.G_push[:, 5:7] = model.G[:, 3:5]
+        out += factor * power
 
 
 @kernel
-def propagate_position(x: Array, u: float, out: Array) -> None:
-    """Fill the position of out, the state one tick after x, whose v and psi_t are filled already."""
-    psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
-    sine, cosine = math.sin(psi), math.cos(psi)
-    out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
-    out[X_POSITION + 1] = x[X_POSITION + 1] + DT * (u * sine + v * cosine)
-
-
-@kernel
-def propagate_state(
-    x: Array, u: float, inputs: Array, model: RelaxationModel, correction: Array, push_decay: Array,
-    out: Array,
-) -> None:  # fmt: skip
-    """Fill out (15,), the state one tick after x.
-
-    inputs: (3,), as relaxation.INPUTS. correction: (6,), of `nonlinear_correction`. push_decay: factor on the
-    ground's pushes over a tick.
-    """
-    F, G, G_push = model.F, model.G, model.G_push
+def joint_jacobian(active: Active, step: Transition) -> None:
+    """Fill step.F and step.wheel, except for what `complete_jacobian` adds."""
+    held, F = step.held, step.F
+    F[:, :] = 0.0
     for i in range(X_PUSH):
-        total = 0.0
-        for j in range(3):
-            total += G[i, j] * inputs[j]
-        for j in range(N_PUSH):
-            total += G_push[i, j] * x[X_PUSH + j]
-        for j in range(X_PUSH):
-            total += F[i, j] * x[j]
-        out[i] = total
-    for i in range(X_PSI):
-        out[i] += DT * correction[i]
-    for i in range(2):  # the correction of r' changes the heading within the tick too
-        out[X_PSI + i] += 0.5 * DT * DT * correction[X_R + i]
-    for i in range(X_PUSH, X_POSITION):
-        out[i] = push_decay[i - X_PUSH] * x[i]
-    propagate_position(x, u, out)
-    for i in range(X_PAIR, N_STATES):
-        out[i] = PAIR_DECAY * x[i]
+        F[i, i] = 1.0
+        step.wheel[i] = 0.0
+        for k in range(X_PUSH):
+            part = held[i, k]
+            if part != 0.0:
+                step.wheel[i] += part * step.rates_wheel[k]
+                for j in range(X_POSITION):
+                    F[i, j] += part * step.rates_x[k, j]
+                for j in range(active.places.shape[0]):
+                    F[i, N_STATES + j] += part * step.rates_unknowns[k, j]
+    for i in range(X_PUSH, N_STATES):
+        F[i, i] = step.decay[i]
 
 
 @kernel
-def plant_rates(x: Array, u: float, plant: Plant) -> None:
-    """Fill plant.rates at state x; plant.w[:3] holds the wheel angle and gravity on both bodies."""
-    state = plant.x
-    state[2], state[3], state[4] = x[X_PSI], x[X_PSI + 1], u
-    for i in range(X_PSI):
-        state[5 + i] = x[i]
-    plant.w[3] = u
-    rates_rolling(state, plant.w, plant.theta, plant.rig, plant.roll, plant.forces, plant.work, plant.rates)
-
-
-@kernel
-def nonlinear_correction(
-    x: Array, u: float, inputs: Array, model: RelaxationModel, plant: Plant, out: Array
+def linearise(
+    x: Array,
+    ticks: Array,
+    k: int,
+    point: Point,
+    plant: Plant,
+    setup: RigSetup,
+    active: Active,
+    step: Transition,
 ) -> None:
-    """Fill out (6,): rates of the nonlinear model less those of the relaxation model at state x."""
-    plant.w[:] = 0.0
-    plant.w[0], plant.w[1], plant.w[2] = inputs[0], inputs[1], inputs[2]
-    plant_rates(x, u, plant)
-    A, B = model.A, model.B
-    for i in range(X_PSI):
-        linear = 0.0
-        for j in range(3):
-            linear += B[i, j] * inputs[j]
-        for j in range(X_PUSH):
-            linear += A[i, j] * x[j]
-        out[i] = plant.rates[5 + i] - linear
+    """Renew step's Jacobians for EVERY ticks from tick k on, about x in the middle of them, roughly."""
+    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
+    middle = x.copy()
+    for i in range(X_PUSH):
+        middle[i] += 0.5 * EVERY * DT * step.rates[i]
+    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), point, plant, setup, active, step)
+    integrate_exponential(step.rates_x, step.held)
+    joint_jacobian(active, step)
 
 
 @kernel
@@ -185,43 +355,60 @@ def position_jacobian(u: float, psi: float, v: float, columns: int, F: Array) ->
 
 
 @kernel
-def transition_jacobian(
-    x: Array, u: float, model: RelaxationModel, push_decay: Array, F: Array, F_T: Array
+def complete_jacobian(
+    x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
 ) -> None:
-    """Fill F (15, 15), the transition Jacobian over one tick, and its transpose F_T.
+    """Complete step.F for one tick: rows of the position, columns of wheel zero, gain and latency; fill
+    step.F_T.
 
-    Only those entries are filled that `propagate_covariance` and `propagate_change` read; the others are
-    zero.
+    x, following: (24,), the state before and after the tick.
     """
-    for i in range(X_PUSH):
-        for j in range(X_PUSH):
-            F[i, j] = F_T[j, i] = model.F[i, j]
-        for j in range(N_PUSH):
-            F[i, X_PUSH + j] = F_T[X_PUSH + j, i] = model.G_push[i, j]
-    position_jacobian(u, x[X_PSI], x[X_V], X_PUSH, F)
-    for j in range(X_PUSH):
-        F_T[j, X_POSITION] = F[X_POSITION, j]
-        F_T[j, X_POSITION + 1] = F[X_POSITION + 1, j]
-    for i in range(X_PUSH, N_STATES):
-        F[i, i] = F_T[i, i] = (
-            push_decay[i - X_PUSH] if i < X_POSITION else (1.0 if i < X_PAIR else PAIR_DECAY)
-        )
+    F, F_T = step.F, step.F_T
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        if AT_WHEEL_ZERO <= place <= AT_LATENCY:
+            factor = -drive.wheel_rate
+            if place == AT_WHEEL_ZERO:
+                factor = -drive.wheel_scale
+            elif place == AT_WHEEL_GAIN:
+                factor = -drive.wheel
+            for i in range(X_PUSH):
+                F[i, N_STATES + j] = factor * step.wheel[i]
+    psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
+    position_jacobian(drive.u, psi, v, F.shape[1], F)
+    F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
+    for i in range(N_STATES):
+        for j in range(F.shape[1]):
+            F_T[j, i] = F[i, j]
+
+
+# One tick.
 
 
 @kernel
-def propagate_change(change: Array, F_T: Array, out: Array) -> None:
-    """Fill out (15,): F times a small change of the state, (15,)."""
-    for j in range(X_PUSH):
-        out[j] = 0.0
-    for k in range(X_POSITION):
-        part = change[k]
+def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
+    """Fill out (24,), the state one tick later, with step.rates."""
+    for i in range(X_PUSH):
+        total = x[i]
         for j in range(X_PUSH):
-            out[j] += part * F_T[k, j]
-    for j in range(X_PUSH, N_STATES):
-        out[j] = change[j] * F_T[j, j]
-    for j in range(X_POSITION, X_PAIR):
-        for k in range(X_PUSH):
-            out[j] += change[k] * F_T[k, j]
+            total += step.held[i, j] * step.rates[j]
+        out[i] = total
+    for i in range(X_PUSH, N_STATES):
+        out[i] = step.decay[i] * x[i]
+    psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
+    sine, cosine = math.sin(psi), math.cos(psi)
+    out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
+    out[X_POSITION + 1] = x[X_POSITION + 1] + DT * (u * sine + v * cosine)
+
+
+@kernel
+def propagate(
+    x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
+) -> None:
+    """Fill following (24,), x one tick later, and step's Jacobians of this tick."""
+    state_rates(x, drive, plant, step.rates)
+    propagate_mean(x, drive.u, step, following)
+    complete_jacobian(x, following, drive, active, step)
 
 
 @kernel
@@ -237,71 +424,94 @@ def add_position_noise(P: Array, psi: float) -> None:
 
 
 @kernel
-def propagate_covariance(P: Array, F: Array, F_T: Array, q: Array, psi: float, F_P: Array) -> None:
-    """Propagate P (15, 15) over one tick: F P F' + Q, in place.
+def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
+    """Propagate P (n, n), of x or of the joint state, over one tick, in place.
 
-    q: (6,), process noise variances of alpha_f, the pushes and both pairs. Loops add rows to rows and skip
-    zeros, which is three times as fast as two matrix products. F_P: (15, 15), work array.
+    Processes and unknowns only decay or are constant, so that their part of F is diagonal. Loops add rows to
+    rows and skip zeros, so that the compiler can use vector instructions.
     """
-    for i in range(X_PUSH):
-        for j in range(N_STATES):
-            F_P[i, j] = F[i, 0] * P[0, j]
-        for k in range(1, X_POSITION):
+    F, F_T, F_P, n = step.F, step.F_T, step.F_P, P.shape[0]
+    F_P[:X_PAIR] = 0.0
+    for i in range(X_PAIR):
+        for k in range(n):
             part = F[i, k]
-            for j in range(N_STATES):
-                F_P[i, j] += part * P[k, j]
-    for i in range(X_PUSH, N_STATES):
-        part = F[i, i]
-        for j in range(N_STATES):
-            F_P[i, j] = part * P[i, j]
-    for i in range(X_POSITION, X_PAIR):
-        for k in range(X_PUSH):
-            part = F[i, k]
-            for j in range(N_STATES):
-                F_P[i, j] += part * P[k, j]
+            if part != 0.0:
+                for j in range(n):
+                    F_P[i, j] += part * P[k, j]
+    for i in range(X_PAIR, N_STATES):
+        for j in range(X_PAIR, n):
+            P[i, j] *= F[i, i] * (F[j, j] if j < N_STATES else 1.0)
+            if j >= N_STATES:
+                P[j, i] = P[i, j]
+    for i in range(X_PAIR):
+        for j in range(X_PAIR):
+            P[i, j] = 0.0
+        for k in range(n):
+            if k < X_PAIR or F_T[k, 0] != 0.0 or F_T[k, 1] != 0.0:
+                part = F_P[i, k]
+                for j in range(X_PAIR):
+                    P[i, j] += part * F_T[k, j]
+        for j in range(X_PAIR, n):
+            P[i, j] = F_P[i, j] * (F[j, j] if j < N_STATES else 1.0)
+            P[j, i] = P[i, j]
     for i in range(N_STATES):
-        propagate_change(F_P[i], F_T, P[i])
-    P[X_ALPHA, X_ALPHA] += q[0]
-    for i in range(N_PUSH):
-        P[X_PUSH + i, X_PUSH + i] += q[1 + i]
-    for i in range(2):
-        P[X_PAIR + i, X_PAIR + i] += q[8 + i]
+        P[i, i] += step.q[i]
     add_position_noise(P, psi)
 
 
+# What a run begins with.
+
+
 @kernel
-def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
-    """The rig with this geometry (9,), rolling resistance and curvature of the tyre curve (1/grip)."""
-    grip = 1.0 / max(curvature, 1e-3)
-    return Rig(
-        geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],
-        geometry[7], geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i,
-        rig.h_t, rig.h_i, rig.h_h, rig.w_f, rig.w_r, rig.w_i, rig.roll_share_f, grip, grip, grip,
-        rig.load_exponent, rolling, rolling, rolling, rig.front_drive, rig.drive_gain, rig.drive_limit, rig.g,
+def stationary(ground: Ground, sds: Array) -> Array:
+    """Stationary variances of the states from X_PUSH on, shape (24,), 0 before and for the position."""
+    out = np.zeros(N_STATES)
+    for i in range(3):
+        out[X_PUSH + i] = ground.push[i] * ground.push[i]
+        out[X_PAIR + i] = sds[1 + i] * sds[1 + i]
+        if i < 2:
+            out[X_SLOPE + i] = SLOPE_SD * SLOPE_SD
+            out[X_UNEVEN + i] = ground.uneven * ground.uneven
+    return out
+
+
+@kernel
+def first_covariance(ground: Ground, sds: Array) -> Array:
+    """Covariance of the first state of a run, shape (24, 24)."""
+    variances = stationary(ground, sds)
+    for i in range(X_PUSH):
+        variances[i] = START[i] * START[i]
+    variances[X_POSITION] = variances[X_POSITION + 1] = START_PLACE * START_PLACE
+    return np.diag(variances)
+
+
+@kernel
+def empty_transition(na: int, rows: int) -> Transition:
+    """A Transition for `na` active unknowns, of which `rows` are in the covariance, without its Jacobians."""
+    n = N_STATES + na
+    return Transition(
+        np.zeros((X_PUSH, X_POSITION)), np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH),
+        np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)), np.zeros(X_PUSH), np.ones(N_STATES), np.zeros(N_STATES),
+        np.zeros((N_STATES, n)), np.zeros((n, N_STATES)), np.zeros((N_STATES, N_STATES + rows)),
     )  # fmt: skip
 
 
 @kernel
-def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
-    """The roll modes at a point of the unknowns."""
-    k = np.exp(unknowns[AT_ROLL_MODES : AT_ROLL_MODES + 6])
-    return RollModes(
-        roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
-        roll.inertia_t * k[4], roll.inertia_i * k[5],
-        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0],
-    )  # fmt: skip
+def set_processes(u: float, ground: Ground, sds: Array, step: Transition) -> None:
+    """Fill decay and q of the states from X_PUSH on at speed u, m/s."""
+    decay = step.decay
+    speed = max(u, SLOWEST)
+    for i in range(3):
+        decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
+        if i < 2:
+            decay[X_SLOPE + i] = math.exp(-DT * speed / SLOPE_LENGTH)
+            decay[X_UNEVEN + i] = math.exp(-DT * speed / UNEVEN_LENGTH)
+    variances = stationary(ground, sds)
+    for i in range(X_PUSH, N_STATES):
+        step.q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
 
 
 @kernel
-def plant_of(theta: Array, rig: Rig, roll: RollModes) -> Plant:
-    """The nonlinear model with these parameters."""
-    return Plant(
-        theta,
-        rig,
-        np.zeros(N_ROLLING),
-        np.zeros(11),
-        np.zeros((6, 3)),
-        np.zeros(N_ROLLING),
-        roll,
-        roll_work(),
-    )
+def set_wheel_noise(u: float, sigma_f: float, sds: Array, step: Transition) -> None:
+    """Process noise of the front slip angle from that of the wheel angle."""
+    step.q[X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2

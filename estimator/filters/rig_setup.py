@@ -17,17 +17,24 @@ Array = NDArray[np.float64]
 SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is independent between receivers
 
 
+DEFLECTION: Final = 0.06  # m, of tyres under their static load
+PIN: Final = 0.7  # of the front wheels' pin above the ground, m
+DAMPING: Final = 0.12  # of the roll modes
+SMALL: Final = 1e-4  # scale of motions for which the model is linear
+
+
 class RigSetup(NamedTuple):
     """A machine file as arrays for kernels."""
 
     geometry: Array  # (9,), as parameters.GEOMETRY
     levers: Array  # (4, 2), forward and right of each receiver, m, in the order of flow.Mount
     middles: Array  # (2, 2), forward and right of the middle of each body's receivers, m
-    sds: Array  # (3,), rad: of the wheel angle at a tick, and of the slow heading error of either pair
+    sds: Array  # (4,): of the wheel angle at a tick, of the slow heading error of either pair (rad), and of
+    # the slow lateral error of the implement's antennas relative to the tractor's (m)
     rig: Rig
     roll: RollModes
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
-    planar: bool = True  # whether what the nonlinear model has beyond the relaxation model is added
+    scale: float = 1.0  # of all motions, which makes the model linear where it is small
 
 
 def slow_pair_sd(machine: Machine, body: str) -> float | None:
@@ -40,11 +47,6 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
         return None
     length = math.dist(pair[0].position[:2], pair[1].position[:2])
     return SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length if length > 0.1 else None
-
-
-DEFLECTION: Final = 0.06  # m, of tyres under their static load
-PIN: Final = 0.7  # of the front wheels' pin above the ground, m
-DAMPING: Final = 0.12  # of the roll modes
 
 
 def nominal_roll(machine: Machine) -> RollModes:
@@ -64,18 +66,17 @@ def _heights(machine: Machine) -> Array:
     return np.array([by_mount.get(mount, 0.0) for mount in Mount])
 
 
-def rig_setup(machine: Machine, planar: bool = True) -> RigSetup:
-    """The setup of a machine. planar: False for the relaxation model alone, without nonlinear correction."""
+def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
+    """The setup of a machine. linear: small motions of a rig that does not roll, as the relaxation model's."""
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
+    slow.append(SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver])))
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
-    return RigSetup(
-        unknowns.base_geometry(machine),
-        levers,
-        middles,
-        sds,
-        rig_of(machine),
-        nominal_roll(machine),
+    setup = RigSetup(
+        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
         _heights(machine),
-        planar,
-    )
+    )  # fmt: skip
+    if not linear:
+        return setup
+    low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, stiffness_f=1e30)
+    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), scale=SMALL)

@@ -1,11 +1,12 @@
-"""Layout of the filters' state vectors, and the length of a tick.
+"""Layout of the filters' state vector x, shape (24,), and the length of a tick.
 
-x, shape (15,): v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.relaxation), psi_t, psi_i (rad, not
-wrapped); the ground's pushes: accelerations across the tractor and across the implement at their CGs, as of
-gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), three first-order Gauss-Markov processes
-with one time constant; north and east of the tractor's CG (m); the slow heading error of each antenna pair
-(rad). The tracker's x, shape (16,), has one more: the slow lateral error of the implement's antennas relative
-to the tractor's (m).
+v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.rolling); lean of tractor and implement (rad) and their rates
+(rad/s); psi_t, psi_i (rad, not wrapped). What the ground does, first-order Gauss-Markov processes: sideways
+forces at both CGs over mass, as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), with one
+time constant; gravity along the cross slope under either body (m/s^2) and how far unevenness turns the wheels
+of either body about its long axis (rad), over distances. North and east of the tractor's CG (m). Slow errors
+of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's antennas
+relative to the tractor's (m).
 """
 
 import math
@@ -23,38 +24,23 @@ X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
 X_PSI: Final = 10
 X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
-N_PUSH: Final = 7  # of which the last two are gravity along the cross slope of both bodies
 X_SLOPE: Final = 15
 X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
 X_POSITION: Final = 19  # north, east
 X_PAIR: Final = 21
 X_ASIDE: Final = 23
-N_STATES: Final = 23
-N_TRACKER: Final = 24
+N_STATES: Final = 24
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
 PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
 ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
 ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
-START: Final = (
-    0.4,
-    0.1,
-    0.1,
-    0.1,
-    0.1,
-    0.1,
-    0.02,
-    0.01,
-    0.05,
-    0.02,
-    0.05,
-    0.05,
-)  # sds of the states before X_PUSH, at first
+START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05)
+"""Sds of the states before X_PUSH, at first."""
 START_PLACE: Final = 1.0  # m
 SLOPE_SD: Final = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
 SLOPE_LENGTH: Final = 12.0  # m, over which it changes
-UNEVEN_SD: Final = 0.006  # rad
 UNEVEN_LENGTH: Final = 1.5  # m
 
 

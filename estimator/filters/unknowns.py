@@ -18,11 +18,16 @@ from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
 Array = NDArray[np.float64]
 
-NOISES: Final = ("push_t", "push_i", "push_yaw", "memory", "uneven", "s_yaw_rate", "s_velocity", "s_position")
+NOISES: Final = (
+    "push_t", "push_i", "push_yaw", "memory", "uneven", "s_yaw_rate", "s_velocity", "s_position", "s_roll",
+)  # fmt: skip
 """Natural logarithms: sds of how the ground pushes across the tractor and the implement (m/s^2) and turns the
 tractor (rad/s^2), and how long that lasts (s, of a first-order Gauss-Markov process; white where that is less
-than a tick); factors on the sds that the machine file states for yaw rates, velocities, and positions and
-headings."""
+than a tick); sd of how far uneven ground turns the wheels of a body about its long axis (rad); factors on the
+sds that the machine file states for yaw rates, velocities, positions and headings, and rolls."""
+
+ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
+N_ROLL_MODES: Final = 7  # unknowns from roll_k_t to roll_pin
 
 NAMES: Final = (
     *PARAMETERS,  # natural logarithms of N/rad and m
@@ -34,11 +39,12 @@ NAMES: Final = (
     "aside_i",  # m: by how much the implement's antennas are further right, relative to the tractor's
     "cg_t", "cg_i",  # m: CG further forward than the file says
     "rolling",  # rolling resistance over load
-    "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over roll.nominal
+    "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over that of rig_setup.nominal_roll
     "roll_d_t", "roll_d_i",  # the same of roll damping
     "roll_j_t", "roll_j_i",  # the same of roll inertia
-    "roll_pin",  # m: pin higher than nominal
-    "roll_zero_t", "roll_zero_i",  # rad: measured roll less true
+    "roll_pin",  # m: the front axle's pin is higher than nominal
+    *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
+    "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
     *NOISES,
     *GEOMETRY,  # logarithms of true over surveyed; e as m
@@ -46,7 +52,7 @@ NAMES: Final = (
 
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 SIX: Final = slice(0, 6)
-NOISE: Final = slice(AT["push_t"], AT["s_position"] + 1)
+NOISE: Final = slice(AT["push_t"], AT["s_roll"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)
 
 # Indices for kernels. Of pair, lever, cg and push it is the first one; the others follow it.
@@ -60,20 +66,27 @@ AT_CG: Final = AT["cg_t"]
 AT_ROLLING: Final = AT["rolling"]
 AT_CURVATURE: Final = AT["curvature"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
+AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
+AT_ROLL_LATE: Final = AT["roll_late_t"]
 AT_PUSH: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
 AT_UNEVEN: Final = AT["uneven"]
 AT_S_YAW_RATE: Final = AT["s_yaw_rate"]
 AT_S_VELOCITY: Final = AT["s_velocity"]
 AT_S_POSITION: Final = AT["s_position"]
+AT_S_ROLL: Final = AT["s_roll"]
 AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_LOG_SD: Final = (0.5, 0.6, 0.6, 0.6, 0.4, 0.4, 0.15, 0.01, 0.01)
+ROLL_SD: Final = (1.0, 1.0, 1.0, 1.0, 0.4, 0.4, 0.15)  # of the roll modes' unknowns
+ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
+ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
 MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
+UNEVEN: Final = 0.006  # rad
+UNEVEN_LOG_SD: Final = 1.2
 SENSOR_LOG_SD: Final = 0.5
 
 
@@ -96,9 +109,13 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
-    sd[AT["roll_k_t"] : AT["roll_zero_i"] + 1] = ROLL_LOG_SD
-    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], 1.0, 1.0, 1.0, 1.0])
-    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], 1.5] + [SENSOR_LOG_SD] * 3
+    sd[AT_ROLL_MODES : AT_ROLL_MODES + N_ROLL_MODES] = ROLL_SD
+    measured = [any(r.mount is mount for r in machine.receiver) for mount in Mount]
+    sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = np.where(measured, ROLL_ZERO_SD, 0.0)
+    mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
+    sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
+    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])
+    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], UNEVEN_LOG_SD] + [SENSOR_LOG_SD] * 4
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
     return mean, sd
 

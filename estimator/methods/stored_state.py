@@ -8,7 +8,8 @@ missing, has another type or shape, or is unknown.
 from typing import Any, Final
 
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import N_TRACKER
+from tilth.estimator.filters.states import N_STATES
+from tilth.estimator.filters.tracker_kernel import SENSORS
 from tilth.estimator.filters.unknowns import NAMES
 from tilth.estimator.methods import pem, two_step
 from tilth.estimator.methods.consistency import Consistency, Finding
@@ -124,11 +125,11 @@ def tracker_of(raw: Any) -> TrackerState:
         covariance=stored.array("covariance", N, N),
         prior_mean=stored.array("prior_mean", N),
         prior_sd=stored.array("prior_sd", N),
-        x=stored.array("motion", N_TRACKER),
-        P_xx=stored.array("motion_covariance", N_TRACKER, N_TRACKER),
-        P_xtheta=stored.array("cross_covariance", N_TRACKER, N),
-        residual_ratio=stored.array("noise_ratios", 3),
-        push=stored.array("push_variances", 3),
+        x=stored.array("motion", N_STATES),
+        P_xx=stored.array("motion_covariance", N_STATES, N_STATES),
+        P_xtheta=stored.array("cross_covariance", N_STATES, N),
+        residual_ratio=stored.array("noise_ratios", SENSORS),
+        push=stored.array("push_variances", 4),
         running=stored.value(bool, "running"),
         segments_since_start=stored.value(int, "since"),
         pending=stored.optional(Record, "waiting"),

@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
-from tilth.estimator.filters.predictor import innovations
-from tilth.estimator.filters.rig_setup import SLOW_SHARE, RigSetup, rig_setup
+from tilth.estimator.filters.predictor import run_filter
+from tilth.estimator.filters.propagation import Ground, first_covariance
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES, N_TRACKER, SLOPE_SD, START, START_PLACE, UNEVEN_SD
+from tilth.estimator.filters.states import DT, N_STATES
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
+    GROUND,
+    SENSORS,
     USED,
     JointEstimate,
-    ProcessNoise,
     RowTally,
     SegmentArrays,
     track_segment,
@@ -71,13 +73,13 @@ class TrackerState:
     covariance: Array
     prior_mean: Array
     prior_sd: Array
-    x: Array = field(default_factory=lambda: np.zeros(N_TRACKER))
-    P_xx: Array = field(default_factory=lambda: np.zeros((N_TRACKER, N_TRACKER)))
-    P_xtheta: Array = field(default_factory=lambda: np.zeros((N_TRACKER, len(NAMES))))
-    residual_ratio: Array = field(default_factory=lambda: np.ones(3))
-    """Variances of yaw rates, velocities and positions over the stated ones, running means."""
-    push: Array = field(default_factory=lambda: np.square(unknowns.DISTURBANCE))
-    """Variances of the ground's pushes."""
+    x: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    P_xx: Array = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
+    P_xtheta: Array = field(default_factory=lambda: np.zeros((N_STATES, len(NAMES))))
+    residual_ratio: Array = field(default_factory=lambda: np.ones(SENSORS))
+    """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
+    push: Array = field(default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN]))
+    """Variances of the ground's pushes and of its unevenness."""
     running: bool = False  # x is the state at the start of the next segment
     segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
@@ -104,7 +106,7 @@ class TrackerState:
     )  # unknowns learned only with steering
 
 
-KERNELS: Final = (track_segment, innovations)  # that `take` calls
+KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:
@@ -167,23 +169,24 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.running = False
         return
     setup = rig_setup(machine)
-    slow = SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver]))
+    sds = np.sqrt(state.push)
+    ground = Ground(sds[:3], PUSH_MEMORY_S, float(sds[3]))
     if not state.running:
-        _restart(state, record, setup, slow)
+        _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
     _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
     first, count = len(state.ticks_before), len(record.ticks)
     ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     considered = np.concatenate(
-        [np.zeros(N_TRACKER), np.isin(active, [] if learnable else state.needs_steering).astype(np.float64)]
+        [np.zeros(N_STATES), np.isin(active, [] if learnable else state.needs_steering).astype(np.float64)]
     )
-    tally = RowTally(np.zeros(3), np.zeros((6, 2)))
+    tally = RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2)))
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance),
-        setup, active, considered, ProcessNoise(np.sqrt(state.push), PUSH_MEMORY_S, slow), tally,
+        setup, active, considered, ground, tally,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -201,26 +204,11 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.window_s += count * DT
 
 
-def _restart(state: TrackerState, record: Record, setup: RigSetup, slow: float) -> None:
+def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Ground) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
-    state.x = np.zeros(N_TRACKER)
-    state.x[:N_STATES] = likelihood.first_state(record, setup)
-    pairs = np.maximum(np.square(setup.sds[1:]), 1e-12)
-    state.P_xx = np.diag(
-        [
-            *np.square(START),
-            *state.push,
-            SLOPE_SD**2,
-            SLOPE_SD**2,
-            UNEVEN_SD**2,
-            UNEVEN_SD**2,
-            START_PLACE**2,
-            START_PLACE**2,
-            *pairs,
-            slow**2,
-        ]
-    )
-    state.P_xtheta = np.zeros((N_TRACKER, len(NAMES)))
+    state.x = likelihood.first_state(record, setup)
+    state.P_xx = first_covariance(ground, np.maximum(setup.sds, 1e-6))
+    state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
     state.restarts += 1
 
@@ -260,16 +248,20 @@ def _drift(state: TrackerState, metres: float) -> None:
 
 def _adapt_noise(state: TrackerState, sums: Array) -> None:
     """Adapt the noise of the sensors to the residuals, and that of the ground to the estimated pushes."""
-    measured = sums[:3, 1] > 0.0
+    residuals, ground = sums[:SENSORS], sums[SENSORS:]
+    measured = residuals[:, 1] > 0.0
     state.residual_ratio[measured] += (
-        sums[:3][measured, 0] / sums[:3][measured, 1] - state.residual_ratio[measured]
+        residuals[measured, 0] / residuals[measured, 1] - state.residual_ratio[measured]
     ) / SENSOR_NOISE_MEMORY
     stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
-    state.mean[AT["s_yaw_rate"] : AT["s_position"] + 1] = 0.5 * np.log(stated)
-    ratio = np.clip(sums[3:, 0] / np.maximum(sums[3:, 1], 1e-12), 0.0, LARGEST_PUSH)
+    state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
+    ground = np.vstack([ground[:3], ground[3:].sum(axis=0)])  # both bodies' unevenness has one sd
+    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, LARGEST_PUSH)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
     logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_VARIANCE_MEMORY
-    state.push = np.exp(logs + (np.log(np.square(unknowns.DISTURBANCE)) - logs) / PUSH_FORGETTING)
+    state.push = np.exp(
+        logs + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs) / PUSH_FORGETTING
+    )
 
 
 def _detect_soil_change(state: TrackerState) -> None:
@@ -328,7 +320,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
 
 
 def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
-    push_t, push_i, push_yaw = np.sqrt(state.push).tolist()
+    push_t, push_i, push_yaw, _ = np.sqrt(state.push).tolist()
     excitation = {
         "distance_m": state.distance,
         "soil_changes": float(state.changes),

@@ -7,7 +7,8 @@ m (a_y + h p'). The front axle hangs on a pin at height z_pin, the drawbar is at
 
 Source: Kane's equations for two rigid bodies with generalised speeds u, v, r_t, r_i, p_t, p_i; small lean.
 States: those of nonlinear.STATES before the actuator's, then phi_t, phi_i (rad), p_t, p_i (rad/s). Inputs:
-nonlinear.INPUTS, then how far uneven ground turns the wheels of either body about its long axis (rad).
+nonlinear.INPUTS, of which the drive is not used; then how far uneven ground turns the wheels of either body
+about its long axis (rad), and u' (m/s^2): the speed is held, by whatever force of the driven wheels that takes.
 """
 
 import math
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.estimator.models.nonlinear import Six, applied, slip_rate, wheel_forces
+from tilth.estimator.models.nonlinear import Pair, Six, applied, slip_rate, wheel_forces
 from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 N_ROLLING: Final = 15
 LEAN: Final = 11  # of the tractor; of the implement, and their rates, next to it
 SPEEDS: Final = 6
+UNEVEN, HELD = 9, 11  # inputs: of the tractor, with the implement's next to it; u'
+N_INPUTS: Final = 12
 
 
 class RollModes(NamedTuple):
@@ -51,7 +54,7 @@ class RollWork(NamedTuple):
 
 @kernel
 def solve(M: Array) -> None:
-    """Gauss's elimination of (n, n + 1), whose matrix is positive definite; the last column is the answer."""
+    """Gauss's elimination of (n, n + 1) without a search for pivots; the last column is the answer."""
     n = M.shape[0]
     for k in range(n):
         for i in range(k + 1, n):
@@ -82,10 +85,15 @@ def axle_velocities_rolling(x: Array, delta: float, rig: Rig, pin: float) -> Six
 
 @kernel
 def accelerations_rolling(
-    x: Array, w: Array, on: Six, front_y: float, rig: Rig, roll: RollModes, work: RollWork
+    x: Array, w: Array, on: Six, front_y: float, push: Pair, rig: Rig, roll: RollModes, work: RollWork
 ) -> None:
-    """Fill the last column of work.M: u', v', r_t', r_i', p_t', p_i'. on: as nonlinear.applied; front_y: the
-    front axle's force across the tractor, N."""
+    """Fill the last column of work.M: the drive's force (N), v', r_t', r_i', p_t', p_i'.
+
+    The speed is held: u' is known and the force of the driven wheels is what that takes, so that the implement
+    hangs on the drawbar with all that it drags. on: as nonlinear.applied, without a drive; front_y: the front
+    axle's force across the tractor, N; push: along and across the tractor, of the front wheels' share of a
+    drive of 1 N, N.
+    """
     force_x, force_y, moment_t, cart_x, cart_y, moment_i = on
     u, v, r_t, r_i = x[4], x[5], x[6], x[7]
     s, c = math.sin(x[2] - x[3]), math.cos(x[2] - x[3])
@@ -97,14 +105,16 @@ def accelerations_rolling(
     V[1, 0, 3], V[1, 1, 3] = -rig.d * s, -rig.d * c
     V[1, 1, 4] = z
     V[1, 0, 5], V[1, 1, 5] = (rig.h_i - z) * s, (rig.h_i - z) * c
+    # Both CGs are accelerated by the six derivatives and, without them, by these (tractor's axes).
     still_x = -v * r_t + rig.c * r_t**2 + rig.d * r_i**2 * c
     still_y = u * r_t - rig.d * r_i**2 * s
     cart_tx, cart_ty = cart_x * c + cart_y * s, cart_y * c - cart_x * s
     for j in range(SPEEDS):
-        for k in range(SPEEDS):
+        for k in range(j, SPEEDS):
             M[j, k] = rig.m_t * V[0, 1, j] * V[0, 1, k] + rig.m_i * (
                 V[1, 0, j] * V[1, 0, k] + V[1, 1, j] * V[1, 1, k]
             )
+            M[k, j] = M[j, k]
         M[j, SPEEDS] = -rig.m_t * u * r_t * V[0, 1, j] - rig.m_i * (
             still_x * V[1, 0, j] + still_y * V[1, 1, j]
         )
@@ -122,10 +132,22 @@ def accelerations_rolling(
     spring_t = roll.stiffness_t + rig.g * rig.m_t * rig.h_t
     spring_i = roll.stiffness_i + rig.g * rig.m_i * rig.h_i
     M[4, SPEEDS] += z * cart_ty + roll.pin * front_y + rig.h_t * rig.m_t * w[1]
-    M[4, SPEEDS] += spring_t * w[9] - roll.stiffness_t * x[LEAN] - roll.damping_t * x[LEAN + 2]
+    M[4, SPEEDS] += spring_t * w[UNEVEN] - roll.stiffness_t * x[LEAN] - roll.damping_t * x[LEAN + 2]
     M[5, SPEEDS] += -z * cart_y + rig.h_i * rig.m_i * w[2]
-    M[5, SPEEDS] += spring_i * w[10] - roll.stiffness_i * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
+    M[5, SPEEDS] += spring_i * w[UNEVEN + 1] - roll.stiffness_i * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
+    for j in range(SPEEDS):
+        M[j, SPEEDS] -= M[j, 0] * w[HELD]
+        M[j, 0] = 0.0
+    M[0, 0], M[1, 0], M[2, 0] = -1.0 - push[0], -push[1], -rig.a * push[1]
+    M[4, 0] = -roll.pin * push[1]
     solve(M)
+
+
+@kernel
+def across_front(forces: Array, delta: float) -> float:
+    """The front axle's force across the tractor, N. forces: as nonlinear.wheel_forces."""
+    along, across = forces[0, 1] + forces[1, 1], forces[0, 2] + forces[1, 2]
+    return along * math.sin(delta) + across * math.cos(delta)
 
 
 @kernel
@@ -141,22 +163,20 @@ def rates_rolling(
     # Loads go from side to side as the lean presses the tyres: what springs and dampers hold.
     moment_t = -(roll.stiffness_t + rig.g * rig.m_t * rig.h_t) * x[LEAN] - roll.damping_t * x[LEAN + 2]
     moment_i = -(roll.stiffness_i + rig.g * rig.m_i * rig.h_i) * x[LEAN + 1] - roll.damping_i * x[LEAN + 3]
-    front_y = (forces[0, 1] + forces[1, 1]) * math.sin(delta) + (forces[0, 2] + forces[1, 2]) * math.cos(
-        delta
-    )
+    front_y = across_front(forces, delta)
     shifts[0] = roll.pin * front_y / rig.w_f
     shifts[1] = moment_t / rig.w_r
     shifts[2] = moment_i / rig.w_i
     wheel_forces(planar, w, delta, theta, rig, shifts, forces)
-    front_y = (forces[0, 1] + forces[1, 1]) * math.sin(delta) + (forces[0, 2] + forces[1, 2]) * math.cos(
-        delta
-    )
-    accelerations_rolling(x, w, applied(planar, w, delta, forces, rig), front_y, rig, roll, work)
+    front_y = across_front(forces, delta)
+    share = rig.front_drive
+    push = (share * (math.cos(delta) - 1.0), share * math.sin(delta))
+    accelerations_rolling(x, w, applied(planar, w, delta, forces, rig), front_y, push, rig, roll, work)
     sine, cosine = math.sin(x[2]), math.cos(x[2])
     out[0] = x[4] * cosine - x[5] * sine
     out[1] = x[4] * sine + x[5] * cosine
-    out[2], out[3] = x[6], x[7]
-    for i in range(4):
+    out[2], out[3], out[4] = x[6], x[7], w[HELD]
+    for i in range(1, 4):
         out[4 + i] = work.M[i, SPEEDS]
     along_f, across_f, along_r, across_r, along_i, across_i = axle_velocities_rolling(x, delta, rig, roll.pin)
     # The front axle turns about its pin as its side force pushes: one more spring in a row with the tyres.

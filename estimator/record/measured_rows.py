@@ -5,20 +5,18 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.geometry import lever, rotate, wrap
+from tilth.estimator.pose.geometry import lever, wrap
 from tilth.estimator.pose.receiver_track import Stamped
-from tilth.estimator.pose.roll_pitch import HALF_NS, RollPitch, roll_rate_noise, trusted_share
-from tilth.estimator.record.record import EAST, HEADING, NORTH, VELOCITY, YAW_RATE
+from tilth.estimator.pose.roll_pitch import RollPitch
+from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
 
 SLACK_NS = 2_000_000  # a new latency may move a sample this far before its segment: it does not count as late
-_POSITION, _VELOCITY, _YAW_RATE, _HEADING = range(4)  # columns of UsedSamples.newest_ns
+_POSITION, _VELOCITY, _YAW_RATE, _HEADING, _ROLL = range(5)  # columns of UsedSamples.newest_ns
 
-COLOURED_NOISE_FACTOR = 4.0  # noise of a roll rate is correlated over many samples: it counts as one error
 Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
 Line = tuple[float, float]  # value at the start and at the end of a segment
-Halves = tuple[float, float, float]  # and in its middle
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +35,11 @@ class Knot:
 class UsedSamples:
     """Which samples have been used."""
 
-    newest_ns: list[list[int]] = field(default_factory=lambda: [[0] * 4 for _ in MOUNTS])
-    """Stamp of the newest used sample, of each receiver: position, velocity, yaw rate, heading."""
+    newest_ns: list[list[int]] = field(default_factory=lambda: [[0] * 5 for _ in MOUNTS])
+    """Stamp of the newest used sample, of each receiver: position, velocity, yaw rate, heading,
+    roll."""
     cut_ns: int = 0  # end of the last segment
     late: int = 0  # samples that came after their segment had been built, and were dropped
-    roll_rate_squares: list[list[float]] = field(default_factory=lambda: [[0.0, 0.0], [0.0, 0.0]])
-    """Of each body: recent mean squares of its roll rate and of the noise of that rate, rad^2/s^2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,18 +51,15 @@ class _Span:
     psi: Line
     yaw_rate: Line
     pitch: Line
-    roll: Halves
-    roll_rate: Halves  # rad/s, times the share that is not noise
-    sd_roll_rate: float  # rad/s, of the remaining noise
 
 
-def rows_between(used: UsedSamples, aligner: Aligner, start: Knot, end: Knot, after: Knot) -> list[Row]:
+def rows_between(used: UsedSamples, aligner: Aligner, start: Knot, end: Knot) -> list[Row]:
     """All samples of the segment, not sorted. They count as used even if they are not returned.
 
-    start, end: the poses at its ends; after: the pose after its end.
+    start, end: the poses at its ends.
     """
     out: list[Row] = []
-    spans = [_span(used.roll_rate_squares[body], body, start, end, after) for body in (0, 1)]
+    spans = [_span(body, start, end) for body in (0, 1)]
     receivers = aligner.machine.receiver
     bodies = [_body(receiver) for receiver in receivers]
     for receiver, body in zip(receivers, bodies, strict=True):
@@ -81,21 +75,13 @@ def _body(receiver: Receiver) -> int:
     return int(receiver.mount in (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR))
 
 
-def _span(roll_rate_squares: list[float], body: int, start: Knot, end: Knot, after: Knot) -> _Span:
-    first, last, following = start.roll_pitch[body], end.roll_pitch[body], after.roll_pitch[body]
+def _span(body: int, start: Knot, end: Knot) -> _Span:
     psi = yaw_rate = (0.0, 0.0)
     if start.values and end.values:
         psi = (start.values[1 + body], end.values[1 + body])
         yaw_rate = (start.values[3 + body], end.values[3 + body])
-    seconds = POSE_NS * 1e-9
-    low, high = (last.roll - first.roll) / seconds, (following.roll_before - last.roll_before) / seconds
-    share = trusted_share(roll_rate_squares, high, roll_rate_noise(last, following))
-    noise_sd = math.sqrt(share * roll_rate_squares[1])
-    early = share * (last.roll_before - first.roll_before) / seconds
-    return _Span(
-        start.t_ns, end.t_ns, psi, yaw_rate, (first.pitch, last.pitch),
-        (first.roll, last.roll_before, last.roll), (early, share * low, share * high), noise_sd,
-    )  # fmt: skip
+    pitch = (start.roll_pitch[body].pitch, end.roll_pitch[body].pitch)
+    return _Span(start.t_ns, end.t_ns, psi, yaw_rate, pitch)
 
 
 def _of_receiver(
@@ -123,13 +109,14 @@ def _of_receiver(
             out.append((max(0, t_ns - start_ns), YAW_RATE, body, rate, sd))
     for t_ns, north, east, sd in unused(track.velocities, _VELOCITY):
         since = max(0, t_ns - start_ns)
-        across, sd_tilt = _velocity_across(span, receiver, since, north, east)
-        out.append((since, VELOCITY, index, across, math.hypot(sd, sd_tilt)))
+        out.append((since, VELOCITY, index, _velocity_across(span, receiver, since, north, east), sd))
     for t_ns, north, east, sd in unused(track.positions, _POSITION):
         since = max(0, t_ns - start_ns)
         north, east = _position_upright(span, receiver, since, north, east)
         out.append((since, NORTH, index, north, sd))
         out.append((since, EAST, index, east, sd))
+    for t_ns, roll, sd in unused(track.rolls, _ROLL):
+        out.append((max(0, t_ns - start_ns), ROLL_ANGLE, index, roll, sd))
     for t_ns, heading, sd in unused(track.headings, _HEADING):
         if only_receiver:
             since = max(0, t_ns - start_ns)
@@ -156,37 +143,22 @@ def _at(line: Line, since_ns: int) -> float:
     return line[0] + (line[1] - line[0]) * (since_ns / POSE_NS)
 
 
-def _interpolate_halves(values: Halves, since_ns: int) -> float:
-    if since_ns < HALF_NS:
-        return values[0] + (values[1] - values[0]) * (since_ns / HALF_NS)
-    return values[1] + (values[2] - values[1]) * (since_ns / HALF_NS - 1.0)
+def _pitch_displacement(span: _Span, receiver: Receiver, since_ns: int) -> float:
+    """How far forward pitch shifts a receiver's reported point, m. Roll is a state of the filters."""
+    forward, _ = lever(receiver.position, 0.0, receiver.roll_corrected, 0.0, _at(span.pitch, since_ns))
+    return forward - receiver.position[0]
 
 
-def _tilt_displacement(span: _Span, receiver: Receiver, since_ns: int) -> tuple[float, float, float]:
-    """(forward, right, right per rad of roll): shift of a receiver's reported point by roll and pitch, m."""
-    roll = 0.0  # a state of the filters
-    forward, right = lever(receiver.position, 0.0, receiver.roll_corrected, roll, _at(span.pitch, since_ns))
-    height = 0.0 if receiver.roll_corrected else receiver.position[2]
-    per_roll = height * math.cos(roll) - receiver.position[1] * math.sin(roll)
-    return forward - receiver.position[0], right - receiver.position[1], per_roll
-
-
-def _velocity_across(
-    span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
-) -> tuple[float, float]:
-    """(velocity to the right of psi, corrected for roll and pitch; sd that this correction adds), m/s."""
+def _velocity_across(span: _Span, receiver: Receiver, since_ns: int, north: float, east: float) -> float:
+    """Velocity to the right of psi, corrected for pitch, m/s."""
     psi = _at(span.psi, since_ns)
-    forward, _, per_roll = _tilt_displacement(span, receiver, since_ns)
-    tilt_velocity = forward * _at(span.yaw_rate, since_ns)
-    across = east * math.cos(psi) - north * math.sin(psi) - tilt_velocity
-    return across, 0.0 * per_roll
+    across = east * math.cos(psi) - north * math.sin(psi)
+    return across - _pitch_displacement(span, receiver, since_ns) * _at(span.yaw_rate, since_ns)
 
 
 def _position_upright(
     span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
 ) -> tuple[float, float]:
-    """Position (north, east), corrected for roll and pitch, m."""
-    psi = _at(span.psi, since_ns)
-    forward, right, _ = _tilt_displacement(span, receiver, since_ns)
-    ahead, aside = rotate((forward, right), psi)
-    return north - ahead, east - aside
+    """Position (north, east), corrected for pitch, m."""
+    psi, forward = _at(span.psi, since_ns), _pitch_displacement(span, receiver, since_ns)
+    return north - forward * math.cos(psi), east - forward * math.sin(psi)

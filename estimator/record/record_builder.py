@@ -1,8 +1,8 @@
 """Poses and raw samples in, segments of the record out, each with the reason if nothing may be learned from
 it.
 
-A segment is what lies between two poses. It is built when the next pose is there: then roll rates are central
-differences, and samples that were late by less than the aligner's deadline have come.
+A segment is what lies between two poses. It is built when the next pose is there: then samples that were late
+by less than the aligner's deadline have come, and a fix that was lost in between is known.
 """
 
 import math
@@ -57,7 +57,7 @@ def initial(machine: Machine) -> RecordState:
 def clock_stepped(state: RecordState) -> None:
     """The log's clock stepped back: earlier poses are useless now. Counts stay."""
     state.knots.clear()
-    state.used = UsedSamples(roll_rate_squares=state.used.roll_rate_squares, late=state.used.late)
+    state.used = UsedSamples(late=state.used.late)
     state.settled, state.usable = 0, False
 
 
@@ -72,7 +72,7 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
     del knots[:-3]
     start, end, after = knots
     record, reason = Record(start.t_ns), _gap_reason(start, end, after)
-    rows = rows_between(state.used, aligner, start, end, after)
+    rows = rows_between(state.used, aligner, start, end)
     if not reason:
         wheel = wheel_angles(aligner.wheel, start.t_ns)
         if wheel is None:

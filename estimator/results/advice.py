@@ -16,10 +16,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.predictor import REUSE_GAINS, STORE_GAINS, Innovations, Measured, innovations
+from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.states import DT, N_STATES, Point
+from tilth.estimator.filters.states import DT, N_STATES
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
 from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
@@ -29,11 +28,12 @@ from tilth.estimator.record.record import (
     INPUTS,
     NORTH,
     PSI,
-    SD,
+    ROLL_ANGLE,
     VALUE,
     VELOCITY,
     WHEEL_ANGLE,
     YAW_RATE,
+    Record,
     U,
 )
 from tilth.schemas.flow import PARAMETERS, Mount
@@ -55,7 +55,6 @@ HERTZ: Final = 5.0  # assumed rate of a receiver
 EVERY_NS: Final = 10_000_000_000
 # change of a logarithm, or relative change of speed, after which the table is rebuilt
 REBUILD_CHANGE: Final = 0.15
-IGNORED_SD: Final = 1e6  # sd of a measurement without influence: its innovation shows the prediction
 
 
 class Candidate(NamedTuple):
@@ -185,39 +184,40 @@ def information(
     speed: float,
     candidate: Candidate,
     hertz: Sequence[float] = (HERTZ,) * 4,
-    planar: bool = True,
+    linear: bool = False,
 ) -> Array:
     """Predicted information of SECONDS of a manoeuvre on unknowns.NAMES, (n, n).
 
     point: (n,), where it is linearised. speed: m/s. hertz: rate of each receiver, in the order of flow.Mount.
-    planar: as rig_setup.
+    linear: as rig_setup.
     """
+    record, setup = planned(machine, point, speed, candidate, hertz, linear), rig_setup(machine, linear)
+    _, prior_sd = unknowns.prior(machine)
+    active = np.array([k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop])
+    found = likelihood.innovations(record, setup, np.zeros(N_STATES), point, active)
+    whitened = found.de / np.sqrt(found.S)[:, None]
+    information_matrix = np.zeros((len(NAMES), len(NAMES)))
+    information_matrix[np.ix_(active, active)] = whitened.T @ whitened
+    return information_matrix
+
+
+def planned(
+    machine: Machine, point: Array, speed: float, candidate: Candidate, hertz: Sequence[float], linear: bool
+) -> Record:
+    """The record of a drive as it is expected, without noise. Arguments as of `information`."""
     count = round((SECONDS + START_S) / DT) + 1
     time: Array = np.arange(count, dtype=np.float64) * DT
     steering = manoeuvre_named(candidate.manoeuvre).wheel_angle
     ticks = np.zeros((count, len(INPUTS)))
     ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
     ticks[:, U] = speed
-    heading_rows = np.array(
-        [(k, 0.0, HEADING, body, 0.0, IGNORED_SD) for k in range(count) for body in (0, 1)]
-    )
-    predicted_values, _ = _prediction_errors(machine, ticks, heading_rows, point[None], planar)
-    ticks[:, PSI : PSI + 2] = -predicted_values[0].reshape(count, 2)
+    start, setup = np.zeros(N_STATES), rig_setup(machine, linear)
+    headings = np.array([(k, 0.0, HEADING, body, 0.0, 1.0) for k in range(count) for body in (0, 1)])
+    open_loop = likelihood.innovations(Record(0, ticks, headings), setup, start, point, closed=False)
+    ticks[:, PSI : PSI + 2] = -open_loop.e.reshape(count, 2)
     rows = _planned_rows(machine, count, hertz)
-    ignored_rows = rows.copy()
-    ignored_rows[:, SD] = IGNORED_SD
-    predicted_values, _ = _prediction_errors(machine, ticks, ignored_rows, point[None], planar)
-    rows[:, VALUE] = -predicted_values[0]
-    _, prior_sd = unknowns.prior(machine)
-    active = [k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop]
-    nudges = 1e-3 * prior_sd[active]
-    points = np.tile(point, (len(active) + 1, 1))
-    points[np.arange(1, len(active) + 1), active] += nudges
-    errors, variances = _prediction_errors(machine, ticks, rows, points, planar)
-    whitened = ((errors[1:] - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
-    information_matrix = np.zeros((len(NAMES), len(NAMES)))
-    information_matrix[np.ix_(active, active)] = whitened.T @ whitened
-    return information_matrix
+    rows[:, VALUE] = -likelihood.innovations(Record(0, ticks, rows), setup, start, point, closed=False).e
+    return Record(0, ticks, rows)
 
 
 def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
@@ -234,23 +234,9 @@ def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array
                 (k, 0.0, EAST, place, 0.0, r.position_sd),
                 (k, 0.0, VELOCITY, place, 0.0, r.velocity_sd),
                 (k, 0.0, YAW_RATE, body, 0.0, math.radians(r.yaw_rate_sd)),
+                (k, 0.0, ROLL_ANGLE, place, 0.0, math.radians(r.roll_sd)),
             ]
     return np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64)
-
-
-def _prediction_errors(
-    machine: Machine, ticks: Array, rows: Array, points: Array, planar: bool
-) -> tuple[Array, Array]:
-    """Innovations and their variances at each point, (q, m); all with the gains of the first point."""
-    e, S = np.zeros((len(points), len(rows))), np.zeros((len(points), len(rows)))
-    base = unknowns.base_geometry(machine)
-    modes = np.array([STORE_GAINS] + [REUSE_GAINS] * (len(points) - 1), dtype=np.float64)
-    measured = Measured(ticks, rows, np.tile(rows[:, VALUE], (len(points), 1)), np.ones(len(rows)))
-    geometries = np.array([unknowns.geometry(base, point) for point in points])
-    at = Point(points, np.exp(points[:, SIX]), geometries)
-    setup = rig_setup(machine, planar)
-    innovations(measured, np.zeros(N_STATES), at, modes, setup, Innovations(e, S))
-    return e, S
 
 
 def predicted(covariance: Array, information: Array) -> Array:
