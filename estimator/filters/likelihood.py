@@ -46,8 +46,9 @@ SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 # of a posterior sd: remaining step with which a search that has stopped counts as converged
 ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
-LONGEST_STEP: Final = 0.7  # of a logarithm in one iteration
-_GAINS: Final = frozenset({*PARAMETERS, *NOISES})
+LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
+LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
+_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *NAMES[AT["roll_k_t"] : AT["roll_pin"]], "roll_cg_i", "curvature", "m_t", "m_i"})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.03, 0.3)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
@@ -245,7 +246,7 @@ def _minimise(search: Search, point: Array) -> Iterate:
         step, tried, predicted = _step(search, at, gradient, information, damping)
         if predicted is None:
             break
-        damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 4.0 ** (tried - 1)
+        damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 10.0 ** (tried - 1)
         at.point = at.point.copy()
         at.point[active] += step
         at.e, at.S = predicted
@@ -382,12 +383,11 @@ def _step(
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
     """(step, tries, (innovations, variances) after it); None in the third place if no step lowers the
     cost."""
+    limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE / np.sqrt(np.diag(search.prior_information)))
     for tried in range(1, 8):
-        damped = information + damping * 4.0 ** (tried - 1) * np.diag(np.diag(information))
+        damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
         step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)
-        logs = step[search.active < 6]
-        longest = float(np.max(np.abs(logs))) if len(logs) else 0.0
-        step = step * min(1.0, LONGEST_STEP / max(longest, 1e-12)) / (1.0 if tried < 5 else 4.0)
+        step = step / max(float(np.max(np.abs(step) / limits, initial=0.0)), 1.0)
         trial = at.point.copy()
         trial[search.active] += step
         predicted = _errors_at(search, trial)

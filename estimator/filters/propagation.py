@@ -38,9 +38,11 @@ from tilth.estimator.filters.states import (
     Point,
 )
 from tilth.estimator.filters.unknowns import (
+    AT_CAMBER,
     AT_CG,
     AT_CURVATURE,
     AT_GEOMETRY,
+    AT_HITCH,
     AT_LATENCY,
     AT_ROLL_MODES,
     AT_ROLLING,
@@ -156,14 +158,19 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
 
 
 @kernel
-def rig_at(rig: Rig, geometry: Array, rolling: float, curvature: float) -> Rig:
-    """The rig with this geometry (9,), rolling resistance and curvature of the tyre curve (1/grip)."""
-    grip = 1.0 / max(curvature, 1e-3)
+def rig_at(rig: Rig, geometry: Array, unknowns: Array, linear: bool) -> Rig:
+    """The rig with this geometry (9,), and heights, rolling resistance and curvature of the tyre curve (1/grip)
+    at a point of the unknowns, of which a linear model has none."""
+    grip = 1.0 / max(unknowns[AT_CURVATURE], 1e-3)
+    rolling, raised = unknowns[AT_ROLLING], unknowns[AT_HITCH : AT_HITCH + 3]
+    if linear:
+        rolling, raised = 0.0, np.zeros(3)
     return Rig(
         geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],
         geometry[7], geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i,
-        rig.h_t, rig.h_i, rig.h_h, rig.w_f, rig.w_r, rig.w_i, rig.roll_share_f, grip, grip, grip,
-        rig.load_exponent, rolling, rolling, rolling, rig.front_drive, 0.0, rig.drive_limit, rig.g,
+        rig.h_t + raised[1], rig.h_i + raised[2], rig.h_h + raised[0], rig.w_f, rig.w_r, rig.w_i,
+        rig.roll_share_f, grip, grip, grip, rig.load_exponent, rolling, rolling, rolling, rig.front_drive,
+        0.0, rig.drive_limit, rig.g,
     )  # fmt: skip
 
 
@@ -174,7 +181,7 @@ def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
     return RollModes(
         roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
         roll.inertia_t * k[4], roll.inertia_i * k[5],
-        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0],
+        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0], unknowns[AT_CAMBER],
     )  # fmt: skip
 
 
@@ -190,11 +197,9 @@ def plant_of(setup: RigSetup) -> Plant:
 @kernel
 def plant_at(plant: Plant, point: Point, setup: RigSetup) -> Plant:
     """The plant at a point of the unknowns, with the same work arrays."""
-    rolling = point.unknowns[AT_ROLLING] if setup.scale == 1.0 else 0.0
+    rig = rig_at(setup.rig, point.geometry, point.unknowns, setup.scale != 1.0)
     return Plant(
-        point.theta, rig_at(setup.rig, point.geometry, rolling, point.unknowns[AT_CURVATURE]),
-        roll_at(setup.roll, point.unknowns),
-        setup.scale, plant.x, plant.w, plant.forces, plant.rates, plant.work,
+        point.theta, rig, roll_at(setup.roll, point.unknowns), setup.scale, plant.x, plant.w, plant.forces, plant.rates, plant.work,
     )  # fmt: skip
 
 

@@ -17,9 +17,10 @@ Array = NDArray[np.float64]
 SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is independent between receivers
 
 
-DEFLECTION: Final = 0.06  # m, of tyres under their static load
+DEFLECTION: Final = 0.045  # m, of tyres under their static load
 PIN: Final = 0.7  # of the front wheels' pin above the ground, m
-DAMPING: Final = 0.12  # of the roll modes
+DAMPING: Final = 0.08  # of the roll modes
+GYRATION: Final = 0.48  # radius of gyration in roll, over the track
 SMALL: Final = 1e-4  # scale of motions for which the model is linear
 
 
@@ -55,10 +56,11 @@ def nominal_roll(machine: Machine) -> RollModes:
     front, rear, implement = static_loads(rig)
     k_t = rear / DEFLECTION * (rig.w_r / 2) ** 2
     k_i = implement / DEFLECTION * (rig.w_i / 2) ** 2
-    j_t, j_i = rig.m_t * rig.h_t**2, rig.m_i * rig.h_i**2
-    d_t, d_i = 2 * DAMPING * math.sqrt(2 * k_t * j_t), 2 * DAMPING * math.sqrt(2 * k_i * j_i)
+    j_t, j_i = rig.m_t * (GYRATION * rig.w_r) ** 2, rig.m_i * (GYRATION * rig.w_i) ** 2
+    d_t = 2 * DAMPING * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
+    d_i = 2 * DAMPING * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
     k_f = front / DEFLECTION * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f, 0.0)
 
 
 def _heights(machine: Machine) -> Array:

@@ -41,6 +41,7 @@ class RollModes(NamedTuple):
     inertia_i: float
     pin: float  # m, height of the front axle's pin
     stiffness_f: float  # N m/rad, of the front axle about its pin
+    camber: float = 0.0  # thrust of a leaning wheel over its load and its camber angle
 
 
 class RollWork(NamedTuple):
@@ -168,6 +169,8 @@ def rates_rolling(
     shifts[1] = moment_t / rig.w_r
     shifts[2] = moment_i / rig.w_i
     wheel_forces(planar, w, delta, theta, rig, shifts, forces)
+    for k in range(2, 6):  # the front axle does not lean with its body
+        forces[k, 2] += roll.camber * forces[k, 0] * (x[LEAN + k // 4] - w[UNEVEN + k // 4])
     front_y = across_front(forces, delta)
     share = rig.front_drive
     push = (share * (math.cos(delta) - 1.0), share * math.sin(delta))
