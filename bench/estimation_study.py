@@ -19,10 +19,8 @@ from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods.estimators import ROW
-from tilth.estimator.models import nonlinear
-from tilth.estimator.models.parameters import GEOMETRY, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import TICK_NS, Record, Segment, concatenate
+from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
@@ -267,10 +265,12 @@ class Fitted:
     nuisance: dict[str, tuple[float, float]]
 
 
-def fitted(run: Driven, records: list[Record]) -> Fitted:
-    """The posterior of the first record is the prior of the next; noise levels start again with each."""
-    setup = rig_setup(run.machine)
-    prior_mean, prior_sd = unknowns.prior(run.machine)
+def fitted(machine: Machine, logs: Array, records: list[Record]) -> Fitted:
+    """The posterior of the first record is the prior of the next; noise levels start again with each.
+
+    logs: true logarithms, shape (6,)."""
+    setup = rig_setup(machine)
+    prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
@@ -279,7 +279,7 @@ def fitted(run: Driven, records: list[Record]) -> Fitted:
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))
     nuisance = {name: (float(mean[k]), float(sd[k])) for name, k in AT.items() if k > 5 and sd[k] > 0}
-    return Fitted(mean[SIX] - run.logs, sd[SIX], information, mean, len(records), nuisance)
+    return Fitted(mean[SIX] - logs, sd[SIX], information, mean, len(records), nuisance)
 
 
 def bound_of(information: Array, machine: Machine) -> Array:
@@ -296,61 +296,7 @@ def window_of(
     """The first windows of a run, fitted; None where the run has fewer."""
     run = driven(packaged, case, seed)
     records = windows(segments(run), length)[:count]
-    return fitted(run, records) if len(records) == count else None
-
-
-# The way on from there.
-
-
-def trajectory_error(
-    packaged: Machine, case: Case, seed: int, length: int = WINDOW
-) -> tuple[float, float, float, float] | None:
-    """Root mean square distance from the true way of both CGs over a window that was not fitted, m: (tractor,
-    implement) by what was fitted, then both by what is true. The start is the true one; the wheel angle,
-    speed and roll are measured, their zero and gain as fitted. None where the run has no two windows."""
-    run = driven(packaged, case, seed)
-    records = windows(segments(run), length)
-    if len(records) < 2:
-        return None
-    found = fitted(run, records[:1])
-    rig = fitted_rig(run.machine, found.mean)
-    zero, gain = found.mean[AT["wheel_zero"]], math.exp(found.mean[AT["wheel_gain"]])
-    fitted_errors = _distances(run, records[1], rig, zero, gain)
-    nuisances = run.truth.nuisances
-    best = _distances(run, records[1], run.truth.rig, nuisances["wheel_zero"], nuisances["wheel_gain"])
-    return (*fitted_errors, *best)
-
-
-def fitted_rig(machine: Machine, mean: Array) -> Rig:
-    """The rig of a machine file with what a fit found, (n,) of unknowns.NAMES."""
-    shape = dict(
-        zip(GEOMETRY, unknowns.geometry(unknowns.base_geometry(machine), mean).tolist(), strict=True)
-    )
-    theta = dict(zip(PARAMETERS, np.exp(mean[SIX]).tolist(), strict=True))
-    grip = 1.0 / max(float(mean[AT["curvature"]]), 1e-3)
-    return rig_of(machine)._replace(
-        **shape, **theta,
-        **dict.fromkeys(("grip_f", "grip_r", "grip_i"), grip),
-        **dict.fromkeys(("roll_f", "roll_r", "roll_i"), float(mean[AT["rolling"]])),
-    )  # fmt: skip
-
-
-def _distances(run: Driven, record: Record, rig: Rig, zero: float, gain: float) -> tuple[float, float]:
-    ticks = record.ticks
-    at_s = run.seconds_of(record.t_ns) + np.arange(len(ticks)) * TICK_NS * 1e-9
-    true = np.array([np.interp(at_s, run.truth.time, column) for column in run.truth.states.T]).T
-    inputs = nonlinear.inputs_of(
-        len(ticks),
-        delta=(ticks[:, 0] - zero) / gain,
-        speed=ticks[:, 1],
-        gravity_t=rig.g * np.sin(ticks[:, 6]),
-        gravity_i=rig.g * np.sin(ticks[:, 7]),
-    )
-    made = nonlinear.simulate(rig, inputs, true[0], TICK_NS * 1e-9, linear=True)
-    carts = [nonlinear.implement(r, states)[:, :2] for r, states in ((rig, made), (run.truth.rig, true))]
-    off = made[:, :2] - true[:, :2], carts[0] - carts[1]
-    rms = [math.sqrt(float(np.mean(np.sum(one**2, axis=1)))) for one in off]
-    return rms[0], rms[1]
+    return fitted(run.machine, run.logs, records) if len(records) == count else None
 
 
 # Through the fold, as the daemon does it.
@@ -378,7 +324,7 @@ def followed(run: Driven) -> Followed:
         for publication in publications:
             value = publication.value
             if isinstance(value, Estimate):
-                series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *_numbers(value)])
+                series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, value.text))
     tables = {method: np.array(rows) for method, rows in series.items()}
@@ -395,7 +341,8 @@ def fitted_at_once(state: fold.State, t_ns: int) -> list[Publication]:
     return out
 
 
-def _numbers(estimate: Estimate) -> list[float]:
+def numbers(estimate: Estimate) -> list[float]:
+    """Six logarithms and their sds; not a number where there is none, (12,)."""
     sds = np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
     logs = [
         math.log(p.value) if p.value and p.status in (Status.ESTIMATED, Status.STALE) else math.nan
