@@ -57,10 +57,10 @@ COLOUR_FACTOR: Final = 1.0
 """The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
 that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
 innovations."""
-MODEL_SD: Final = 0.03
-"""Sd of the six logarithms with the nonlinear model, from errors of it: tyre curve and load transfer of the real rig
-differ from those of the file. On soil of grip 0.7 this error remains after 30 s of strong steering; more data
-do not reduce it."""
+MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.05])
+"""Sds of the six logarithms from errors of the model, which more data do not reduce: tyre curves and load
+transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo on
+the spatial plant with drawn rigs, tyres and ground."""
 SETTLING_TICKS: Final = 50
 """Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
@@ -353,7 +353,7 @@ def _covariance(search: Search, scores: Array, covariance: Array, autocorrelatio
     whole *= np.outer(factors, factors)
     if search.setup.scale == 1.0:
         open_ = search.active[search.active < 6]
-        whole[open_, open_] += MODEL_SD**2
+        whole[open_, open_] += MODEL_SD[open_] ** 2
     return (whole + whole.T) / 2
 
 

@@ -74,7 +74,7 @@ def initial(machine: Machine) -> TrackerState:
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
-    state.needs_steering = list(_STEERED)
+    state.needs_steering, state.considered = list(_STEERED), []
     return state
 
 

@@ -113,6 +113,7 @@ def tracker_json(state: TrackerState) -> Json:
         "advisor": to_json_data(state.advisor),
         "reason": state.reason,
         "events": to_json_data(state.events),
+        "considered": to_json_data(state.considered),
         "steered": to_json_data(state.needs_steering),
     }
 
@@ -151,6 +152,7 @@ def tracker_of(raw: Any) -> TrackerState:
         advisor=stored.value(Advisor, "advisor"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
+        considered=stored.value(list[int], "considered"),
         needs_steering=stored.value(list[int], "steered"),
     )
     stored.end()

@@ -101,6 +101,7 @@ class TrackerState:
     advisor: Advisor = field(default_factory=Advisor)
     reason: str = ""  # why soil and tyres were not learned from the latest segment
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
+    considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
     needs_steering: list[int] = field(
         default_factory=lambda: list(SOIL)
     )  # unknowns learned only with steering
@@ -178,9 +179,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     first, count = len(state.ticks_before), len(record.ticks)
     ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
-    considered = np.concatenate(
-        [np.zeros(N_STATES), np.isin(active, [] if learnable else state.needs_steering).astype(np.float64)]
-    )
+    fixed = state.considered + ([] if learnable else state.needs_steering)
+    considered = np.concatenate([np.zeros(N_STATES), np.isin(active, fixed).astype(np.float64)])
     tally = RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2)))
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
