@@ -8,6 +8,12 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+from tilth.estimator.record.record_builder import (
+    BEYOND_ARTICULATION,
+    BEYOND_WHEEL_ANGLE,
+    LARGEST_ARTICULATION,
+    LARGEST_WHEEL_ANGLE,
+)
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 
 SLOWEST = 2.0  # m/s: at lower speeds slip is too small compared with noise
@@ -17,7 +23,6 @@ SETTLING_S = 3.0
 STEER_RANGE = math.radians(1.2)  # of the wheel angle within a block
 YAW_ACCELERATION = 0.08  # rad/s^2
 SPEED_RANGE = 0.4  # m/s
-LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
 LONGEST_GAP_S = 1.0
 
 _DISQUALIFYING = (
@@ -145,8 +150,10 @@ def _sample(pose: Pose) -> tuple[SteadySample | None, str]:
         return None, "no wheel angle"
     if pose.articulation is None or tractor.yaw_rate is None or u is None:
         return None, "pose incomplete"
-    if max(abs(pose.wheel_angle), abs(pose.articulation)) > LARGEST_ANGLE:
-        return None, "outside the small-angle model"
+    if abs(pose.wheel_angle) > LARGEST_WHEEL_ANGLE:
+        return None, BEYOND_WHEEL_ANGLE
+    if abs(pose.articulation) > LARGEST_ARTICULATION:
+        return None, BEYOND_ARTICULATION
     sample = SteadySample(
         u=u,
         v=tractor.lateral_velocity,

@@ -248,7 +248,8 @@ REFUSED = [
         "heading not from two receivers",
         lambda p: replace(p, flags=(Flag.parse("heading_by_hitch:implement"),)),
     ),
-    ("outside the small-angle model", lambda p: replace(p, wheel_angle=0.4)),
+    ("wheels turned beyond 37°", lambda p: replace(p, wheel_angle=0.66)),
+    ("articulation beyond 62°", lambda p: replace(p, articulation=1.1)),
 ]
 
 

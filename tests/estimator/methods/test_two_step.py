@@ -247,7 +247,7 @@ def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     run[20] = replace(run[20], reason="reverse")  # 4 s: too short to be fitted
     run[21] = replace(run[21], follows=False)
     t_ns = drive(state, run)
-    assert state.refused == {"reverse": 1}
+    assert state.refused["reverse"] == 1
     assert two_step.request_fit(state, t_ns) is None
     assert len(state.window) == 129
     two_step.clock_stepped(state, -(10**9))
