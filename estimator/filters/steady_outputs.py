@@ -30,11 +30,11 @@ OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
 STEP: Final = 1e-4  # of the central differences
 MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
 LONGEST_STEP: Final = 0.5  # of a yaw rate, rad/s, or an articulation, rad, or half of it in m/s
-EXACT: Final = 1e-10  # m/s, rad/s, rad: a step so small is the last
+EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
 
 
 class _Rig(NamedTuple):
-    """Lengths (m), masses (kg) and loads (N) at each of n points, (n,); heights of the CGs, m."""
+    """Lengths (m), masses (kg) and loads (N) at each of n points, (n,)."""
 
     a: Array
     b: Array
@@ -47,7 +47,8 @@ class _Rig(NamedTuple):
     stiffness: Array  # [n, 3], N/rad
     curvature: Array
     rolling: Array
-    heights: tuple[float, float]
+    height_t: Array  # of the CGs above the ground
+    height_i: Array
 
 
 class _Driving(NamedTuple):
@@ -72,10 +73,10 @@ def _rig(points: Array, machine: Machine) -> _Rig:
     tongue = m_i * e / (d + e)
     front = (b * m_t - (c - b) * tongue) / (a + b)
     loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
-    heights = (t.cg_height.value, i.cg_height.value)
+    heights = (np.full(len(points), body.cg_height.value) for body in (t, i))
     return _Rig(
         a, b, c, d, e, m_t, m_i, loads, np.exp(points[:, :3]),
-        np.maximum(at["curvature"], 0.0), at["rolling"], heights,
+        np.maximum(at["curvature"], 0.0), at["rolling"], *heights,
     )  # fmt: skip
 
 
@@ -120,9 +121,7 @@ def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
     pull_y = cart * cosine - drags[:, 2] * sine - rig.m_i * across
     inertia_t = rig.m_t * (slope_t - u * r)
     inertia_i = rig.m_i * (slope_i - along * sine - across * cosine)
-    skew_t, skew_i = (
-        rig.rolling * h * side for h, side in zip(rig.heights, (inertia_t, inertia_i), strict=True)
-    )
+    skew_t, skew_i = rig.rolling * rig.height_t * inertia_t, rig.rolling * rig.height_i * inertia_i
     balance = np.column_stack(
         [
             front + rear + inertia_t + pull_y,
@@ -133,13 +132,21 @@ def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
     return np.asarray(balance / (GRAVITY * rig.m_t)[:, None], np.float64)
 
 
-def _imbalance_slope(turn: Array, rig: _Rig, driving: _Driving) -> Array:
-    """Jacobian of `_imbalance` over the turn, [n, 3, 3], by central differences."""
-    columns = []
-    for nudge in STEP * np.eye(3):
-        after, before = (_imbalance(turn + side * nudge, rig, driving) for side in (1.0, -1.0))
-        columns.append((after - before) / (2 * STEP))
-    return np.stack(columns, axis=-1)
+def _repeated(rig: _Rig, driving: _Driving, times: int) -> tuple[_Rig, _Driving]:
+    """The same points so many times, one whole set after the other."""
+    repeated = _Rig(*(np.concatenate([x] * times) for x in rig))
+    return repeated, _Driving(*(np.concatenate([x] * times) for x in driving))
+
+
+def _imbalance_and_slope(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
+    """(`_imbalance` [n, 3], its Jacobian over the turn [n, 3, 3] by central differences).
+
+    rig and driving: the points of turn, [n, 3], seven times over.
+    """
+    nudges = STEP * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    left = _imbalance(np.concatenate([turn + nudge for nudge in nudges]), rig, driving)
+    sets = left.reshape(7, len(turn), 3)
+    return sets[0], np.moveaxis(sets[1:4] - sets[4:], 0, -1) / (2 * STEP)
 
 
 def _solve(rig: _Rig, driving: _Driving) -> Array:
@@ -147,11 +154,12 @@ def _solve(rig: _Rig, driving: _Driving) -> Array:
     (u, delta, slope_t, slope_i), lengths = driving, (rig.a, rig.b, rig.c, rig.d, rig.e)
     rolls = (np.arcsin(slope / GRAVITY) for slope in (slope_t, slope_i))
     linear = np.column_stack([rig.stiffness, rig.m_t, rig.m_i, u, np.tan(delta), *rolls])
-    turn = steady_turn(linear, *lengths, rig.rolling, rig.heights)
+    turn = steady_turn(linear, *lengths, rig.rolling)
     turn[:, 2] = np.clip(turn[:, 2], -1.5, 1.5)
+    seven = _repeated(rig, driving, 7)
     for _ in range(MOST_STEPS):
-        slope = _imbalance_slope(turn, rig, driving)
-        step = np.linalg.solve(slope, _imbalance(turn, rig, driving)[..., None])[..., 0]
+        left, slope = _imbalance_and_slope(turn, *seven)
+        step = np.linalg.solve(slope, left[..., None])[..., 0]
         longest = np.max(np.abs(step), axis=1, keepdims=True)
         turn = turn - step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, EXACT))
         if not np.all(np.isfinite(turn)):
@@ -191,9 +199,10 @@ def linearised(point: Array, sample: SteadySample, machine: Machine) -> tuple[Ar
     points, inputs = rows[:, : len(point)], rows[:, len(point) :]
     rig, driving = _rig(points[:1], machine), _driving(points[:1], inputs[:1])
     turn = _solve(rig, driving)
+    _, over_turn = _imbalance_and_slope(turn, *_repeated(rig, driving, 7))
     # The turn changes so that the balance holds: implicit differentiation, one solution instead of 47.
     left = _imbalance(np.repeat(turn, len(rows), axis=0), _rig(points, machine), _driving(points, inputs))
-    moved = -np.linalg.solve(_imbalance_slope(turn, rig, driving)[0], (left[1 : n + 1] - left[n + 1 :]).T)
+    moved = -np.linalg.solve(over_turn[0], (left[1 : n + 1] - left[n + 1 :]).T)
     z = _seen(np.vstack([turn, turn + moved.T / 2, turn - moved.T / 2]), points)
     slope = (z[1 : n + 1] - z[n + 1 :]).T / (2 * STEP)
     return z[0], slope[:, : len(point)], slope[:, len(point) :]
