@@ -252,13 +252,13 @@ def test_a_late_fit_is_dropped_and_counted() -> None:
 def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     state = two_step.initial(MACHINE)
     run = segments(record_of(step_run()))
-    run[60] = replace(run[60], reason="reverse")  # 6 s, of which 4 s after the step: too short to be fitted
-    run[61] = replace(run[61], follows=False)
+    run[50] = replace(run[50], reason="reverse")  # 2 s after the step: too short to be fitted
+    run[51] = replace(run[51], follows=False)
     t_ns = drive(state, run)
     assert state.refused["reverse"] == 1
     assert two_step.request_fit(state, t_ns) is None
     assert state.refused[TOO_SHORT] == 1
-    assert len(state.window) == 89
+    assert len(state.window) == 99
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0
 
