@@ -3,9 +3,9 @@
 Steady means that wheel angle, yaw rate and speed are constant over a block, that the wheels have not crept
 since, and that the implement has had the distance to fall in line but for a fiftieth of the way. What is left
 of the way is added to the articulation, by the kinematics of the towed axle, and half of it to its sd. Of
-simulated headland loops those of 10 m radius and more are steady for 5 to 10 s each; those of 8 m and less end
-before. Taken after three time constants instead of four, these have given C_ai too low, by 2.3 sds in the mean
-of ten runs, since the wheels still creep. A refused pose has a reason.
+simulated headland loops those of 10 m radius and more are steady for about 5 s each; those of 8 m for a
+second or not at all. Taken after three time constants instead of four, these have given C_ai too low, by 2.3
+sds in the mean of ten runs, since the wheels still creep. A refused pose has a reason.
 """
 
 import math

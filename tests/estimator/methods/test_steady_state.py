@@ -172,7 +172,7 @@ def test_the_files_uncertainty_is_in_the_published_sd(old: str, sure: str, unsur
         for pose in drive():
             steady_state.take(state, machine, pose)
         sds.append(np.sqrt(np.diag(state.log_covariance)))
-    assert (sds[1] - sds[0]).max() > 0.02
+    assert (sds[1] - sds[0]).max() > 0.012
 
 
 ROLLING = {"roll_f": 0.06, "roll_r": 0.06, "roll_i": 0.06}
@@ -345,7 +345,7 @@ def test_nothing_is_learned_until_the_implement_is_in_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "speed", "error"), [(6.0, 4.0, 0.15), (25.0, 2.2, 0.3), (32.0, 3.0, 0.45)]
+    ("degrees", "speed", "error"), [(6.0, 4.0, 0.25), (25.0, 2.2, 0.4), (32.0, 3.0, 0.55)]
 )
 def test_where_the_implement_is_going_is_foreseen(degrees: float, speed: float, error: float) -> None:
     """Of what is left after four time constants, all but such a share, and that is within its sd."""
