@@ -314,6 +314,13 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     out.append(Publication(t_ns, "/soil_tire", best))
 
 
+def finish(state: State) -> None:
+    """No frame follows: the windows of driving that are open now are complete, and fits may be requested."""
+    for row in rows_for(state.machine):
+        if row.fitting is not None:
+            row.fitting.finish(state.estimators[row.method])
+
+
 def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
     """(method, job) of the fits that are requested after the frame of t_ns; `ROW[method].fitting` makes
     them."""

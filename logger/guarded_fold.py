@@ -11,6 +11,7 @@ from tilth.estimator.fold import (
     State,
     adopt,
     decide,
+    finish,
     initial,
     pending,
     request_fits,
@@ -151,6 +152,36 @@ class GuardedFold:
                 self._decided.append((outcome, made))
             decide(self.state, outcome)
             out.append(Publication(t_ns, FIT_TOPIC, outcome))
+        return out
+
+    def finish(self) -> list[tuple[Publication, bytes]]:
+        """No frame follows. What the driving up to the end of a log gives: fits of it are made and used now.
+
+        Their outcomes come before they would be due, by which a replay knows that the log has ended there. A
+        second call gives nothing.
+        """
+        t_ns = self.state.latest_ns
+        try:
+            publications = self._adopt(t_ns) + self._fit_now(t_ns)
+            finish(self.state)
+            publications += self._fit_now(t_ns)
+        except Exception as error:  # the same edge as in `take`
+            publications = self._start_anew(t_ns, error)
+        for publication in publications:
+            if isinstance(publication.value, Estimate):
+                self.estimates[publication.value.method] = publication.value
+        return [(publication, payload(publication)) for publication in publications]
+
+    def _fit_now(self, t_ns: int) -> list[Publication]:
+        """Make and use all fits that wait, without the time that they are given while driving."""
+        out: list[Publication] = []
+        self._ask(t_ns)
+        while waiting := pending(self.state):
+            for method, job, _ in waiting:
+                made = self._fitter.made(method, job)
+                outcome = FitOutcome(t_ns, method, job.asked_ns, made is not None)
+                out += [Publication(t_ns, FIT_TOPIC, outcome), *adopt(self.state, t_ns, method, made)]
+            self._ask(t_ns)
         return out
 
     def _ask(self, t_ns: int) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
@@ -126,6 +127,7 @@ def replay(
                 empty = error
                 if len(paths) > 1:
                     say(str(error))
+        run.finish()
     finally:
         run.fitter.close()
     run.close_counts()
@@ -215,8 +217,16 @@ class _Run:
     def _fit(self, record: Logged) -> None:
         """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
         outcome = FitOutcome.FromString(record.data)
+        fitting = ROW[outcome.method].fitting if outcome.method in ROW else None
+        if fitting is not None and outcome.t_ns < outcome.asked_ns + fitting.latency_ns:
+            self.finish()  # as the program did that wrote the log
+            return
         self.fitter.add_outcome(outcome.method, outcome.asked_ns, outcome.adopted, outcome.awaited)
         self._put([(p, payload(p)) for p in self._fold.decided(outcome.t_ns)])
+
+    def finish(self) -> None:
+        """The last log has ended: what the driving up to there gives."""
+        self._put(self._fold.finish())
 
     def _ready(self, log: OpenLog, record: Logged) -> None:
         """From here on the estimators take part, or do not, as they did live."""

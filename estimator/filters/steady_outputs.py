@@ -1,13 +1,14 @@
 """Predicted measurements in a steady turn, as a function of all that is not known exactly, and their
 Jacobians.
 
-The closed form of models/steady_turn.py assumes small angles and linear tyres. Here it is corrected for the
-tyre curve, by the secant of F = A N (1 − exp(−C α/(A N))) (Karkee 2009, 5.34) at the slip of the turn, and
-for the squares of wheel angle and articulation where they matter: 0.6 % of the yaw rate at 8°, which has the
-effect of 5 % of C_af.
+The closed form of models/steady_turn.py assumes small angles and linear tyres. Here it is where Newton's
+method starts. The equations that it solves are those of models/nonlinear.py with nothing changing any more,
+exact at any angle of wheels and hitch: 0.6 % of the yaw rate at 8° of the wheels has the effect of 5 % of
+C_af, and at 25° the small angles are off by a tenth. Tyres follow F = A N (1 − exp(−C α/(A N))) (Karkee 2009,
+5.34). What moves load from one wheel of an axle to the other has no effect but on rolling resistance.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,152 @@ CONSTANTS: Final = (
 three are given as logarithms here. A lever of the implement's antennas has no effect on OUTPUTS."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
 STEP: Final = 1e-4  # of the central differences
-PASSES: Final = 4  # iterations of the secant; each reduces the error to a tenth
+MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
+LONGEST_STEP: Final = 0.5  # of a yaw rate, rad/s, or an articulation, rad, or half of it in m/s
+EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
+
+
+class _Rig(NamedTuple):
+    """Lengths (m), masses (kg) and loads (N) at each of n points, (n,)."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    e: Array
+    m_t: Array
+    m_i: Array
+    loads: Array  # [n, 3]: front, rear, implement
+    stiffness: Array  # [n, 3], N/rad
+    curvature: Array
+    rolling: Array
+    height_t: Array  # of the CGs above the ground
+    height_i: Array
+
+
+class _Driving(NamedTuple):
+    """What is driven at each of n points, (n,): m/s, rad, and gravity along the slope, m/s^2."""
+
+    u: Array
+    delta: Array
+    slope_t: Array
+    slope_i: Array
+
+
+def _rig(points: Array, machine: Machine) -> _Rig:
+    """points: [n, 19], CONSTANTS."""
+    at = dict(zip(CONSTANTS, points.T, strict=True))
+    t, i = machine.tractor, machine.implement
+    a = t.a.value * np.exp(at["a"]) - at["cg_t"]
+    b = t.b.value * np.exp(at["b"]) + at["cg_t"]
+    c = t.c.value * np.exp(at["c"]) + at["cg_t"]
+    d = i.d.value * np.exp(at["d"]) - at["cg_i"]
+    e = i.e.value + at["e"] + at["cg_i"]
+    m_t, m_i = t.mass.value * np.exp(at["m_t"]), i.mass.value * np.exp(at["m_i"])
+    tongue = m_i * e / (d + e)
+    front = (b * m_t - (c - b) * tongue) / (a + b)
+    loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
+    heights = (np.full(len(points), body.cg_height.value) for body in (t, i))
+    return _Rig(
+        a, b, c, d, e, m_t, m_i, loads, np.exp(points[:, :3]),
+        np.maximum(at["curvature"], 0.0), at["rolling"], *heights,
+    )  # fmt: skip
+
+
+def _driving(points: Array, inputs: Array) -> _Driving:
+    """points: [n, 19], CONSTANTS; inputs: [n, 4], as of `outputs`."""
+    u, reading, roll_t, roll_i = inputs.T
+    zero, gain = points[:, CONSTANTS.index("wheel_zero")], points[:, CONSTANTS.index("wheel_gain")]
+    delta = (reading - zero) * np.exp(-gain)
+    return _Driving(u, delta, GRAVITY * np.sin(roll_t), GRAVITY * np.sin(roll_i))
+
+
+def _slips(turn: Array, rig: _Rig, driving: _Driving) -> Array:
+    """Slip angles of the three axles, rad, [n, 3]. turn: [n, 3]: v, r, articulation."""
+    (v, r, articulation), (u, delta, _, _) = turn.T, driving
+    hitch = v - rig.c * r
+    sine, cosine = np.sin(articulation), np.cos(articulation)
+    cart = u * sine + hitch * cosine - (rig.d + rig.e) * r  # 3.55, moved to the axle
+    return np.column_stack(
+        [
+            np.arctan2(v + rig.a * r, u) - delta,
+            np.arctan2(v - rig.b * r, u),
+            np.arctan2(cart, u * cosine - hitch * sine),  # 3.54
+        ]
+    )
+
+
+def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
+    """What is left of lateral force on the tractor (N) and of the moments about both CGs (N m), over the
+    tractor's weight, [n, 3]. turn: [n, 3]: v, r, articulation."""
+    (v, r, articulation), (u, delta, slope_t, slope_i) = turn.T, driving
+    slips = _slips(turn, rig, driving)
+    saturation = np.maximum(rig.curvature[:, None] * rig.stiffness / rig.loads * np.abs(slips), 1e-9)
+    forces = rig.stiffness * slips * np.expm1(-saturation) / saturation
+    drags = -rig.rolling[:, None] * rig.loads
+    front, rear = forces[:, 0] * np.cos(delta) + drags[:, 0] * np.sin(delta), forces[:, 1]  # 3.23
+    sine, cosine = np.sin(articulation), np.cos(articulation)
+    # The implement's CG is accelerated by this, along and across the tractor; the hitch pulls with the rest.
+    along = -v * r + (rig.c + rig.d * cosine) * r**2
+    across = u * r - rig.d * r**2 * sine
+    cart = forces[:, 2] + rig.m_i * slope_i
+    pull_x = drags[:, 2] * cosine + cart * sine - rig.m_i * along  # 3.24, 3.25
+    pull_y = cart * cosine - drags[:, 2] * sine - rig.m_i * across
+    inertia_t = rig.m_t * (slope_t - u * r)
+    inertia_i = rig.m_i * (slope_i - along * sine - across * cosine)
+    skew_t, skew_i = rig.rolling * rig.height_t * inertia_t, rig.rolling * rig.height_i * inertia_i
+    balance = np.column_stack(
+        [
+            front + rear + inertia_t + pull_y,
+            rig.a * front - rig.b * rear + skew_t - rig.c * pull_y,
+            -rig.e * forces[:, 2] + skew_i - rig.d * (pull_x * sine + pull_y * cosine),
+        ]
+    )
+    return np.asarray(balance / (GRAVITY * rig.m_t)[:, None], np.float64)
+
+
+def _repeated(rig: _Rig, driving: _Driving, times: int) -> tuple[_Rig, _Driving]:
+    """The same points so many times, one whole set after the other."""
+    repeated = _Rig(*(np.concatenate([x] * times) for x in rig))
+    return repeated, _Driving(*(np.concatenate([x] * times) for x in driving))
+
+
+def _imbalance_and_slope(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
+    """(`_imbalance` [n, 3], its Jacobian over the turn [n, 3, 3] by central differences).
+
+    rig and driving: the points of turn, [n, 3], seven times over.
+    """
+    nudges = STEP * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    left = _imbalance(np.concatenate([turn + nudge for nudge in nudges]), rig, driving)
+    sets = left.reshape(7, len(turn), 3)
+    return sets[0], np.moveaxis(sets[1:4] - sets[4:], 0, -1) / (2 * STEP)
+
+
+def _solve(rig: _Rig, driving: _Driving) -> Array:
+    """The steady turn, [n, 3]: v, r, articulation. Raises numpy.linalg.LinAlgError if there is none."""
+    (u, delta, slope_t, slope_i), lengths = driving, (rig.a, rig.b, rig.c, rig.d, rig.e)
+    rolls = (np.arcsin(slope / GRAVITY) for slope in (slope_t, slope_i))
+    linear = np.column_stack([rig.stiffness, rig.m_t, rig.m_i, u, np.tan(delta), *rolls])
+    turn = steady_turn(linear, *lengths, rig.rolling)
+    turn[:, 2] = np.clip(turn[:, 2], -1.5, 1.5)
+    seven = _repeated(rig, driving, 7)
+    for _ in range(MOST_STEPS):
+        left, slope = _imbalance_and_slope(turn, *seven)
+        step = np.linalg.solve(slope, left[..., None])[..., 0]
+        longest = np.max(np.abs(step), axis=1, keepdims=True)
+        turn = turn - step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, EXACT))
+        if not np.all(np.isfinite(turn)):
+            break
+        if float(longest.max()) < EXACT:
+            return np.asarray(turn, np.float64)
+    raise np.linalg.LinAlgError("no steady turn was found")
+
+
+def _seen(turn: Array, points: Array) -> Array:
+    """OUTPUTS, [n, 3], of a turn, [n, 3]. points: [n, 19], CONSTANTS."""
+    v, r, articulation = turn.T
+    lever, cg = points[:, CONSTANTS.index("lever_t")], points[:, CONSTANTS.index("cg_t")]
+    return np.column_stack([r, articulation, v + r * (lever - cg)])
 
 
 def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
@@ -38,44 +184,7 @@ def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
     from where it has the antennas, without the errors of the pairs. Raises numpy.linalg.LinAlgError if there
     is no steady turn.
     """
-    at = dict(zip(CONSTANTS, points.T, strict=True))
-    t, i = machine.tractor, machine.implement
-    a = t.a.value * np.exp(at["a"]) - at["cg_t"]
-    b = t.b.value * np.exp(at["b"]) + at["cg_t"]
-    c = t.c.value * np.exp(at["c"]) + at["cg_t"]
-    d = i.d.value * np.exp(at["d"]) - at["cg_i"]
-    e = i.e.value + at["e"] + at["cg_i"]
-    m_t, m_i = t.mass.value * np.exp(at["m_t"]), i.mass.value * np.exp(at["m_i"])
-    u, reading, roll_t, roll_i = inputs.T
-    delta = (reading - at["wheel_zero"]) * np.exp(-at["wheel_gain"])
-    tongue = m_i * e / (d + e)
-    front = (b * m_t - (c - b) * tongue) / (a + b)
-    loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
-    stiffness: Array = np.exp(points[:, :3])
-    softness = np.maximum(at["curvature"], 0.0)[:, None] * stiffness / loads
-    heights = (t.cg_height.value, i.cg_height.value)
-    tan_delta, cos_delta = np.tan(delta), np.cos(delta)
-    # Front slip angle ((v + a r)/u − tan δ) cos² δ; the force across the tractor has one more factor cos δ.
-    force_factors = np.column_stack([cos_delta**3, np.ones_like(u), np.ones_like(u)])
-    secant, turn = stiffness, np.zeros_like(stiffness)
-    for _ in range(PASSES):
-        turn_inputs = np.column_stack([secant * force_factors, m_t, m_i, u, tan_delta, roll_t, roll_i])
-        turn = steady_turn(turn_inputs, a, b, c, d, e, at["rolling"], heights)
-        v, r, articulation = turn.T
-        slip = np.column_stack(
-            [
-                ((v + a * r) / u - tan_delta) * cos_delta**2,
-                (v - b * r) / u,
-                (v - (c + d + e) * r) / u + articulation,
-            ]
-        )
-        saturation = np.maximum(softness * np.abs(slip), 1e-9)
-        secant = stiffness * -np.expm1(-saturation) / saturation
-    v, r, articulation = turn.T
-    # The hitch's velocity across the implement is u sin λ + (v − c r) cos λ, not u λ + v − c r.
-    hitch_angle = articulation + (d + e) * r / u * (1.0 / np.cos(articulation) - 1.0)
-    at_antennas = v + r * (at["lever_t"] - at["cg_t"])
-    return np.column_stack([r, np.arctan(hitch_angle), at_antennas])
+    return _seen(_solve(_rig(points, machine), _driving(points, inputs)), points)
 
 
 def linearised(point: Array, sample: SteadySample, machine: Machine) -> tuple[Array, Array, Array]:
@@ -83,12 +192,18 @@ def linearised(point: Array, sample: SteadySample, machine: Machine) -> tuple[Ar
 
     point: [19], CONSTANTS. Raises as `outputs`.
     """
-    inputs = np.array([sample.u, sample.wheel_angle, sample.roll_t, sample.roll_i])
-    point_and_inputs = np.concatenate([point, inputs])
-    nudges = STEP * np.eye(len(point_and_inputs))
-    rows = np.vstack([point_and_inputs, point_and_inputs + nudges, point_and_inputs - nudges])
-    z = outputs(rows[:, : len(point)], rows[:, len(point) :], machine)
+    point_and_inputs = np.concatenate([point, [sample.u, sample.wheel_angle, sample.roll_t, sample.roll_i]])
     n = len(point_and_inputs)
+    nudges = STEP * np.eye(n)
+    rows = np.vstack([point_and_inputs, point_and_inputs + nudges, point_and_inputs - nudges])
+    points, inputs = rows[:, : len(point)], rows[:, len(point) :]
+    rig, driving = _rig(points[:1], machine), _driving(points[:1], inputs[:1])
+    turn = _solve(rig, driving)
+    _, over_turn = _imbalance_and_slope(turn, *_repeated(rig, driving, 7))
+    # The turn changes so that the balance holds: implicit differentiation, one solution instead of 47.
+    left = _imbalance(np.repeat(turn, len(rows), axis=0), _rig(points, machine), _driving(points, inputs))
+    moved = -np.linalg.solve(over_turn[0], (left[1 : n + 1] - left[n + 1 :]).T)
+    z = _seen(np.vstack([turn, turn + moved.T / 2, turn - moved.T / 2]), points)
     slope = (z[1 : n + 1] - z[n + 1 :]).T / (2 * STEP)
     return z[0], slope[:, : len(point)], slope[:, len(point) :]
 
@@ -100,9 +215,8 @@ def largest_slip(sample: SteadySample, zero: float, machine: Machine) -> float:
     """
     if sample.v is None:
         return 0.0
-    t, i = machine.tractor, machine.implement
-    back = t.c.value + i.d.value + i.e.value
-    front = (sample.v + t.a.value * sample.yaw_rate) / sample.u - (sample.wheel_angle - zero)
-    rear = (sample.v - t.b.value * sample.yaw_rate) / sample.u
-    cart = (sample.v - back * sample.yaw_rate) / sample.u + sample.articulation
-    return max(abs(front), abs(rear), abs(cart))
+    point = np.zeros((1, len(CONSTANTS)))
+    point[0, CONSTANTS.index("wheel_zero")] = zero
+    inputs = np.array([[sample.u, sample.wheel_angle, sample.roll_t, sample.roll_i]])
+    turn = np.array([[sample.v, sample.yaw_rate, sample.articulation]])
+    return float(np.max(np.abs(_slips(turn, _rig(point, machine), _driving(point, inputs)))))

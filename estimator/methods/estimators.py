@@ -28,6 +28,7 @@ class Fitting:
     fit: Callable[[Machine, Any], Any]  # a pure function of machine and job
     rehearse: Callable[[Machine], None]  # a fit of made-up data, which compiles what a fit needs
     adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
+    finish: Callable[[Any], None]  # (state): no driving follows, so that the present window is complete
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +94,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        fitting=Fitting(pem.LATENCY_NS, pem.request_fit, pem.fit, pem.rehearse, pem.adopt),
+        fitting=Fitting(pem.LATENCY_NS, pem.request_fit, pem.fit, pem.rehearse, pem.adopt, pem.finish),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
@@ -105,7 +106,12 @@ ESTIMATORS: tuple[Estimator, ...] = (
         two_step.estimate,
         two_step.clock_stepped,
         fitting=Fitting(
-            two_step.LATENCY_NS, two_step.request_fit, two_step.fit, two_step.rehearse, two_step.adopt
+            two_step.LATENCY_NS,
+            two_step.request_fit,
+            two_step.fit,
+            two_step.rehearse,
+            two_step.adopt,
+            two_step.finish,
         ),
         enabled=lambda machine: machine.estimation.two_step,
         # No memory: 7.20 forgets nothing, so its merged values start again with each run.

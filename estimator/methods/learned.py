@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.methods.pem import PemState
+from tilth.estimator.methods.pem import PemState, drifted
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
 
@@ -52,7 +52,7 @@ def into_tracker(state: TrackerState, learned: Learned) -> None:
 def of_pem(state: PemState) -> Learned:
     """What this method has learned, from its state."""
     counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
-    return Learned(state.mean.copy(), state.covariance.copy(), counts)
+    return Learned(state.mean.copy(), drifted(state), counts)
 
 
 def into_pem(state: PemState, learned: Learned) -> None:

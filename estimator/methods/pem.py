@@ -1,10 +1,15 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
-A window is 30 s of driving without a refused segment, or less before a gap. When it is complete, a fit is
-requested (`request_fit`). It is computed elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the
-log's time later, or when it is ready if that is later still; the next window waits for it. The posterior of
-one window, drifted over the distance since then, is the prior of the next. So each window enters once, with
-its full likelihood.
+A window is driving with steering, up to 30 s (record/windows.py). When it is complete, a fit is requested
+(`request_fit`). It is computed elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time
+later, or when it is ready if that is later still; the next window waits for it. The posterior of one window,
+drifted over the distance since then, is the prior of the next. So each window enters once, with its full
+likelihood.
+
+A number stays until drift over distance has made it too uncertain, however long ago the last window was:
+along a row there is nothing to learn, and nothing to contradict what the last headland told. It is stale
+after STALE_S without sound data, since something may have changed that nobody measured, until a window is
+fitted.
 """
 
 import math
@@ -16,11 +21,18 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.record.record import Record, Segment
-from tilth.estimator.record.windows import OPEN, WINDOW, collect, describe_late, refuse
+from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
+from tilth.estimator.record.windows import OPEN, close_window, collect, describe_late, refuse
 from tilth.estimator.results import advice
-from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
+from tilth.estimator.results.reporting import (
+    LARGEST_DEVIATION,
+    PUBLISH_NS,
+    age_s,
+    six_parameter_estimate,
+    stale_reason,
+)
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -38,7 +50,7 @@ LEAST_SHARE = 0.25
 """Smallest share of the prior variance, along any direction, that a window counts to have removed in the test
 for a contradiction. If it removed next to nothing, the search's residual error alone would look like a
 contradiction."""
-NOTHING = f"no {WINDOW * 0.2:.0f} s of driving have been fitted"
+NOTHING = "no driving with steering has been fitted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +97,7 @@ class PemState:
     distance: float = 0.0  # m, since the last window
     last_pose_ns: int = 0
     informed_ns: int = 0
+    sound_ns: int = 0  # until when data have been sound, without a silence of STALE_S since the last window
     published_ns: int = 0
     window_s: float = 0.0
     fits: int = 0
@@ -108,9 +121,25 @@ def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None)
     seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
     state.last_pose_ns = pose.t_ns
     state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
-    if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING):
+    if segment is not None and segment.reason in WAYS_OF_DRIVING and not _stale(state, pose.t_ns):
+        state.sound_ns = pose.t_ns
+    if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING, _wheel_zero(state)):
         return None
     return estimate(state, machine, pose.t_ns)
+
+
+def finish(state: PemState) -> None:
+    """No more driving follows: close the present window, as a gap would."""
+    close_window(state, LEAST_STEERING, _wheel_zero(state))
+
+
+def _wheel_zero(state: PemState) -> float:
+    return float(state.mean[AT["wheel_zero"]])
+
+
+def _stale(state: PemState, t_ns: int) -> str:
+    """Why numbers are stale, or ""."""
+    return stale_reason("no sound data", age_s(max(state.informed_ns, state.sound_ns), t_ns))
 
 
 def request_fit(state: PemState, t_ns: int) -> Job | None:
@@ -119,21 +148,21 @@ def request_fit(state: PemState, t_ns: int) -> Job | None:
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
-    mean, covariance = _drifted(state)
-    state.distance = 0.0
-    state.job = Job(t_ns, record.end_ns, record, mean, covariance)
-    return state.job
-
-
-def _drifted(state: PemState) -> tuple[Array, Array]:
-    """The prior of the next window: the six drift over distance, noise levels start again."""
-    covariance = state.covariance.copy()
-    drift(covariance, np.arange(6), retained_share(state.distance), state.prior_sd)
+    state.covariance, state.distance = drifted(state), 0.0
+    covariance = state.covariance.copy()  # noise levels start again
     covariance[NOISE, :] = 0.0
     covariance[:, NOISE] = 0.0
     noise_sd = np.full(NOISE.stop - NOISE.start, NOISE_SD) if state.fits else state.prior_sd[NOISE]
     covariance[NOISE, NOISE] = np.diag(noise_sd**2)
-    return state.mean.copy(), covariance
+    state.job = Job(t_ns, record.end_ns, record, state.mean.copy(), covariance)
+    return state.job
+
+
+def drifted(state: PemState) -> Array:
+    """The covariance, (n, n), after the distance since the last window."""
+    covariance = state.covariance.copy()
+    drift(covariance, np.arange(6), retained_share(state.distance), state.prior_sd)
+    return covariance
 
 
 def fit(machine: Machine, job: Job) -> Fit:
@@ -229,6 +258,7 @@ def clock_stepped(state: PemState, by_ns: int) -> None:
     state.decided = OPEN
     state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
+    state.sound_ns += by_ns if state.sound_ns else 0
 
 
 def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
@@ -246,8 +276,8 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
     return six_parameter_estimate(
-        state, machine, t_ns, METHOD, state.covariance[SIX, SIX], NOTHING, excitation,
-        last.advice if last else "",
+        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], NOTHING, excitation,
+        last.advice if last else "", _stale(state, t_ns),
     )  # fmt: skip
 
 

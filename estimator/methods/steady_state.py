@@ -39,6 +39,7 @@ from tilth.estimator.results.reporting import (
     parameter,
     per_mass,
     reason_without_data,
+    stale_reason,
 )
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -346,8 +347,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
     """One stiffness, with a number only if the data support it."""
     missing = reason_without_data("no steady turn", state.reason) if age is None else _missing(state, rank)
+    stale = stale_reason("no steady driving", age)
     sd_log = math.sqrt(state.log_covariance[k, k])
-    return parameter(state.logs[k], sd_log, state.supported[k], age, missing, "no steady driving")
+    return parameter(state.logs[k], sd_log, state.supported[k], age, missing, stale)
 
 
 def _missing(state: SteadyState, rank: int) -> str:

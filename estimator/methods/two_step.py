@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merge_scalar
 from tilth.estimator.record.record import TICK_NS, Record, Segment
-from tilth.estimator.record.windows import OPEN, collect, refuse
+from tilth.estimator.record.windows import OPEN, close_window, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -70,6 +70,11 @@ def initial(machine: Machine) -> TwoStepState:
 def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
     """Take one segment. Returns an estimate each PUBLISH_NS. Of the pose only the time is used."""
     return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
+
+
+def finish(state: TwoStepState) -> None:
+    """No more driving follows: close the present window, as a gap would."""
+    close_window(state, 0.0, 0.0)
 
 
 def request_fit(state: TwoStepState, t_ns: int) -> Job | None:

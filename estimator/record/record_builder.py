@@ -22,8 +22,15 @@ from tilth.schemas.machine import Machine
 
 TICKS = POSE_NS // TICK_NS  # of a segment
 SLOWEST = 1.0  # m/s
-LARGEST_ANGLE = math.radians(15.0)  # of wheel and articulation: small-angle model
+LARGEST_WHEEL_ANGLE = math.radians(37.0)
+LARGEST_ARTICULATION = math.radians(62.0)
+"""Full lock of a tractor's wheels, and what a headland turn at full lock folds the rig to, with a margin. Up
+to there the motion model is exact; beyond, a wheel angle is more likely wrong, and a hitch near its stop."""
+BEYOND_WHEEL_ANGLE = "wheels turned beyond 37°"
+BEYOND_ARTICULATION = "articulation beyond 62°"
 ROUGHEST_HEADING = math.radians(2.0)  # largest sd of a heading to linearise about
+WAYS_OF_DRIVING = ("", "settling", "reverse", "too slow", BEYOND_WHEEL_ANGLE, BEYOND_ARTICULATION)
+"""Reasons of segments in which nothing is wrong with the data; "" where something may be learned."""
 WHEEL_GAP_NS = 150_000_000  # longest gap that is interpolated: the period of a 10 Hz sensor, with its jitter
 SETTLING = 10  # segments (2 s) that are driven after a refusal before anything is learned again
 
@@ -113,8 +120,8 @@ def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> str:
     """Why nothing may be learned from this segment, or ""."""
     # The flags of the next pose show a fix that was lost in between, and positions that are doubtful.
     reason = start.reason or end.reason or after.reason
-    if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_ANGLE:
-        return "outside the small-angle model"
+    if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_WHEEL_ANGLE:
+        return BEYOND_WHEEL_ANGLE
     return reason
 
 
@@ -159,8 +166,8 @@ def _reason(pose: Pose) -> str:
         return "pose incomplete"
     if u < SLOWEST:
         return "too slow"
-    if abs(pose.articulation) > LARGEST_ANGLE:
-        return "outside the small-angle model"
+    if abs(pose.articulation) > LARGEST_ARTICULATION:
+        return BEYOND_ARTICULATION
     return ""
 
 

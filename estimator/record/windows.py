@@ -1,13 +1,29 @@
-"""Windows of driving, collected segment by segment, for estimators that fit a whole window at once."""
+"""Windows of driving, collected segment by segment, for estimators that fit a whole window at once.
 
+Driving decides where they begin and end. A window opens LEAD before the wheels turn, so that a filter's
+state has settled by then. It closes QUIET after they are straight again, if it has enough steering; if not,
+it waits for the next steering, up to WINDOW, and both are fitted together with the straight driving between
+them. A segment that is refused ends it at once.
+"""
+
+import math
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tilth.estimator.record.record import Record, Segment, concatenate
+from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
 
-WINDOW: Final = 150  # segments, 30 s
-SHORTEST: Final = 50  # segments, 10 s: a shorter window is not fitted
+Array = NDArray[np.float64]
+
+WINDOW: Final = 150  # segments, 30 s: the longest window
+SHORTEST: Final = 30  # segments, 6 s: a shorter window is not fitted
+LEAD: Final = 10  # segments, 2 s, of straight driving that are kept before the wheels turn
+QUIET: Final = 15  # segments, 3 s, of straight driving after which a window with enough steering closes
+ENOUGH_S: Final = 8.0  # s with turned wheels: with less, a window waits for the next steering
+TURNED: Final = math.radians(1.5)  # the wheels are turned: further than most corrections along a row
+TOO_LITTLE: Final = "too little steering"
+TOO_SHORT: Final = f"less than {SHORTEST * 0.2:.0f} s without a gap"
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
 
@@ -23,44 +39,113 @@ class Collecting(Protocol):
 
 
 def collect(
-    state: Collecting, t_ns: int, segment: Segment | None, every_ns: int, least_steering: float = 0.0
+    state: Collecting,
+    t_ns: int,
+    segment: Segment | None,
+    every_ns: int,
+    least_steering: float = 0.0,
+    zero: float = 0.0,
 ) -> bool:
     """Take the segment that ends at the pose before that of t_ns. Returns whether an estimate is due.
 
     every_ns: interval of estimates. least_steering: smallest sd of the wheel angle, rad, of a window to fit.
+    zero: reading of the wheel angle when straight, rad.
     """
     if segment is not None:
-        _add_segment(state, segment, least_steering)
+        _add_segment(state, segment, least_steering, zero)
     due = t_ns - state.published_ns >= every_ns
     if due:
         state.published_ns = t_ns
     return due
 
 
-def _add_segment(state: Collecting, segment: Segment, least_steering: float) -> None:
+def _add_segment(state: Collecting, segment: Segment, least_steering: float, zero: float) -> None:
     state.reason = segment.reason
     if segment.reason:
         refuse(state, segment.reason)
     if segment.reason or not segment.follows:
-        _close_window(state, least_steering)
+        close_window(state, least_steering, zero)
     if segment.reason:
         return
-    state.window.append(segment)
-    if len(state.window) >= WINDOW:
-        _close_window(state, least_steering)
+    window = state.window
+    window.append(segment)
+    if len(window) <= LEAD + 1 and not _turned(window, zero):
+        state.reason = TOO_LITTLE
+        if len(window) > LEAD:
+            del window[0]
+            refuse(state, TOO_LITTLE)
+    elif len(window) >= WINDOW:
+        _close_full_window(state, least_steering, zero)
+    elif _is_complete(window, least_steering, zero):
+        close_window(state, least_steering, zero)
 
 
-def _close_window(state: Collecting, least_steering: float) -> None:
-    if len(state.window) >= SHORTEST:
-        record = concatenate(state.window)
-        if np.std(record.ticks[:, 0]) < least_steering:
-            state.reason = "too little steering"
-            refuse(state, state.reason)
-        else:
-            if state.closed is not None:  # its fit could not be requested, since the one before is late
-                refuse(state, "the fit of the window before was late")
-            state.closed = record
+def _close_full_window(state: Collecting, least_steering: float, zero: float) -> None:
+    """Close a window of the greatest length, but keep what follows the last straight driving in it: a turn
+    that has begun is not cut, unless steering goes on without end."""
+    window = list(state.window)
+    begin = _last_straight(window, zero)
+    if 2 * begin >= WINDOW:
+        del state.window[begin:]
+        close_window(state, least_steering, zero)
+        state.window.extend(window[begin:])
+    elif not close_window(state, least_steering, zero) and begin > 0:
+        state.window.extend(window[begin:])
+
+
+def _last_straight(window: list[Segment], zero: float) -> int:
+    """Where the last LEAD of straight driving begins; 0 without any."""
+    turned = [_turned([segment], zero) for segment in window]
+    return next((k for k in range(len(window) - LEAD, 0, -1) if not any(turned[k : k + LEAD])), 0)
+
+
+def close_window(state: Collecting, least_steering: float, zero: float) -> bool:
+    """End the present window. Returns whether there is enough in it to be fitted; what is not is counted.
+
+    Arguments as of `collect`.
+    """
+    window, why_not = list(state.window), ""
     state.window.clear()
+    if not _turned(window, zero):
+        return False  # its segments were not begun to be used
+    if len(window) < SHORTEST:
+        why_not = TOO_SHORT
+    elif not _has_steering(window, least_steering):
+        why_not = state.reason = TOO_LITTLE
+    if why_not:
+        refuse(state, why_not)
+        return False
+    if state.closed is not None:  # its fit could not be requested, since the one before is late
+        refuse(state, "the fit of the window before was late")
+    state.closed = concatenate(window)
+    return True
+
+
+def _wheel_angles(window: list[Segment]) -> Array:
+    """Wheel angle at each tick of a window, rad, (n,)."""
+    return np.concatenate([np.empty(0), *(segment.record.ticks[:, WHEEL_ANGLE] for segment in window)])
+
+
+def _turned(window: list[Segment], zero: float) -> bool:
+    """Whether the wheels are turned anywhere in these segments."""
+    return bool(np.any(np.abs(_wheel_angles(window) - zero) > TURNED))
+
+
+def _is_complete(window: list[Segment], least_steering: float, zero: float) -> bool:
+    """Whether the wheels are straight again after so much steering that the window need not wait for more."""
+    if len(window) < QUIET + LEAD or _turned(window[-QUIET:], zero):
+        return False
+    turned_s = float(np.sum(np.abs(_wheel_angles(window) - zero) > TURNED)) * TICK_NS * 1e-9
+    return turned_s >= ENOUGH_S and _has_steering(window, least_steering)
+
+
+def _has_steering(window: list[Segment], least_steering: float) -> bool:
+    """Whether a window, however short, has as much steering as one of WINDOW needs: the sum of squares
+    counts, so that a short piece of a row with large corrections does not pass where the row does not.
+
+    least_steering: as of `collect`.
+    """
+    return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOW
 
 
 def describe_late(late_ns: int, used: bool) -> str:

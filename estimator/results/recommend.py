@@ -31,7 +31,9 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
     """
     usable = list(_usable(estimates))
     if not usable:
-        preferred = [estimates[m] for m in PREFERRED if m in estimates]
+        preferred = [
+            estimates[m] for m in PREFERRED if m in estimates and not (m == "pem" and _outdated(estimates))
+        ]
         first = (preferred or [e for m, e in estimates.items() if m != RECOMMENDED])[0]
         return _copy_as_recommended(first, t_ns, "no method gives an estimate")
     best, rule = usable[0]
@@ -70,13 +72,14 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]
     by_method = {e.method: e for e in sound}
     pem, tracker = by_method.get("pem"), by_method.get("tracker")
     if tracker is not None and pem is not None and _usable_parameters(tracker, Status.ESTIMATED):
-        age = _age(pem)
-        change = tracker.excitation.get(SINCE_CHANGE, math.inf)
+        age, change = _age(pem), _since_change(estimates)
         if change < age:
             yield tracker, f"tracker: the soil changed {change:.0f} s ago, after the last window of pem"
         elif age > FRESH_S:
             old = f"is {age:.0f} s old" if math.isfinite(age) else "has not been driven yet"
             yield tracker, f"tracker: the last window of pem {old}"
+    if _outdated(estimates):
+        sound = [e for e in sound if e is not pem]
     for estimate in sound:
         if _usable_parameters(estimate, Status.ESTIMATED):
             yield estimate, f"{estimate.method}: the first of {_names(sound)} that gives estimates"
@@ -86,6 +89,16 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]
                 estimate,
                 f"{estimate.method}: the first of {_names(sound)} that gives estimates, though old",
             )
+
+
+def _since_change(estimates: Mapping[str, Estimate]) -> float:
+    """Time since tracker found that the soil had changed, s; infinite if it never did."""
+    return estimates["tracker"].excitation.get(SINCE_CHANGE, math.inf) if "tracker" in estimates else math.inf
+
+
+def _outdated(estimates: Mapping[str, Estimate]) -> bool:
+    """Whether pem's last window is older than a change of soil, which pem itself sees only with the next."""
+    return "pem" in estimates and _since_change(estimates) < _age(estimates["pem"]) < math.inf
 
 
 def _names(estimates: list[Estimate]) -> str:

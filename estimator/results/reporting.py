@@ -59,15 +59,20 @@ def is_supported(has_number: bool, sd_log: float, prior_sd: float) -> bool:
     return sd_log <= (WITHDRAWN if has_number else SUPPORTED) * prior_sd
 
 
+def stale_reason(what: str, seconds: float | None) -> str:
+    """Why numbers are stale after so many seconds of what is named, or ""."""
+    return f"{what} for {seconds:.0f} s" if seconds is not None and seconds > STALE_S else ""
+
+
 def parameter(
-    log: float, sd_log: float, has_number: bool, age: float | None, missing: str, idle: str
+    log: float, sd_log: float, has_number: bool, age: float | None, missing: str, stale: str
 ) -> ParameterEstimate:
-    """One parameter. missing: reason if there is no number; idle: reason if the number is stale."""
+    """One parameter. missing: reason if there is no number; stale: reason if the number is stale, or ""."""
     if age is None or not has_number:
         return ParameterEstimate(None, None, Status.UNESTIMATED, missing, age)
     value = math.exp(log)
-    if age > STALE_S:
-        return ParameterEstimate(value, value * sd_log, Status.STALE, f"{idle} for {age:.0f} s", age)
+    if stale:
+        return ParameterEstimate(value, value * sd_log, Status.STALE, stale, age)
     return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
 
 
@@ -85,24 +90,24 @@ def reason_without_data(what: str, reason: str) -> str:
 
 def six_parameter_estimate(
     state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, reason: str,
-    excitation: dict[str, float], advice_text: str,
+    excitation: dict[str, float], advice_text: str, stale: str | None = None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
 
     covariance: (6, 6), the reported one. reason: why there is no number while nothing has been learned.
+    stale: why the numbers are stale, or ""; without it they are after STALE_S in which nothing was learned.
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     information = advice.information_of(covariance, prior_sd)
     eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
+    stale = stale_reason("nothing was learned", age) if stale is None else stale
     parameters = []
     for k in range(6):
         state.has_number[k] = age is not None and is_supported(state.has_number[k], sds[k], prior_sd[k])
         too_wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
         missing = reason_without_data(reason, state.reason) if age is None else too_wide
-        parameters.append(
-            parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, "nothing was learned")
-        )
+        parameters.append(parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, stale))
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior_sd))
     return Estimate(

@@ -1,6 +1,7 @@
 """The fit of all six parameters: on data of its own model, on frames of the virtual tractor, and as a job."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import linear_plant
@@ -24,7 +25,7 @@ from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
 from tilth.estimator.results.reporting import take_events
-from tilth.schemas.flow import PARAMETERS, Pose, Status
+from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
 from tilth.simulator.tractor import drive
@@ -36,6 +37,7 @@ PUSHES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
 LASTS = math.exp(-DT / MEMORY)
 SDS = (math.radians(0.2), math.radians(0.3))
 SPEED = 4.5
+SECOND = 1_000_000_000
 
 
 def discrete(rig: Rig) -> tuple[Array, Array, Array]:
@@ -257,3 +259,65 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
         gradient += slope[SIX]
         information += (known - search.prior_information)[SIX, SIX]
     assert gradient @ np.linalg.solve(information, gradient) < 22.5
+
+
+# Windows and the age of what was learned.
+
+PARKED = BodyPose(0.0, 0.0, 0.02, 0.0, 0.005, 0.0, 0.0, 0.03, 0.04, 0.0, 0.003, 0.0, 0.004)
+
+
+def learned_at(t_ns: int) -> pem.PemState:
+    """What a fit that was adopted at that time leaves: all six to 10 %."""
+    state = pem.initial(MACHINE)
+    state.covariance[SIX, SIX] = 0.1**2 * np.eye(6)
+    state.fits, state.informed_ns, state.last_pose_ns = 1, t_ns, t_ns
+    return state
+
+
+def along_a_row(state: pem.PemState, begin_ns: int, seconds: int, speed: float, reason: str) -> Estimate:
+    """Straight driving at 5 Hz from that time on, with segments of that reason; the last estimate."""
+    segment = Segment(Record(0, np.zeros((10, 8))), not reason, reason)
+    body = replace(PARKED, forward_velocity=speed)
+    pose = Pose(0, 43.5, -83.4, body, PARKED, 0.0, 0.007, 0.0, 0.002, 1, None, 0.0, 4, ())
+    for k in range(5 * seconds):
+        pem.take(state, MACHINE, replace(pose, t_ns=begin_ns + k * SECOND // 5), segment)
+    return pem.estimate(state, MACHINE, begin_ns + seconds * SECOND)
+
+
+def statuses(estimate: Estimate) -> set[Status]:
+    return {p.status for p in estimate.parameters}
+
+
+def test_a_number_stays_along_rows_until_drift_has_used_it_up() -> None:
+    state = learned_at(SECOND)
+    estimate = along_a_row(state, SECOND, 1200, 4.0, "")
+    assert statuses(estimate) == {Status.ESTIMATED}
+    assert estimate.parameters[0].age_s == pytest.approx(1200.0)
+    wider = np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
+    assert np.all(wider > 0.2) and np.all(wider < 0.35)  # 4.8 km
+    state.distance = 60_000.0
+    assert statuses(pem.estimate(state, MACHINE, state.sound_ns)) == {Status.UNESTIMATED}
+
+
+def test_standing_still_ages_nothing_but_silence_and_unsound_data_do() -> None:
+    standing = along_a_row(learned_at(SECOND), SECOND, 600, 0.0, "too slow")
+    assert statuses(standing) == {Status.ESTIMATED}
+    without_rtk = along_a_row(learned_at(SECOND), SECOND, 290, 4.0, "no RTK fix")
+    assert statuses(without_rtk) == {Status.ESTIMATED}
+    state = learned_at(SECOND)
+    without_rtk = along_a_row(state, SECOND, 310, 4.0, "no RTK fix")
+    assert statuses(without_rtk) == {Status.STALE}
+    assert without_rtk.parameters[0].reason == "no sound data for 310 s"
+    # Nobody measured what happened meanwhile: only a new window makes it fresh.
+    assert statuses(along_a_row(state, 400 * SECOND, 20, 4.0, "")) == {Status.STALE}
+    silent = learned_at(SECOND)
+    assert statuses(along_a_row(silent, 400 * SECOND, 20, 4.0, "")) == {Status.STALE}
+
+
+def test_drift_is_not_lost_when_a_fit_is_refused() -> None:
+    state = learned_at(SECOND)
+    state.distance, state.closed = 10_000.0, Record(0, np.zeros((10, 8)))
+    before = pem.drifted(state)
+    assert pem.request_fit(state, SECOND) is not None
+    pem.adopt(state, MACHINE, None, 2 * SECOND)
+    assert np.array_equal(state.covariance, before) and state.distance == 0.0

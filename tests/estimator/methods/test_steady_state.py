@@ -2,22 +2,27 @@
 from."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from circle import START_NS, demo_machine
 from filterpy.kalman import update as filterpy_update
+from linear_tyres import linear_tyres
+from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.steady_outputs import CONSTANTS, outputs
+from tilth.estimator.filters.steady_outputs import CONSTANTS, linearised, outputs
 from tilth.estimator.methods import steady_state
 from tilth.estimator.methods.stored_state import steady_state_json, steady_state_of
 from tilth.estimator.models import nonlinear
-from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.record.steady_driving import SETTLING, SteadySample, at_its_end, time_constant
 from tilth.estimator.results.reporting import take_events
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
+
+Array = NDArray[np.float64]
 
 MACHINE = demo_machine()
 TRUTH = (200e3, 560e3, 150e3)
@@ -60,6 +65,19 @@ def drive(
             START_NS + k * 200_000_000, 43.5, -83.4, body, cart,
             float(articulation) + tractor_heading - point["pair_i"] - n[5] * SD["heading"], 0.0085,
             reading + n[6] * SD["wheel"], SD["wheel"], 1, None, 0.0, 4, (),
+        )  # fmt: skip
+
+
+def poses_of(turns: Iterable[tuple[dict[str, float], float]]) -> Iterator[Pose]:
+    """Poses without noise, 30 s of each turn: states of the nonlinear model, and degrees of the wheels."""
+    for k, (at, degrees) in enumerate(turn for turn in turns for _ in range(150)):
+        body = BodyPose(
+            0.0, 0.0, 0.02, 0.0, SD["heading"], at["u"], at["v"], SD["velocity"], 0.05,
+            at["r_t"], SD["yaw_rate"], 0.0, SD["roll"],
+        )  # fmt: skip
+        yield Pose(
+            START_NS + k * 200_000_000, 43.5, -83.4, body, body, at["psi_t"] - at["psi_i"], 0.0085,
+            math.radians(degrees), SD["wheel"], 1, None, 0.0, 4, (),
         )  # fmt: skip
 
 
@@ -154,24 +172,73 @@ def test_the_files_uncertainty_is_in_the_published_sd(old: str, sure: str, unsur
         for pose in drive():
             steady_state.take(state, machine, pose)
         sds.append(np.sqrt(np.diag(state.log_covariance)))
-    assert (sds[1] - sds[0]).max() > 0.02
+    assert (sds[1] - sds[0]).max() > 0.012
 
 
-@pytest.mark.parametrize("degrees", [4.0, 8.0, -10.0])
-def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float) -> None:
-    """Tyre curve, rolling resistance and angles that are not small: to a tenth of a percent."""
-    soil = {"grip_f": 0.7, "grip_r": 0.7, "grip_i": 0.7, "roll_f": 0.06, "roll_r": 0.06, "roll_i": 0.06}
-    rig = rig_of(MACHINE)._replace(**soil)
-    delta = math.radians(degrees)
-    driven = nonlinear.inputs_of(3000, delta=delta, speed=4.5)
-    settled = nonlinear.simulate(rig, driven, nonlinear.running(4.5), 0.01)[-1]
-    at = dict(zip(nonlinear.STATES, settled.tolist(), strict=True))
+ROLLING = {"roll_f": 0.06, "roll_r": 0.06, "roll_i": 0.06}
+GRIP = {"grip_f": 0.7, "grip_r": 0.7, "grip_i": 0.7}
+HEADLAND = ((14.0, 2.1), (-25.0, 2.1), (32.0, 2.1), (25.0, 3.0), (-32.0, 3.0), (14.0, 3.0))
+"""Degrees of the wheels and m/s."""
+
+
+def settled(rig: Rig, degrees: float, speed: float) -> dict[str, float]:
+    """States of the nonlinear model after 30 s at a constant wheel angle."""
+    driven = nonlinear.inputs_of(3000, delta=math.radians(degrees), speed=speed)
+    states = nonlinear.simulate(rig, driven, nonlinear.running(speed), 0.01)[-1]
+    return dict(zip(nonlinear.STATES, states.tolist(), strict=True))
+
+
+def point_of(**known: float) -> Array:
+    """CONSTANTS at the machine file's, but for those that are known, [19]."""
     mean, _ = unknowns.prior(MACHINE)
-    point = {name: float(mean[unknowns.AT[name]]) for name in CONSTANTS}
-    point |= {"rolling": 0.06, "curvature": 1 / 0.7}
-    row = np.array([[point[name] for name in CONSTANTS]])
-    found = outputs(row, np.array([[at["u"], delta, 0.0, 0.0]]), MACHINE)[0]
-    assert found == pytest.approx([at["r_t"], at["psi_t"] - at["psi_i"], at["v"]], rel=1e-3)
+    return np.array([known.get(name, float(mean[unknowns.AT[name]])) for name in CONSTANTS])
+
+
+@pytest.mark.parametrize(("degrees", "speed"), [(4.0, 4.5), (8.0, 4.5), (-10.0, 4.5), *HEADLAND])
+def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float, speed: float) -> None:
+    """Tyre curve, rolling resistance and angles that are not small: to 0.15 percent, of which all but 0.02 is
+    the load that moves from wheel to wheel."""
+    for rig, curvature, error in (
+        (rig_of(MACHINE)._replace(**GRIP, **ROLLING), 1 / 0.7, 1.5e-3),
+        (linear_tyres(rig_of(MACHINE))._replace(**ROLLING), 0.0, 3e-4),
+    ):
+        at = settled(rig, degrees, speed)
+        point = point_of(rolling=0.06, curvature=curvature)
+        found = outputs(point[None], np.array([[at["u"], math.radians(degrees), 0.0, 0.0]]), MACHINE)[0]
+        assert found == pytest.approx([at["r_t"], at["psi_t"] - at["psi_i"], at["v"]], rel=error)
+
+
+def test_its_jacobian_is_that_of_the_outputs() -> None:
+    point, inputs = point_of(wheel_zero=0.01, rolling=0.05, curvature=1.2), np.array([2.5, 0.45, 0.02, -0.03])
+    given = dict.fromkeys(SteadySample.__dataclass_fields__, 0.0)
+    names = ("u", "wheel_angle", "roll_t", "roll_i")
+    sample = SteadySample(**(given | dict(zip(names, inputs.tolist(), strict=True))))
+    z, over_constants, over_inputs = linearised(point, sample, MACHINE)
+    assert z == pytest.approx(outputs(point[None], inputs[None], MACHINE)[0], abs=1e-12)
+    whole, n = np.concatenate([point, inputs]), len(point)
+    for k, found in enumerate(np.hstack([over_constants, over_inputs]).T):
+        nudge = 1e-4 * (np.arange(len(whole)) == k)
+        rows = np.array([whole + nudge, whole - nudge])
+        after, before = outputs(rows[:, :n], rows[:, n:], MACHINE)
+        assert found == pytest.approx((after - before) / 2e-4, abs=1e-5)
+
+
+def test_headland_turns_give_the_stiffnesses_of_the_nonlinear_model() -> None:
+    """Linear tyres, full lock, no noise: what small angles would leave is no part of the result."""
+    truth = (200e3, 560e3, 150e3)
+    rig = linear_tyres(rig_of(MACHINE))._replace(
+        **ROLLING, **dict(zip(("C_af", "C_ar", "C_ai"), truth, strict=True))
+    )
+    turns = [(0.0, 3.0), *HEADLAND] * 2
+    poses = poses_of([(settled(rig, *turn), turn[0]) for turn in turns])
+    state = steady_state.initial(MACHINE)
+    state.x[3 : len(CONSTANTS)] = point_of(rolling=0.06, curvature=0.0)[3:]
+    state.P[3:, 3:] = 1e-10 * np.eye(len(state.x) - 3)
+    state.prior_sd[3:] = 1e-5  # the rest is known: the question is the equations
+    for pose in poses:
+        steady_state.take(state, MACHINE, pose)
+    assert state.steady_s > 120.0
+    assert np.abs(log_errors(state, truth)).max() < 0.03
 
 
 def test_it_says_what_is_determined_and_what_the_data_allow() -> None:
@@ -248,7 +315,8 @@ REFUSED = [
         "heading not from two receivers",
         lambda p: replace(p, flags=(Flag.parse("heading_by_hitch:implement"),)),
     ),
-    ("outside the small-angle model", lambda p: replace(p, wheel_angle=0.4)),
+    ("wheels turned beyond 37°", lambda p: replace(p, wheel_angle=0.66)),
+    ("articulation beyond 62°", lambda p: replace(p, articulation=1.1)),
 ]
 
 
@@ -271,9 +339,32 @@ def test_nothing_is_learned_until_the_implement_is_in_line() -> None:
         steady_state.take(state, MACHINE, pose)
         if state.steady_s > before:
             usable.append((pose.t_ns - START_NS) * 1e-9 % 12.0)
-    # 6 lengths of 3.72 m at 4.5 m/s after a change of the wheel angle
-    assert min(usable) > 4.9
+    # 3 s after a change of the wheel angle: 4 lengths of 3.72 m at 4.5 m/s are 3.3 s
+    assert min(usable) > 3.4
     assert max(usable) > 11.3
+
+
+@pytest.mark.parametrize(
+    ("degrees", "speed", "error"), [(6.0, 4.0, 0.25), (25.0, 2.2, 0.4), (32.0, 3.0, 0.55)]
+)
+def test_where_the_implement_is_going_is_foreseen(degrees: float, speed: float, error: float) -> None:
+    """Of what is left after four time constants, all but such a share, and that is within its sd."""
+    rig = linear_tyres(rig_of(MACHINE))
+    driven = nonlinear.inputs_of(3000, delta=math.radians(degrees), speed=speed)
+    run = nonlinear.simulate(rig, driven, nonlinear.running(speed), 0.01)
+    at = {name: run[:, k] for k, name in enumerate(nonlinear.STATES)}
+    articulation = at["psi_t"] - at["psi_i"]
+    blank = SteadySample(**dict.fromkeys(SteadySample.__dataclass_fields__, 0.0))
+    settled, k = 0.0, 0
+    while settled < SETTLING:
+        k += 1
+        u, r, angle = (float(x[k]) for x in (at["u"], at["r_t"], articulation))
+        sample = replace(blank, u=u, yaw_rate=r, articulation=angle)
+        settled += 0.01 / time_constant(sample, rig.towed_length)
+    left = float(articulation[-1]) - sample.articulation
+    found = at_its_end(sample, 0.0, settled)
+    assert abs(found.articulation - float(articulation[-1])) < error * abs(left)
+    assert found.sd_heading_i == pytest.approx(0.5 * abs(found.articulation - sample.articulation))
 
 
 def test_a_number_grows_stale_and_says_since_when() -> None:

@@ -18,6 +18,7 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Segment
+from tilth.estimator.record.windows import TOO_SHORT
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import BodyPose, Pose, Status
@@ -185,6 +186,11 @@ def segments(record: Record) -> list[Segment]:
     return out
 
 
+def ended(run: list[Segment]) -> list[Segment]:
+    """The same, with the last segment refused behind it, which ends the window."""
+    return [*run, replace(run[-1], follows=False, reason="reverse")]
+
+
 def drive(state: two_step.TwoStepState, run: list[Segment]) -> int:
     """Take them all; the instant after the last."""
     for segment in run:
@@ -195,10 +201,12 @@ def drive(state: two_step.TwoStepState, run: list[Segment]) -> int:
 def test_a_window_is_requested_fitted_merged_and_never_usable() -> None:
     state = two_step.initial(MACHINE)
     record = record_of(step_run(), noise=1.0)
-    t_ns = drive(state, segments(record))
+    t_ns = drive(state, ended(segments(record)))
     job = two_step.request_fit(state, t_ns)
     assert job is not None and job.asked_ns == t_ns and job.closed_ns == record.end_ns
-    assert np.array_equal(job.record.ticks, record.ticks) and np.array_equal(job.record.rows, record.rows)
+    begin = STEP_AT - 100  # 2 s before the wheels turn
+    later = record.rows[record.rows[:, 0] >= begin] - [begin, 0, 0, 0, 0, 0]
+    assert np.array_equal(job.record.ticks, record.ticks[begin:]) and np.array_equal(job.record.rows, later)
     assert two_step.request_fit(state, t_ns) is None  # one at a time
     made = two_step.fit(MACHINE, job)
     again = two_step.fit(MACHINE, from_json_data(two_step.Job, to_json_data(job)))
@@ -234,7 +242,7 @@ def test_a_second_window_is_merged_number_by_number() -> None:
 
 def test_a_late_fit_is_dropped_and_counted() -> None:
     state = two_step.initial(MACHINE)
-    t_ns = drive(state, segments(record_of(step_run())))
+    t_ns = drive(state, ended(segments(record_of(step_run()))))
     assert two_step.request_fit(state, t_ns) is not None
     estimate = two_step.adopt(state, MACHINE, None, t_ns + 3 * 10**9)
     assert state.late == 1 and state.job is None
@@ -244,12 +252,13 @@ def test_a_late_fit_is_dropped_and_counted() -> None:
 def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     state = two_step.initial(MACHINE)
     run = segments(record_of(step_run()))
-    run[20] = replace(run[20], reason="reverse")  # 4 s: too short to be fitted
-    run[21] = replace(run[21], follows=False)
+    run[50] = replace(run[50], reason="reverse")  # 2 s after the step: too short to be fitted
+    run[51] = replace(run[51], follows=False)
     t_ns = drive(state, run)
-    assert state.refused == {"reverse": 1}
+    assert state.refused["reverse"] == 1
     assert two_step.request_fit(state, t_ns) is None
-    assert len(state.window) == 129
+    assert state.refused[TOO_SHORT] == 1
+    assert len(state.window) == 99
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0
 

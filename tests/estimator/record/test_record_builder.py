@@ -291,7 +291,7 @@ REFUSED: list[tuple[Change, str]] = [
     (lambda p: replace(p, implement=replace(p.implement, sd_heading=None)), "no heading"),
     (tractor(forward_velocity=None), "pose incomplete"),
     (tractor(yaw_rate=None), "pose incomplete"),
-    (lambda p: replace(p, articulation=math.radians(-16)), "outside the small-angle model"),
+    (lambda p: replace(p, articulation=math.radians(-63)), "articulation beyond 62°"),
 ]
 
 
@@ -338,7 +338,7 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
     for first, last, angle, reason in (
         (6.0, 6.12, None, ""),
         (6.0, 6.4, None, "no wheel angle"),
-        (6.0, 6.4, 0.27, "outside the small-angle model"),
+        (6.0, 6.4, 0.66, "wheels turned beyond 37°"),
     ):
         received: list[Measurement] = []
         for m in circle.measurements(12.0):

@@ -59,6 +59,18 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
     ("stale before none", (estimate("steady_state", U), estimate("pem", S, age=400.0)), "pem", "though old"),
     ("new before stale", (estimate("steady_state", THREE), estimate("pem", S)), "steady_state", "first of"),
     ("changed since", (estimate("tracker", change=5.0), estimate("pem", age=10.0)), "tracker", "5 s ago"),
+    (
+        "changed since, nothing learned of it yet",
+        (estimate("steady_state", THREE), estimate("tracker", U, change=5.0), estimate("pem", age=10.0)),
+        "steady_state",
+        "first of",
+    ),
+    (
+        "changed since, no other number",
+        (estimate("tracker", U, change=5.0), estimate("pem", age=10.0)),
+        "tracker",
+        "no method gives",
+    ),
     ("changed before", (estimate("tracker", change=50.0), estimate("pem", age=10.0)), "pem", "first of"),
     ("invalid", (estimate("steady_state", I), estimate("pem", I)), "pem", "no method gives"),
     ("not one of the offered", (estimate("pem_two_step"), estimate("pem", U)), "pem", "no method gives"),
