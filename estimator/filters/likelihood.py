@@ -48,7 +48,9 @@ ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *NAMES[AT["roll_k_t"] : AT["roll_pin"]], "roll_cg_i", "curvature", "m_t", "m_i"})
+_GAINS: Final = frozenset(
+    {*PARAMETERS, *NOISES, *NAMES[AT["roll_k_t"] : AT["roll_pin"]], "roll_cg_i", "curvature", "m_t", "m_i"}
+)
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.03, 0.3)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
@@ -383,7 +385,9 @@ def _step(
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
     """(step, tries, (innovations, variances) after it); None in the third place if no step lowers the
     cost."""
-    limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE / np.sqrt(np.diag(search.prior_information)))
+    limits = np.where(
+        search.active < 6, LONGEST_STEP, LONGEST_SHARE / np.sqrt(np.diag(search.prior_information))
+    )
     for tried in range(1, 8):
         damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
         step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)

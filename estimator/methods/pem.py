@@ -13,14 +13,14 @@ fitted.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
-from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.record.record import Record, Segment
 from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
@@ -50,6 +50,8 @@ LEAST_SHARE = 0.25
 """Smallest share of the prior variance, along any direction, that a window counts to have removed in the test
 for a contradiction. If it removed next to nothing, the search's residual error alone would look like a
 contradiction."""
+OF_MASSES = ((AT["C_af"], AT["C_ar"]), (AT["C_ai"],))
+"""Stiffnesses that are learned over each of unknowns.MASSES."""
 NOTHING = "no driving with steering has been fitted"
 
 
@@ -170,7 +172,7 @@ def fit(machine: Machine, job: Job) -> Fit:
     setup = rig_setup(machine)
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
-    found = likelihood.maximise_posterior(job.record, setup, mean, covariance, prior_mean)
+    found = _posterior(job.record, setup, mean, covariance, prior_mean)
     change = found.mean[SIX] - mean[SIX]
     changed = _contradiction(change, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGE_CHI_SQUARE
     if changed:
@@ -179,7 +181,7 @@ def fit(machine: Machine, job: Job) -> Fit:
         covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
         mean = np.concatenate([prior_mean[SIX], mean[6:]])
         gain = found.gain
-        found = likelihood.maximise_posterior(job.record, setup, mean, covariance)
+        found = _posterior(job.record, setup, mean, covariance)
         found = likelihood.with_gain(found, gain)
     speed = float(np.mean(job.record.ticks[:, 1]))
     return Fit(
@@ -187,6 +189,28 @@ def fit(machine: Machine, job: Job) -> Fit:
         found.iterations, found.rows, changed, advice.advise(machine, found.mean, found.covariance, speed),
         _refusal(found, prior_mean, prior_sd),
     )  # fmt: skip
+
+
+def _posterior(
+    record: Record, setup: RigSetup, mean: Array, covariance: Array, reference: Array | None = None
+) -> likelihood.Posterior:
+    """As likelihood.maximise_posterior, with the masses of the file: they are considered (unknowns.MASSES).
+
+    A stiffness is as uncertain as the mass that it is learned over, and errs with it.
+    """
+    known = covariance.copy()
+    variances = np.diag(covariance)[list(unknowns.MASSES)]
+    for mass in unknowns.MASSES:
+        if known[mass, mass] > 0.0:
+            known -= np.outer(known[:, mass], known[mass]) / known[mass, mass]
+        known[mass, :] = known[:, mass] = 0.0
+    found = likelihood.maximise_posterior(record, setup, mean, known, reference)
+    whole = found.covariance.copy()
+    for mass, stiffnesses, variance in zip(unknowns.MASSES, OF_MASSES, variances, strict=True):
+        effect = np.zeros(len(NAMES))
+        effect[[mass, *stiffnesses]] = 1.0
+        whole += variance * np.outer(effect, effect)
+    return replace(found, covariance=whole)
 
 
 def _contradiction(change: Array, before: Array, after: Array) -> float:

@@ -304,11 +304,11 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
 
 def reported_covariance(state: TrackerState) -> Array:
     """Reported covariance of the six logarithms, (6, 6): the information of the data over SD_FACTOR
-    squared."""
+    squared, and errors of the model."""
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    return (covariance + covariance.T) / 2.0
+    return (covariance + covariance.T) / 2.0 + np.diag(np.square(likelihood.MODEL_SD))
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
