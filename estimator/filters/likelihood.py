@@ -2,8 +2,8 @@
 
 The cost is 1/2 sum(e^2/S + log S) over the record's innovations (predictor.py) plus 1/2 (p - p0)' P0^-1 (p -
 p0) of the prior. Derivatives of e come from the filter itself; for the unknowns that change its gains,
-derivatives of e and S are differences of filter runs, so that the gradient is that of the exact likelihood. The
-Fisher information is sum(de de'/S + 1/2 dS dS'/S^2).
+derivatives of e and S are differences of filter runs, so that the gradient is that of the exact likelihood.
+The Fisher information is sum(de de'/S + 1/2 dS dS'/S^2).
 """
 
 from dataclasses import dataclass, replace
@@ -48,9 +48,8 @@ ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-_GAINS: Final = frozenset(
-    {*PARAMETERS, *NOISES, *NAMES[AT["roll_k_t"] : AT["roll_pin"]], "roll_cg_i", "curvature", "m_t", "m_i"}
-)
+_ROLL_MODES: Final = NAMES[AT["roll_k_t"] : AT["roll_pin"]]
+_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *_ROLL_MODES, "roll_cg_i", "curvature"})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.03, 0.3)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
@@ -61,8 +60,8 @@ that is no Gauss-Markov process and for slow errors of receivers. From Monte Car
 innovations."""
 MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.05])
 """Sds of the six logarithms from errors of the model, which more data do not reduce: tyre curves and load
-transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo on
-the spatial plant with drawn rigs, tyres and ground."""
+transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo
+on the spatial plant with drawn rigs, tyres and ground."""
 SETTLING_TICKS: Final = 50
 """Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
@@ -299,11 +298,11 @@ def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
 def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
     """The derivatives of e as far as the known wheel angles explain them; those of S are zero.
 
-    The derivatives of the open-loop response (without measurements) are taken as changes of the readings, which
-    pass through the filter at the point. The search uses the whole likelihood. But the information on tyres in
-    the rig's response to the ground's forces is only as good as the model of those forces, which is simple, so
-    it does not count in the covariance: with it, intervals from three windows of steps at 5 Hz held the true
-    value in 78 % of runs, without it in 88 %.
+    The derivatives of the open-loop response (without measurements) are taken as changes of the readings,
+    which pass through the filter at the point. The search uses the whole likelihood. But the information on
+    tyres in the rig's response to the ground's forces is only as good as the model of those forces, which is
+    simple, so it does not count in the covariance: with it, intervals from three windows of steps at 5 Hz held
+    the true value in 78 % of runs, without it in 88 %.
     """
     of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
     places = search.active[of_motion]

@@ -63,7 +63,7 @@ class Observation(NamedTuple):
 @kernel
 def body_of(kind: int, place: int) -> int:
     """0 for the tractor, 1 for the implement."""
-    if kind == YAW_RATE or kind == HEADING:
+    if kind in (YAW_RATE, HEADING):
         return place
     return 0 if place < 2 else 1
 

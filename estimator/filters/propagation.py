@@ -1,8 +1,8 @@
 """Propagates state and covariance over one tick: the filters' motion model.
 
-The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few ticks;
-with them the mean takes one step per tick (exponential integrator), which is exact for a linear model. The
-states x, shape (24,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few
+ticks; with them the mean takes one step per tick (exponential integrator), which is exact for a linear model.
+The states x, shape (24,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
 constant, they are the joint state, shape (n,).
 """
 
@@ -159,8 +159,8 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
 
 @kernel
 def rig_at(rig: Rig, geometry: Array, unknowns: Array, linear: bool) -> Rig:
-    """The rig with this geometry (9,), and heights, rolling resistance and curvature of the tyre curve (1/grip)
-    at a point of the unknowns, of which a linear model has none."""
+    """The rig with this geometry (9,), and heights, rolling resistance and curvature of the tyre curve
+    (1/grip) at a point of the unknowns, of which a linear model has none."""
     grip = 1.0 / max(unknowns[AT_CURVATURE], 1e-3)
     rolling, raised = unknowns[AT_ROLLING], unknowns[AT_HITCH : AT_HITCH + 3]
     if linear:
@@ -199,7 +199,8 @@ def plant_at(plant: Plant, point: Point, setup: RigSetup) -> Plant:
     """The plant at a point of the unknowns, with the same work arrays."""
     rig = rig_at(setup.rig, point.geometry, point.unknowns, setup.scale != 1.0)
     return Plant(
-        point.theta, rig, roll_at(setup.roll, point.unknowns), setup.scale, plant.x, plant.w, plant.forces, plant.rates, plant.work,
+        point.theta, rig, roll_at(setup.roll, point.unknowns), setup.scale,
+        plant.x, plant.w, plant.forces, plant.rates, plant.work,
     )  # fmt: skip
 
 
@@ -269,7 +270,7 @@ def nudged_rates(
         theta = point.theta.copy()
         theta[place] *= 1.0 + NUDGE
         nudged = plant_at(plant, Point(point.unknowns, theta, point.geometry), setup)
-    elif roll_mode or place == AT_ROLLING or place == AT_CURVATURE:
+    elif roll_mode or place in (AT_ROLLING, AT_CURVATURE):
         unknowns = point.unknowns.copy()
         unknowns[place] += NUDGE
         nudged = plant_at(plant, Point(unknowns, point.theta, point.geometry), setup)

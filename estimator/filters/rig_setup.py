@@ -69,7 +69,7 @@ def _heights(machine: Machine) -> Array:
 
 
 def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
-    """The setup of a machine. linear: small motions of a rig that does not roll, as the relaxation model's."""
+    """The setup of a machine. linear: small motions of a rig that does not roll, as in models.relaxation."""
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
     slow.append(SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver])))
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])

@@ -8,7 +8,7 @@ m (a_y + h p'). The front axle hangs on a pin at height z_pin, the drawbar is at
 Source: Kane's equations for two rigid bodies with generalised speeds u, v, r_t, r_i, p_t, p_i; small lean.
 States: those of nonlinear.STATES before the actuator's, then phi_t, phi_i (rad), p_t, p_i (rad/s). Inputs:
 nonlinear.INPUTS, of which the drive is not used; then how far uneven ground turns the wheels of either body
-about its long axis (rad), and u' (m/s^2): the speed is held, by whatever force of the driven wheels that takes.
+about its long axis (rad), and u' (m/s^2): the speed is held, by whatever force of the driven wheels it takes.
 """
 
 import math
@@ -90,8 +90,8 @@ def accelerations_rolling(
 ) -> None:
     """Fill the last column of work.M: the drive's force (N), v', r_t', r_i', p_t', p_i'.
 
-    The speed is held: u' is known and the force of the driven wheels is what that takes, so that the implement
-    hangs on the drawbar with all that it drags. on: as nonlinear.applied, without a drive; front_y: the front
+    The speed is held: u' is known and the force of the driven wheels is what that takes, so that the
+    implement hangs on the drawbar with all that it drags. on: as nonlinear.applied, without a drive; front_y: the front
     axle's force across the tractor, N; push: along and across the tractor, of the front wheels' share of a
     drive of 1 N, N.
     """
@@ -148,7 +148,7 @@ def accelerations_rolling(
 def across_front(forces: Array, delta: float) -> float:
     """The front axle's force across the tractor, N. forces: as nonlinear.wheel_forces."""
     along, across = forces[0, 1] + forces[1, 1], forces[0, 2] + forces[1, 2]
-    return along * math.sin(delta) + across * math.cos(delta)
+    return float(along * math.sin(delta) + across * math.cos(delta))
 
 
 @kernel

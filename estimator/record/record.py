@@ -1,8 +1,8 @@
 """Raw measurements in order of their instants, on ticks of 20 ms: the data of the dynamic estimators.
 
 Each sample is there once, as it was measured. Poses are used only as the point about which angles and lever
-arms are linearised, and for inputs that are measured in no other way (forward speed). Positions and velocities
-are corrected for pitch, not for roll, which is a state of the filters.
+arms are linearised, and for inputs that are measured in no other way (forward speed). Positions and
+velocities are corrected for pitch, not for roll, which is a state of the filters.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ ROWS = ("tick", "offset", "kind", "place", "value", "sd")
 """Columns of Record.rows, one row per measurement, sorted by instant.
 
 tick: the last one at or before the instant; offset: s after it, [0, 0.02). kind: YAW_RATE to ROLL_ANGLE.
-place: for YAW_RATE and HEADING the body, 0 tractor, 1 implement; else the receiver, as in flow.Mount. value: rad/s;
-m/s to the right of the psi of `ticks` at that instant; m in the plane of the poses; rad. sd: the white noise
+place: for YAW_RATE and HEADING the body, 0 tractor, 1 implement; else the receiver, as in flow.Mount. value:
+rad/s; m/s to the right of the psi of `ticks` at that instant; m in the plane of the poses; rad. sd: the white noise
 that the machine file states for such a message, or a larger one that the receiver reports.
 """
 TICK, OFFSET, KIND, PLACE, VALUE, SD = 0, 1, 2, 3, 4, 5
