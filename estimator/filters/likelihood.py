@@ -301,8 +301,8 @@ def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
     The derivatives of the open-loop response (without measurements) are taken as changes of the readings,
     which pass through the filter at the point. The search uses the whole likelihood. But the information on
     tyres in the rig's response to the ground's forces is only as good as the model of those forces, which is
-    simple, so it does not count in the covariance: with it, intervals from three windows of steps at 5 Hz held
-    the true value in 78 % of runs, without it in 88 %.
+    simple, so it does not count in the covariance: with it, intervals from three windows of steps at 5 Hz
+    held the true value in 78 % of runs, without it in 88 %.
     """
     of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
     places = search.active[of_motion]

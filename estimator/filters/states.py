@@ -1,12 +1,12 @@
 """Layout of the filters' state vector x, shape (24,), and the length of a tick.
 
 v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.rolling); lean of tractor and implement (rad) and their
-rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does, first-order Gauss-Markov processes: sideways
-forces at both CGs over mass, as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), with one
-time constant; gravity along the cross slope under either body (m/s^2) and how far unevenness turns the wheels
-of either body about its long axis (rad), over distances. North and east of the tractor's CG (m). Slow errors
-of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's antennas
-relative to the tractor's (m).
+rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does, first-order Gauss-Markov processes:
+sideways forces at both CGs over mass, as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2),
+with one time constant; gravity along the cross slope under either body (m/s^2) and how far unevenness turns
+the wheels of either body about its long axis (rad), over distances. North and east of the tractor's CG (m).
+Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's
+antennas relative to the tractor's (m).
 """
 
 import math

@@ -71,8 +71,8 @@ class RowTally(NamedTuple):
     counts: Array  # (3,), rows by USED, GATED, BAD
     sums: Array  # (9, 2)
     """Rows 0 to 3, yaw rates, velocities, positions, rolls: sum of the squares of the residuals over the
-    stated sds, and number. Rows 4 to 8, pushes and unevenness: sum of the squares of their estimates, and of the
-    expected values of these."""
+    stated sds, and number. Rows 4 to 8, pushes and unevenness: sum of the squares of their estimates, and of
+    the expected values of these."""
 
 
 @kernel

@@ -91,9 +91,9 @@ def accelerations_rolling(
     """Fill the last column of work.M: the drive's force (N), v', r_t', r_i', p_t', p_i'.
 
     The speed is held: u' is known and the force of the driven wheels is what that takes, so that the
-    implement hangs on the drawbar with all that it drags. on: as nonlinear.applied, without a drive; front_y: the front
-    axle's force across the tractor, N; push: along and across the tractor, of the front wheels' share of a
-    drive of 1 N, N.
+    implement hangs on the drawbar with all that it drags. on: as nonlinear.applied, without a drive; front_y:
+    the front axle's force across the tractor, N; push: along and across the tractor, of the front wheels'
+    share of a drive of 1 N, N.
     """
     force_x, force_y, moment_t, cart_x, cart_y, moment_i = on
     u, v, r_t, r_i = x[4], x[5], x[6], x[7]

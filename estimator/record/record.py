@@ -29,8 +29,8 @@ ROWS = ("tick", "offset", "kind", "place", "value", "sd")
 
 tick: the last one at or before the instant; offset: s after it, [0, 0.02). kind: YAW_RATE to ROLL_ANGLE.
 place: for YAW_RATE and HEADING the body, 0 tractor, 1 implement; else the receiver, as in flow.Mount. value:
-rad/s; m/s to the right of the psi of `ticks` at that instant; m in the plane of the poses; rad. sd: the white noise
-that the machine file states for such a message, or a larger one that the receiver reports.
+rad/s; m/s to the right of the psi of `ticks` at that instant; m in the plane of the poses; rad. sd: the white
+noise that the machine file states for such a message, or a larger one that the receiver reports.
 """
 TICK, OFFSET, KIND, PLACE, VALUE, SD = 0, 1, 2, 3, 4, 5
 
