@@ -28,6 +28,11 @@ AXLES: Final = ("front", "rear", "implement")
 AXLE_OF: Final = [0, 1, 2, 0, 1, 2]  # of each of PARAMETERS: front, rear, implement
 
 
+ROLL_WAVES: Final = 5.0
+"""The planar plant's bodies follow the ground's roll as a whole: short waves would throw masses about without
+any force. So waves of roll are so much longer than those of forces; on the spatial plant tyres carry both."""
+
+
 class Waves(NamedTuple):
     """A band-limited function of one distance: sum of amplitude cos(wavenumber s + phase)."""
 
@@ -96,7 +101,7 @@ def terrain(ground: Ground, roll_deg: tuple[float, float], rig: Rig, rng: np.ran
         math.radians(ground.slope_deg),
         math.radians(ground.downhill_deg),
         (math.radians(roll_deg[0]), math.radians(roll_deg[1])),
-        waves(rng, math.radians(ground.roll_sd_deg), ground.band),
+        waves(rng, math.radians(ground.roll_sd_deg), (ROLL_WAVES * ground.band[0], ROLL_WAVES * ground.band[1])),
         waves(rng, ground.force_sd, ground.band),
         rig.c - rig.b + rig.towed_length,
     )
