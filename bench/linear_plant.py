@@ -1,8 +1,8 @@
 """A rig that moves exactly as the estimators' own model says, as a record, and the least left unknown by it.
 
-Relaxation model at one speed, a ground that pushes with a memory, white noise of yaw rates and headings at
-each tick: the likelihood is then the true one, so that a fit can be held against its
-Cramér-Rao bound. `bound` is made without the estimators' filter: a Kalman filter of its own, on arrays.
+Relaxation model at one speed, a ground that pushes with a memory, cross slopes, white noise of yaw rates and
+headings at each tick: the likelihood is then the true one, so that a fit can be held against its Cramér-Rao
+bound. `bound` is made without the estimators' filter: a Kalman filter of its own, on arrays.
 """
 
 import math
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.states import DT
+from tilth.estimator.filters.states import DT, SLOPE_LENGTH, SLOPE_SD
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import discretise, system
@@ -29,11 +29,12 @@ Array = NDArray[np.float64]
 SPEED: Final = 4.5  # m/s
 PUSHES: Final = (0.3, 0.15, 0.05)  # m/s^2, m/s^2, rad/s^2: sds of the ground's, as unknowns.NOISES
 MEMORY_S: Final = 0.1
+SLOPE_S: Final = SLOPE_LENGTH / SPEED  # how long a cross slope lasts, known as its sd is
 SDS: Final = (math.radians(0.2), math.radians(0.3))  # of a yaw rate, rad/s, and of a heading, rad
 ZERO_SD: Final = math.radians(0.3)  # of the wheel angle's zero, drawn
 HALF: Final = 0.5  # truths lie within this share of the prior's median
 LATERAL_STATES: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: all but the lateral position
-STATES: Final = 11  # these and three pushes
+STATES: Final = 13  # these, three pushes and gravity along two cross slopes
 OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
 UNSEEN: Final = ("s_velocity", "uneven", "s_roll")  # noise levels of what the record does not have
 UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n not in UNSEEN)
@@ -134,23 +135,29 @@ def white(rig: Rig) -> Array:
 
 
 def _matrices(rig: Rig, memory_s: float) -> tuple[Array, Array]:
-    """(F (11, 11), G (11,)) of one tick: the wheel angle held at its mean, pushes as at the first end."""
+    """(F (13, 13), G (13,)) of one tick: the wheel angle held at its mean, pushes as at the first end."""
     whole = system(model_named("relaxation"), rig, SPEED)
     turning = np.zeros((len(whole.a), 1))
     turning[1] = 1.0
     f, before, after = discretise(whole.a, np.hstack([whole.b, turning]), DT)
     held, states = before + after, list(LATERAL_STATES)
     made = np.zeros((STATES, STATES))
-    made[:8, :8], made[:8, 8:] = f[np.ix_(states, states)], held[states, 1:]
-    made[8:, 8:] = math.exp(-DT / memory_s) * np.eye(3)
-    return made, np.append(held[states, 0], np.zeros(3))
+    made[:8, :8], made[:8, 8:11] = f[np.ix_(states, states)], held[states, 1:]
+    made[:8, 11:] = held[states, 1:3]  # a cross slope pushes its body
+    made[8:, 8:] = np.diag(_lasting(memory_s))
+    return made, np.append(held[states, 0], np.zeros(5))
+
+
+def _lasting(memory_s: float) -> Array:
+    """What is left after a tick of each push and slope, (5,)."""
+    return np.exp([-DT / memory_s] * 3 + [-DT / SLOPE_S] * 2)
 
 
 def _driven(rig: Rig, wheel: Array, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """(states (n, count, 11), outputs SEEN (n, count, 4)) from straight running."""
+    """(states (n, count, 13), outputs SEEN (n, count, 4)) from straight running."""
     f, g = _matrices(rig, MEMORY_S)
-    n, fresh = len(wheel), math.sqrt(1.0 - math.exp(-2.0 * DT / MEMORY_S))
-    shocks = rng.standard_normal((n, count, 3)) * PUSHES
+    n, fresh = len(wheel), np.sqrt(1.0 - _lasting(MEMORY_S) ** 2)
+    shocks = rng.standard_normal((n, count, 5)) * (*PUSHES, SLOPE_SD, SLOPE_SD)
     states = np.zeros((n, count, STATES))
     states[0, :, 8:] = shocks[0]
     for k in range(n - 1):
@@ -172,14 +179,14 @@ def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
     made = [_matrices(rig, memory) for rig, memory in zip(rigs, memories.tolist(), strict=True)]
     f, g = np.array([m[0] for m in made]), np.array([m[1] for m in made])
     q, r = np.zeros((p, STATES)), np.zeros((p, 4))
-    pushes = np.exp(2.0 * points[:, 7:10])
-    q[:, 8:] = (1.0 - np.exp(-2.0 * DT / memories))[:, None] * pushes
+    pushes = np.hstack([np.exp(2.0 * points[:, 7:10]), np.full((p, 2), SLOPE_SD**2)])
+    q[:, 8:] = (1.0 - np.array([_lasting(memory) for memory in memories.tolist()]) ** 2) * pushes
     r[:, :2], r[:, 2:] = (np.exp(2 * points[:, 11:13]) * np.square(SDS)).T[:, :, None]
     reading = run.wheel + run.zero
     delta = ((reading[:-1] + reading[1:]) / 2)[:, None] - points[:, 6]
     outputs = list(OUTPUT_STATES)
     # Runs begin straight. If the first state had a variance, its absence would count as information.
-    first = np.hstack([np.full((p, STATES - 3), NO_SCATTER), pushes])
+    first = np.hstack([np.full((p, len(LATERAL_STATES)), NO_SCATTER), pushes])
     P = first[:, :, None] * np.eye(STATES)
     x, e, innovation_covariances, gain = (
         np.zeros((p, y.shape[1], STATES)), np.zeros((n, p, y.shape[1], 4)), [], np.zeros(0),

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.likelihood import maximise_posterior
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.states import DT, START, X_ALPHA, X_PSI, X_R, X_V
+from tilth.estimator.filters.states import DT, SLOPE_LENGTH, SLOPE_SD, START, X_ALPHA, X_PSI, X_R, X_V
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
 from tilth.estimator.methods import pem
@@ -33,22 +33,23 @@ from tilth.simulator.traffic import traffic
 Array = NDArray[np.float64]
 
 PUSHES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
-LASTS = math.exp(-DT / MEMORY)
 SDS = (math.radians(0.2), math.radians(0.3))
 SPEED = 4.5
+GROUND = np.array([*PUSHES, SLOPE_SD, SLOPE_SD])  # sds of pushes and of gravity along the cross slopes
+LASTS = np.exp([-DT / MEMORY] * 3 + [-DT * SPEED / SLOPE_LENGTH] * 2)
 PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1]
 
 
 def discrete(rig: Rig) -> tuple[Array, Array, Array]:
-    """(F, G, pushed) of the states PLANAR of the predictor for themselves, a wheel angle and the
-    ground's three pushes, by a matrix exponential."""
+    """(F, G, pushed) of the states PLANAR of the predictor for themselves, a wheel angle and what
+    the ground does, by a matrix exponential. A cross slope pushes its body as the ground does."""
     a = relaxation.system_matrix(SPEED, rig.geometry, rig.theta)
     b = relaxation.input_matrix(SPEED, rig.geometry, rig.theta)
     keep = [0, 1, 2, 3, 4, 5, 7, 8]
     whole = np.zeros((12, 12))
     whole[:8, :8], whole[:8, 8:11], whole[1, 11] = a[np.ix_(keep, keep)], b[keep], 1.0
     exact: Array = np.asarray(expm(whole * DT), np.float64)
-    return exact[:8, :8], exact[:8, 8], exact[:8, 9:]
+    return exact[:8, :8], exact[:8, 8], exact[:8, [9, 10, 11, 9, 10]]
 
 
 def record_of_own_model(rig: Rig, seed: int, seconds: float = 30.0, kind: str = "random") -> Record:
@@ -58,10 +59,10 @@ def record_of_own_model(rig: Rig, seed: int, seconds: float = 30.0, kind: str = 
     time: Array = np.arange(n, dtype=np.float64) * DT
     wheel = manoeuvre_named(kind).wheel_angle(time, math.radians(8.0), rng)
     f, g, pushed = discrete(rig)
-    states, push = np.zeros((n, 8)), rng.standard_normal((n, 3)) * PUSHES
+    states, push = np.zeros((n, 8)), rng.standard_normal((n, 5)) * GROUND
     for k in range(n - 1):
         states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2 + pushed @ push[k]
-        push[k + 1] = LASTS * push[k] + math.sqrt(1.0 - LASTS**2) * push[k + 1]
+        push[k + 1] = LASTS * push[k] + np.sqrt(1.0 - LASTS**2) * push[k + 1]
     ticks = np.zeros((n, 8))
     ticks[:, 0], ticks[:, 1], ticks[:, 2:4], ticks[:, 4:6] = wheel, SPEED, states[:, 6:8], states[:, 1:3]
     rows = [
@@ -90,17 +91,17 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     """Against the dense covariance of all measurements at once, built without any filter."""
     rig = TABLE_7_2
     record = record_of_own_model(rig, 3, seconds=0.6)
-    mean, covariance = alone(machine)
+    mean, _ = alone(machine)
     mean[SIX] = np.log(rig.theta)
     mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
     setup = without_pairs(machine)
     first_state = likelihood.first_state(record, setup)
     found = likelihood.innovations(record, setup, first_state, mean)
     f, g, pushed = discrete(rig)
-    whole_f = np.block([[f, pushed], [np.zeros((3, 8)), LASTS * np.eye(3)]])
+    whole_f = np.block([[f, pushed], [np.zeros((5, 8)), np.diag(LASTS)]])
     n, first = len(record.ticks), first_state[PLANAR]
-    start = np.diag(np.square([*np.array(START)[PLANAR], *PUSHES]))
-    shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
+    start = np.diag(np.square([*np.array(START)[PLANAR], *GROUND]))
+    shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(GROUND))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
         wheel_angle = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
