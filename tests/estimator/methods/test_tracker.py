@@ -96,7 +96,7 @@ KINDS = (
 PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1, X_POSITION, X_POSITION + 1]
 """The states that the planar model has too, in its order of `simulated`."""
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
-SLOPES = 0.2, -0.1  # m/s^2
+SLOPES = 4.0, -2.0  # m/s^2
 LOW = SETUP._replace(
     rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, stiffness_f=1e30)
 )
@@ -110,11 +110,12 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     mean, sd = unknowns.prior(MACHINE)
     point = mean.copy()
     point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
-    x = moved(np.zeros(N_STATES), point, np.full(150, READINGS[20]), 0, 150)
+    x = np.zeros(N_STATES)
+    x[X_SLOPE:X_UNEVEN] = SLOPES  # at first; what they do to the lean has settled by the end
+    x = moved(x, point, np.full(600, READINGS[20]), 0, 600)
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
-    x[X_PUSH:X_SLOPE] = rng.normal(size=3) * [0.01, 0.01, 0.005]
-    x[X_SLOPE:X_UNEVEN] = SLOPES
-    x[X_UNEVEN:X_POSITION] = rng.normal(size=2) * 1e-3
+    x[X_PUSH:X_SLOPE] = rng.normal(size=3) * [1e-3, 1e-3, 5e-4]
+    x[X_UNEVEN:X_POSITION] = rng.normal(size=2) * 5e-5
     x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
     return x, point
 
@@ -134,8 +135,8 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
         speed=4.5,
-        gravity_t=SLOPES[0] * fade,
-        gravity_i=SLOPES[1] * fade,
+        gravity_t=x[X_SLOPE] * fade,
+        gravity_i=x[X_SLOPE + 1] * fade,
     )
     start = nonlinear.running(4.5)
     start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, X_PSI, X_PSI + 1]], x[PLANAR[:6]]
