@@ -233,23 +233,21 @@ def test_rolls_are_rows_of_their_receivers_as_they_were_measured() -> None:
             m = replace(m, roll=m.roll + 0.003 * place, sd=0.004 + 0.001 * place)
         marked.append(m)
     _, out = record(KNOWN, marked)
-    # A receiver's instants and those of the poses are rounded apart.
-    first, last = out[0].record.t_ns - 1000, out[-1].record.end_ns - 1000
+    # Learned latencies move an instant by some microseconds: from end to end but for the last few.
+    first, last = out[0].record.t_ns - 20_000, out[-1].record.end_ns - 50_000_000
     for place, mount in enumerate(ALL):
-        measured = [
-            (m.rx_ns - 100_000_000, m.roll, m.sd)
+        expected = np.array([
+            (m.rx_ns - 100_000_000 - start, m.roll, m.sd)
             for m in marked
-            if isinstance(m, Attitude) and m.origin.mount is mount
-        ]
-        expected = np.array([row for row in measured if first <= row[0] < last], dtype=np.float64)
-        got = [
-            s.record.rows[(s.record.rows[:, 2] == ROLL_ANGLE) & (s.record.rows[:, 3] == place)] for s in out
-        ]
-        table = np.concatenate(got)
+            if isinstance(m, Attitude) and m.origin.mount is mount and first <= m.rx_ns - 100_000_000 < last
+        ])  # fmt: skip
+        rows = np.concatenate([segment.record.rows for segment in out])
+        rows = rows[(rows[:, 2] == ROLL_ANGLE) & (rows[:, 3] == place)]
         at = instants(out, ROLL_ANGLE, place) * 1e9 + START_NS - start
-        np.testing.assert_allclose(at, expected[:, 0] - start, atol=100.0)
-        assert table[:, VALUE].tolist() == expected[:, 1].tolist()
-        assert table[:, SD].tolist() == expected[:, 2].tolist()
+        chosen = at < last - start
+        np.testing.assert_allclose(at[chosen], expected[:, 0], atol=2e4)
+        assert rows[chosen, VALUE].tolist() == expected[:, 1].tolist()
+        assert rows[chosen, SD].tolist() == expected[:, 2].tolist()
 
 
 def test_noise_of_roll_is_not_taken_for_swaying() -> None:

@@ -24,7 +24,7 @@ from tilth.estimator.filters.propagation import (
     stationary,
 )
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_V, Point
+from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_PUSH, X_V, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import Sensor, cramer_rao
@@ -173,7 +173,8 @@ def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
     ground = ground_at.interpreted()(point.unknowns)
     x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup.sds))
     for k in range(len(wheel) - 1):
-        x[k + 1] = step.F @ x[k] + step.wheel * (wheel[k] + wheel[k + 1]) / 2 + noise[k]
+        x[k + 1] = step.F @ x[k] + noise[k]
+        x[k + 1, :X_PUSH] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
         v, psi = (x[k, X_V] + x[k + 1, X_V]) / 2, (x[k, X_PSI] + x[k + 1, X_PSI]) / 2
         forward, right = DT * SPEED + along[k], DT * v + across[k]
         x[k + 1, X_POSITION] = x[k, X_POSITION] + forward * math.cos(psi) - right * math.sin(psi)
@@ -221,8 +222,8 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
     information = white.T @ white + 0.5 * relative.T @ relative
     believed = np.random.default_rng(1000 + seed).normal(0, SD[known])
     total = information + np.diag(SD[known] ** -2.0)
-    step = np.linalg.solve(total, score + believed / SD[known] ** 2)
-    return step[:6], np.sqrt(np.diag(np.linalg.inv(total)))[:6]
+    step: Array = np.asarray(np.linalg.solve(total, score + believed / SD[known] ** 2), np.float64)
+    return step[:6], np.asarray(np.sqrt(np.diag(np.linalg.inv(total)))[:6], np.float64)
 
 
 @pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
