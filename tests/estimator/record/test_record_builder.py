@@ -233,8 +233,8 @@ def test_rolls_are_rows_of_their_receivers_as_they_were_measured() -> None:
             m = replace(m, roll=m.roll + 0.003 * place, sd=0.004 + 0.001 * place)
         marked.append(m)
     _, out = record(KNOWN, marked)
-    # Learned latencies move an instant by some microseconds: from end to end but for the last few.
-    first, last = out[0].record.t_ns - 20_000, out[-1].record.end_ns - 50_000_000
+    # Learned latencies move an instant by some hundredths of a ms: from end to end but for the last few.
+    first, last = out[0].record.t_ns - 100_000, out[-1].record.end_ns - 50_000_000
     for place, mount in enumerate(ALL):
         expected = np.array([
             (m.rx_ns - 100_000_000 - start, m.roll, m.sd)
@@ -245,7 +245,7 @@ def test_rolls_are_rows_of_their_receivers_as_they_were_measured() -> None:
         rows = rows[(rows[:, 2] == ROLL_ANGLE) & (rows[:, 3] == place)]
         at = instants(out, ROLL_ANGLE, place) * 1e9 + START_NS - start
         chosen = at < last - start
-        np.testing.assert_allclose(at[chosen], expected[:, 0], atol=2e4)
+        np.testing.assert_allclose(at[chosen], expected[:, 0], atol=1e5)
         assert rows[chosen, VALUE].tolist() == expected[:, 1].tolist()
         assert rows[chosen, SD].tolist() == expected[:, 2].tolist()
 
