@@ -35,7 +35,8 @@ HALF: Final = 0.5  # truths lie within this share of the prior's median
 LATERAL_STATES: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: all but the lateral position
 STATES: Final = 11  # these and three pushes
 OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
-UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n != "s_velocity")
+UNSEEN: Final = ("s_velocity", "uneven", "s_roll")  # noise levels of what the record does not have
+UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n not in UNSEEN)
 NUDGE: Final = 1e-4  # of the central differences
 NO_SCATTER: Final = 1e-10  # variance of the first state
 SETTLED: Final = 400  # ticks after which the filter's gain stands
@@ -87,7 +88,7 @@ def prior(machine: Machine) -> tuple[Array, Array]:
 
 def setup(machine: Machine) -> RigSetup:
     """The relaxation model alone, and no error but those of the plant."""
-    return rig_setup(machine, planar=False)._replace(sds=np.zeros(3))
+    return rig_setup(machine, linear=True)._replace(sds=np.zeros(4))
 
 
 def bound(run: Plant, covariance: Array) -> Array:

@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 class JointState(NamedTuple):
     """The joint state during a run."""
 
-    x: Array  # (24,)
-    following: Array  # (24,), x one tick later
+    x: Array  # (26,)
+    following: Array  # (26,), x one tick later
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     places: Places  # (a,), of the active ones among them
-    considered: Array  # (24 + a,), 1.0 for what may not be learned
-    P: Array  # (24 + a, 24 + a)
+    considered: Array  # (26 + a,), 1.0 for what may not be learned
+    P: Array  # (26 + a, 26 + a)
 
 
 class UpdateWork(NamedTuple):
     """Work arrays of an update."""
 
-    P_H: Array  # (24 + a,)
-    gain: Array  # (24 + a,)
-    gain_after: Array  # (24,), of the state one tick later
+    P_H: Array  # (26 + a,)
+    gain: Array  # (26 + a,)
+    gain_after: Array  # (26,), of the state one tick later
 
 
 @kernel
@@ -49,7 +49,7 @@ def update(
 ) -> float:
     """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
 
-    error: the innovation. variance: of the measurement's noise. H: (24 + a,), Jacobian over the joint state
+    error: the innovation. variance: of the measurement's noise. H: (26 + a,), Jacobian over the joint state
     at the tick. Returns the variance of the innovation; negative if the error is beyond
     `gate` sds of it and nothing was updated.
     """

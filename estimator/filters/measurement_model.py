@@ -19,12 +19,14 @@ from tilth.estimator.filters.states import (
     X_R,
     X_ROLL,
     X_SLOPE,
+    X_SLOPE_RATE,
     X_V,
     Point,
 )
 from tilth.estimator.filters.unknowns import (
     AT_ASIDE,
     AT_CG,
+    AT_HITCH,
     AT_LEVER,
     AT_PAIR,
     AT_ROLL_LATE,
@@ -80,7 +82,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 @kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
-    """Predicted measurement at state x, (24,); fills h, (24,) or longer, with its Jacobian."""
+    """Predicted measurement at state x, (26,); fills h, (26,) or longer, with its Jacobian."""
     h[:] = 0.0
     if obs.kind == YAW_RATE:
         h[X_R + obs.place] = 1.0
@@ -91,92 +93,99 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     body = body_of(obs.kind, obs.place)
     if obs.kind == ROLL_ANGLE:
         late = point.unknowns[AT_ROLL_LATE + body]
-        h[X_ROLL + body], h[X_ROLL + 2 + body], h[X_SLOPE + body] = 1.0, -late, 1.0 / GRAVITY
-        roll = x[X_ROLL + body] + x[X_SLOPE + body] / GRAVITY - late * x[X_ROLL + 2 + body]
+        h[X_ROLL + body], h[X_ROLL + 2 + body] = 1.0, -late
+        h[X_SLOPE + body], h[X_SLOPE_RATE + body] = 1.0 / GRAVITY, -late / GRAVITY
+        roll = x[X_ROLL + body] + x[X_SLOPE + body] / GRAVITY
+        roll -= late * (x[X_ROLL + 2 + body] + x[X_SLOPE_RATE + body] / GRAVITY)
         return float(roll + point.unknowns[AT_ROLL_ZERO + obs.place])
-    lever = setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body]
     if obs.kind == VELOCITY:
-        return predict_velocity(x, obs, body, lever, point, setup.rig.h_h, setup.heights[obs.place], h)
-    return predict_position(x, obs, body, lever, point, setup, h)
+        return predict_velocity(x, obs, body, point, setup, h)
+    return predict_position(x, obs, body, point, setup, h)
 
 
 @kernel
-def predict_velocity(
-    x: Array,
-    obs: Observation,
-    body: int,
-    lever: float,
-    point: Point,
-    drawbar: float,
-    height: float,
-    h: Array,
-) -> float:
-    """Of a receiver, to the right of psi_ref, m/s. lever: how far it is ahead of its body's CG, m."""
-    u, c, d = obs.u, point.geometry[2], point.geometry[3]
+def drawbar_height(point: Point, setup: RigSetup) -> float:
+    """Of the hitch above the ground, m."""
+    return setup.rig.h_h + (point.unknowns[AT_HITCH] if setup.scale == 1.0 else 0.0)
+
+
+@kernel
+def lever_ahead(obs: Observation, body: int, point: Point, setup: RigSetup) -> float:
+    """How far a receiver is ahead of its body's CG, m."""
+    return float(setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body])
+
+
+@kernel
+def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
+    """Of a receiver, to the right of psi_ref, m/s; fills h."""
+    u, c, d, height = obs.u, point.geometry[2], point.geometry[3], setup.heights[obs.place]
+    lever, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
     angle = x[X_PSI] - obs.psi_ref
     sine, cosine = math.sin(angle), math.cos(angle)
+    rate_t = x[X_ROLL + 2] + x[X_SLOPE_RATE] / GRAVITY
+    rate_i = x[X_ROLL + 3] + x[X_SLOPE_RATE + 1] / GRAVITY
     h[X_V] = cosine
-    if body == 0:
-        h[X_R] = lever * cosine
-        across = x[X_V] + x[X_R] * lever + height * x[X_ROLL + 2]
-        h[X_ROLL + 2] = height * cosine
-        h[X_PSI] = u * cosine - across * sine
-        return float(u * sine + across * cosine)
-    across = x[X_V] - c * x[X_R] + drawbar * x[X_ROLL + 2]
-    h[X_ROLL + 2], h[X_ROLL + 3] = drawbar * cosine, height - drawbar
-    h[X_R] = -c * cosine
-    h[X_R + 1] = lever - d
+    up, ahead = (height, lever) if body == 0 else (drawbar, -c)
+    across = x[X_V] + ahead * x[X_R] + up * rate_t
+    h[X_R], h[X_ROLL + 2], h[X_SLOPE_RATE] = ahead * cosine, up * cosine, up * cosine / GRAVITY
     h[X_PSI] = u * cosine - across * sine
-    return float(u * sine + across * cosine + (lever - d) * x[X_R + 1] + (height - drawbar) * x[X_ROLL + 3])
+    value = u * sine + across * cosine
+    if body == 1:
+        h[X_R + 1], h[X_ROLL + 3] = lever - d, height - drawbar
+        h[X_SLOPE_RATE + 1] = (height - drawbar) / GRAVITY
+        value += (lever - d) * x[X_R + 1] + (height - drawbar) * rate_i
+    return float(value)
 
 
 @kernel
-def predict_position(
-    x: Array, obs: Observation, body: int, lever: float, point: Point, setup: RigSetup, h: Array
-) -> float:
-    """North or east position of a receiver, m; fills h. lever: as of `predict_velocity`."""
-    c, d = point.geometry[2], point.geometry[3]
+def axis(kind: int, psi: float) -> tuple[float, float]:
+    """(north or east) of a metre forward and of a metre to the right at heading psi, rad."""
+    if kind == NORTH:
+        return math.cos(psi), -math.sin(psi)
+    return math.sin(psi), math.cos(psi)
+
+
+@kernel
+def predict_position(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
+    """North or east position of a receiver, m; fills h."""
+    c, d, height = point.geometry[2], point.geometry[3], setup.heights[obs.place]
+    ahead, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
     arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
     aside = setup.levers[obs.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
+    roll_t = x[X_ROLL] + x[X_SLOPE] / GRAVITY
+    roll_i = x[X_ROLL + 1] + x[X_SLOPE + 1] / GRAVITY
+    place = X_POSITION if obs.kind == NORTH else X_POSITION + 1
+    h[place] = 1.0
+    forward, right = axis(obs.kind, x[X_PSI])
+    ahead_t, side_t, up_t = (ahead, aside + height * roll_t, height) if body == 0 else (
+        -c, drawbar * roll_t, drawbar
+    )  # fmt: skip
+    value = x[place] + forward * ahead_t + right * side_t
+    h[X_PSI] = right * ahead_t - forward * side_t
+    h[X_ROLL], h[X_SLOPE] = right * up_t, right * up_t / GRAVITY
     if body == 1:
-        aside += point.unknowns[AT_ASIDE]
-    height = setup.heights[obs.place]
-    aside += height * (x[X_ROLL + body] + x[X_SLOPE + body] / GRAVITY)
-    psi = x[X_PSI + body]
-    sine, cosine = math.sin(psi), math.cos(psi)
-    sine_t, cosine_t = math.sin(x[X_PSI]), math.cos(x[X_PSI])
-    ahead = lever if body == 0 else lever - d
-    hitch = 0.0 if body == 0 else c
-    drawbar = 0.0 if body == 0 else setup.rig.h_h
-    sway_t, sway_i = drawbar * x[X_ROLL], drawbar * x[X_ROLL + 1]
-    if obs.kind == NORTH:
-        h[X_POSITION] = 1.0
-        h[X_PSI + body] = -ahead * sine - aside * cosine
-        h[X_PAIR + body] = -arm * sine
-        if body == 1:
-            h[X_PSI] = hitch * sine_t
-        h[X_ROLL], h[X_ROLL + 1] = -drawbar * sine_t, drawbar * sine
-        h[X_ROLL + body] -= height * sine
-        h[X_SLOPE + body] = -height * sine / GRAVITY
-        return float(
-            x[X_POSITION] - hitch * cosine_t + ahead * cosine - aside * sine - sway_t * sine_t + sway_i * sine
-        )
-    h[X_POSITION + 1] = 1.0
-    h[X_PSI + body] = ahead * cosine - aside * sine
-    h[X_PAIR + body] = arm * cosine
-    if body == 1:
-        h[X_PSI] = -hitch * cosine_t
-    h[X_ROLL], h[X_ROLL + 1] = drawbar * cosine_t, -drawbar * cosine
-    h[X_ROLL + body] += height * cosine
-    h[X_SLOPE + body] = height * cosine / GRAVITY
-    return float(
-        x[X_POSITION + 1]
-        - hitch * sine_t
-        + ahead * sine
-        + aside * cosine
-        + sway_t * cosine_t
-        - sway_i * cosine
-    )
+        forward, right = axis(obs.kind, x[X_PSI + 1])
+        side_i = aside + point.unknowns[AT_ASIDE] + (height - drawbar) * roll_i
+        value += forward * (ahead - d) + right * side_i
+        h[X_PSI + 1] = right * (ahead - d) - forward * side_i
+        h[X_ROLL + 1] = right * (height - drawbar)
+        h[X_SLOPE + 1] = h[X_ROLL + 1] / GRAVITY
+    h[X_PAIR + body] = right * arm
+    return float(value)
+
+
+@kernel
+def drawbar_slope(x: Array, obs: Observation) -> float:
+    """Derivative of a measurement of the implement by the height of the drawbar."""
+    if obs.kind == VELOCITY:
+        rate_t = x[X_ROLL + 2] + x[X_SLOPE_RATE] / GRAVITY
+        rate_i = x[X_ROLL + 3] + x[X_SLOPE_RATE + 1] / GRAVITY
+        return float(rate_t * math.cos(x[X_PSI] - obs.psi_ref) - rate_i)
+    roll_t = x[X_ROLL] + x[X_SLOPE] / GRAVITY
+    roll_i = x[X_ROLL + 1] + x[X_SLOPE + 1] / GRAVITY
+    _, right_t = axis(obs.kind, x[X_PSI])
+    _, right_i = axis(obs.kind, x[X_PSI + 1])
+    return float(right_t * roll_t - right_i * roll_i)
 
 
 @kernel
@@ -196,7 +205,7 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
-    """Predicted measurement at x, (24,); fills h, (24 + a,), with its Jacobian over the joint state."""
+    """Predicted measurement at x, (26,); fills h, (26 + a,), with its Jacobian over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
     if obs.kind == YAW_RATE or obs.kind == HEADING:
         return value
@@ -206,7 +215,7 @@ def predict_joint_measurement(
             if active.places[j] == AT_ROLL_ZERO + obs.place:
                 h[N_STATES + j] = 1.0
             elif active.places[j] == AT_ROLL_LATE + body:
-                h[N_STATES + j] = -x[X_ROLL + 2 + body]
+                h[N_STATES + j] = -x[X_ROLL + 2 + body] - x[X_SLOPE_RATE + body] / GRAVITY
         return value
     ahead, back, aside = lever_arms(x, obs, body)
     if body == 1:
@@ -222,6 +231,8 @@ def predict_joint_measurement(
             h[N_STATES + j] = h[X_PAIR + body]
         elif place == AT_ASIDE and body == 1:
             h[N_STATES + j] = aside
+        elif place == AT_HITCH and body == 1 and setup.scale == 1.0:
+            h[N_STATES + j] = drawbar_slope(x, obs)
         elif body == 1 and place != AT_CG + 1:  # this one shifts hitch and receivers alike: no effect
             h[N_STATES + j] = back * active.geometry[j, 2] - ahead * active.geometry[j, 3]
     return value

@@ -23,7 +23,7 @@ from tilth.estimator.filters.measurement_model import (
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
-    Ground,
+    GroundNoise,
     drive_at,
     empty_transition,
     first_covariance,
@@ -39,7 +39,7 @@ from tilth.estimator.filters.propagation import (
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, Places, Point
 from tilth.estimator.filters.unknowns import AT_MEMORY, AT_PUSH, AT_UNEVEN
-from tilth.estimator.record.record import SD, TICK
+from tilth.estimator.record.record import SD, TICK, U
 
 Array = NDArray[np.float64]
 
@@ -65,16 +65,16 @@ class Innovations(NamedTuple):
 
 
 @kernel
-def ground_at(unknowns: Array) -> Ground:
+def ground_at(unknowns: Array) -> GroundNoise:
     """What the ground does, at a point of the unknowns."""
-    return Ground(
+    return GroundNoise(
         np.exp(unknowns[AT_PUSH : AT_PUSH + 3]), math.exp(unknowns[AT_MEMORY]), math.exp(unknowns[AT_UNEVEN])
     )
 
 
 @kernel
 def propagate_derivatives(D: Array, F: Array, out: Array) -> None:
-    """Fill out (24, a), the derivatives of x over the unknowns one tick after D (24, a)."""
+    """Fill out (26, a), the derivatives of x over the unknowns one tick after D (26, a)."""
     a = D.shape[1]
     for i in range(N_STATES):
         for j in range(a):
@@ -93,7 +93,7 @@ def run_filter(
 ) -> None:  # fmt: skip
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
-    x: (24,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
+    x: (26,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
     driven: (m, a), changes of the readings, whose response of the innovations is then `de`; or (0, 0).
     """
     ticks, rows, readings, used, closed = measured
@@ -102,7 +102,7 @@ def run_filter(
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0)
     ground, plant = ground_at(point.unknowns), plant_at(plant_of(setup), point, setup)
     geometry_jacobian(setup.geometry, point, active)
-    P = first_covariance(ground, setup.sds)
+    P = first_covariance(ticks[0, U], ground, setup)
     state = JointState(x, np.zeros(N_STATES), point.unknowns, nothing, np.zeros(N_STATES), P)
     following, x_at = state.following, np.zeros(N_STATES)
     D, D_following = np.zeros((N_STATES, na)), np.zeros((N_STATES, na))
@@ -112,7 +112,7 @@ def run_filter(
     for k in range(n):
         drive = drive_at(ticks, k, point.unknowns)
         if k % EVERY == 0:
-            set_processes(drive.u, ground, setup.sds, step)
+            set_processes(drive.u, ground, setup, step)
             set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
             linearise(x, ticks, k, point, plant, setup, active, step)
         propagate(x, drive, plant, active, step, following)

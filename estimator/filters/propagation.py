@@ -2,7 +2,7 @@
 
 The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few
 ticks; with them the mean takes one step per tick (exponential integrator), which is exact for a linear model.
-The states x, shape (24,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+The states x, shape (26,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
 constant, they are the joint state, shape (n,).
 """
 
@@ -21,7 +21,6 @@ from tilth.estimator.filters.states import (
     N_STATES,
     PAIR_DECAY,
     SLOPE_LENGTH,
-    SLOPE_SD,
     START,
     START_PLACE,
     UNEVEN_LENGTH,
@@ -32,6 +31,7 @@ from tilth.estimator.filters.states import (
     X_PUSH,
     X_R,
     X_SLOPE,
+    X_SLOPE_RATE,
     X_UNEVEN,
     X_V,
     Places,
@@ -102,7 +102,7 @@ class DriveInputs(NamedTuple):
     wheel_scale: float  # true wheel angle over reading
 
 
-class Ground(NamedTuple):
+class GroundNoise(NamedTuple):
     """Sds of what the ground does."""
 
     push: Array  # (3,), m/s^2, m/s^2, rad/s^2
@@ -113,18 +113,19 @@ class Ground(NamedTuple):
 class Transition(NamedTuple):
     """Transition of x over one tick, linearised, and work arrays."""
 
-    rates_x: Array  # (12, 19), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
+    rates_x: Array  # (12, 21), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
     rates_wheel: Array  # (12,), over the true wheel angle
     rates_unknowns: Array  # (12, a), over the active unknowns
     rates: Array  # (12,), the rates themselves
     nudged: Array  # (12,), overwritten
     held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
-    decay: Array  # (24,), factor on the states from X_PUSH on
-    q: Array  # (24,), variances of the process noise, without that of the position
-    F: Array  # (24, n), Jacobian of x one tick later over the joint state
-    F_T: Array  # (n, 24)
-    F_P: Array  # (24, 24 + a), overwritten
+    decay: Array  # (26,), factor on the states from X_PUSH on
+    q: Array  # (26,), variances of the process noise, without that of the position
+    slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
+    F: Array  # (26, n), Jacobian of x one tick later over the joint state
+    F_T: Array  # (n, 26)
+    F_P: Array  # (26, 26 + a), overwritten
 
 
 # The inputs and the rates.
@@ -197,9 +198,11 @@ def plant_of(setup: RigSetup) -> Plant:
 @kernel
 def plant_at(plant: Plant, point: Point, setup: RigSetup) -> Plant:
     """The plant at a point of the unknowns, with the same work arrays."""
-    rig = rig_at(setup.rig, point.geometry, point.unknowns, setup.scale != 1.0)
+    linear = setup.scale != 1.0
+    rig = rig_at(setup.rig, point.geometry, point.unknowns, linear)
+    roll = setup.roll if linear else roll_at(setup.roll, point.unknowns)
     return Plant(
-        point.theta, rig, roll_at(setup.roll, point.unknowns), setup.scale,
+        point.theta, rig, roll, setup.scale,
         plant.x, plant.w, plant.forces, plant.rates, plant.work,
     )  # fmt: skip
 
@@ -234,7 +237,7 @@ def rate_jacobians(
     state_rates(x, drive, plant, base)
     at = x.copy()
     for j in range(X_POSITION):
-        if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN:
+        if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN or j >= X_SLOPE_RATE:
             continue  # of the headings only the difference matters
         at[j] += NUDGE
         state_rates(at, drive, plant, nudged_rate)
@@ -324,6 +327,10 @@ def joint_jacobian(active: Active, step: Transition) -> None:
                     F[i, N_STATES + j] += part * step.rates_unknowns[k, j]
     for i in range(X_PUSH, N_STATES):
         F[i, i] = step.decay[i]
+    for k in range(4):
+        i = (X_SLOPE if k < 2 else X_SLOPE_RATE) + k % 2
+        for j in range(2):
+            F[i, (X_SLOPE, X_SLOPE_RATE)[j] + k % 2] = step.slope[k // 2, j]
 
 
 @kernel
@@ -338,10 +345,11 @@ def linearise(
     step: Transition,
 ) -> None:
     """Renew step's Jacobians for EVERY ticks from tick k on, about x in the middle of them, roughly."""
-    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
     middle = x.copy()
-    for i in range(X_PUSH):
-        middle[i] += 0.5 * EVERY * DT * step.rates[i]
+    for _ in range(EVERY):
+        state_rates(middle, drive_at(ticks, k, point.unknowns), plant, step.rates)
+        for i in range(X_PUSH):
+            middle[i] += 0.5 * DT * step.rates[i]
     rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), point, plant, setup, active, step)
     integrate_exponential(step.rates_x, step.held)
     joint_jacobian(active, step)
@@ -367,7 +375,7 @@ def complete_jacobian(
     """Complete step.F for one tick: rows of the position, columns of wheel zero, gain and latency; fill
     step.F_T.
 
-    x, following: (24,), the state before and after the tick.
+    x, following: (26,), the state before and after the tick.
     """
     F, F_T = step.F, step.F_T
     for j in range(active.places.shape[0]):
@@ -393,7 +401,7 @@ def complete_jacobian(
 
 @kernel
 def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
-    """Fill out (24,), the state one tick later, with step.rates."""
+    """Fill out (26,), the state one tick later, with step.rates."""
     for i in range(X_PUSH):
         total = x[i]
         for j in range(X_PUSH):
@@ -401,6 +409,10 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
         out[i] = total
     for i in range(X_PUSH, N_STATES):
         out[i] = step.decay[i] * x[i]
+    for body in range(2):
+        slope, rate = x[X_SLOPE + body], x[X_SLOPE_RATE + body]
+        out[X_SLOPE + body] = step.slope[0, 0] * slope + step.slope[0, 1] * rate
+        out[X_SLOPE_RATE + body] = step.slope[1, 0] * slope + step.slope[1, 1] * rate
     psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
     sine, cosine = math.sin(psi), math.cos(psi)
     out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
@@ -411,7 +423,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
 def propagate(
     x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
 ) -> None:
-    """Fill following (24,), x one tick later, and step's Jacobians of this tick."""
+    """Fill following (26,), x one tick later, and step's Jacobians of this tick."""
     state_rates(x, drive, plant, step.rates)
     propagate_mean(x, drive.u, step, following)
     complete_jacobian(x, following, drive, active, step)
@@ -462,6 +474,10 @@ def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
             P[j, i] = P[i, j]
     for i in range(N_STATES):
         P[i, i] += step.q[i]
+    for body in range(2):
+        slope, rate = X_SLOPE + body, X_SLOPE_RATE + body
+        P[slope, rate] += step.slope[0, 2]
+        P[rate, slope] += step.slope[0, 2]
     add_position_noise(P, psi)
 
 
@@ -469,22 +485,25 @@ def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
 
 
 @kernel
-def stationary(ground: Ground, sds: Array) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (24,), 0 before and for the position."""
+def stationary(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
+    """Stationary variances of the states from X_PUSH on, shape (26,), 0 before and for the position. u:
+    m/s."""
+    sds, rate = setup.sds, max(u, SLOWEST) / SLOPE_LENGTH
     out = np.zeros(N_STATES)
     for i in range(3):
         out[X_PUSH + i] = ground.push[i] * ground.push[i]
         out[X_PAIR + i] = sds[1 + i] * sds[1 + i]
         if i < 2:
-            out[X_SLOPE + i] = SLOPE_SD * SLOPE_SD
+            out[X_SLOPE + i] = setup.slope_sd * setup.slope_sd
+            out[X_SLOPE_RATE + i] = rate * rate * out[X_SLOPE + i]
             out[X_UNEVEN + i] = ground.uneven * ground.uneven
     return out
 
 
 @kernel
-def first_covariance(ground: Ground, sds: Array) -> Array:
-    """Covariance of the first state of a run, shape (24, 24)."""
-    variances = stationary(ground, sds)
+def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
+    """Covariance of the first state of a run at speed u, m/s, shape (26, 26)."""
+    variances = stationary(u, ground, setup)
     for i in range(X_PUSH):
         variances[i] = START[i] * START[i]
     variances[X_POSITION] = variances[X_POSITION + 1] = START_PLACE * START_PLACE
@@ -498,23 +517,31 @@ def empty_transition(na: int, rows: int) -> Transition:
     return Transition(
         np.zeros((X_PUSH, X_POSITION)), np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH),
         np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)), np.zeros(X_PUSH), np.ones(N_STATES), np.zeros(N_STATES),
+        np.zeros((2, 3)),
         np.zeros((N_STATES, n)), np.zeros((n, N_STATES)), np.zeros((N_STATES, N_STATES + rows)),
     )  # fmt: skip
 
 
 @kernel
-def set_processes(u: float, ground: Ground, sds: Array, step: Transition) -> None:
-    """Fill decay and q of the states from X_PUSH on at speed u, m/s."""
-    decay = step.decay
-    speed = max(u, SLOWEST)
+def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition) -> None:
+    """Fill decay, slope and q of the states from X_PUSH on at speed u, m/s."""
+    decay, slope, speed = step.decay, step.slope, max(u, SLOWEST)
     for i in range(3):
         decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
         if i < 2:
-            decay[X_SLOPE + i] = math.exp(-DT * speed / SLOPE_LENGTH)
             decay[X_UNEVEN + i] = math.exp(-DT * speed / UNEVEN_LENGTH)
-    variances = stationary(ground, sds)
+    variances = stationary(u, ground, setup)
     for i in range(X_PUSH, N_STATES):
         step.q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
+    rate = speed / SLOPE_LENGTH
+    left = math.exp(-rate * DT)
+    slope[0, 0], slope[0, 1] = left * (1.0 + rate * DT), left * DT
+    slope[1, 0], slope[1, 1] = -left * rate * rate * DT, left * (1.0 - rate * DT)
+    one, two = variances[X_SLOPE], variances[X_SLOPE_RATE]
+    slope[0, 2] = -(slope[0, 0] * slope[1, 0] * one + slope[0, 1] * slope[1, 1] * two)
+    for body in range(2):
+        step.q[X_SLOPE + body] = one - slope[0, 0] ** 2 * one - slope[0, 1] ** 2 * two
+        step.q[X_SLOPE_RATE + body] = two - slope[1, 0] ** 2 * one - slope[1, 1] ** 2 * two
 
 
 @kernel

@@ -35,6 +35,7 @@ class RigSetup(NamedTuple):
     rig: Rig
     roll: RollModes
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
+    slope_sd: float = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
     scale: float = 1.0  # of all motions, which makes the model linear where it is small
 
 
@@ -81,4 +82,4 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     if not linear:
         return setup
     low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, stiffness_f=1e30)
-    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), scale=SMALL)
+    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), slope_sd=0.0, scale=SMALL)

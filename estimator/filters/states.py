@@ -1,13 +1,13 @@
-"""Layout of the filters' state vector x, shape (24,), and the length of a tick.
+"""Layout of the filters' state vector x, shape (26,), and the length of a tick.
 
 v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.rolling); lean of tractor and implement (rad) and their
-rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does, first-order Gauss-Markov processes:
-sideways forces at both CGs over mass, as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2),
-with one time constant; gravity along the cross slope under either body (m/s^2) and how far unevenness turns
-the wheels of either body about its long axis (rad), over distances. North and east of the tractor's CG (m).
-Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's
-antennas relative to the tractor's (m).
-"""
+rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does: sideways forces at both CGs over mass,
+as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), first-order Gauss-Markov processes
+with one time constant; gravity along the cross slope under either body (m/s^2), and how far unevenness turns
+the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
+(m/s^3), with which they are critically damped processes over distance. North and east of the tractor's CG
+(m). Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the
+implement's antennas relative to the tractor's (m). """
 
 import math
 from typing import Final, NamedTuple
@@ -26,10 +26,11 @@ X_PSI: Final = 10
 X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
 X_SLOPE: Final = 15
 X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
-X_POSITION: Final = 19  # north, east
-X_PAIR: Final = 21
-X_ASIDE: Final = 23
-N_STATES: Final = 24
+X_SLOPE_RATE: Final = 19  # of X_SLOPE
+X_POSITION: Final = 21  # north, east
+X_PAIR: Final = 23
+X_ASIDE: Final = 25
+N_STATES: Final = 26
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
@@ -39,8 +40,7 @@ ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
 START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05)
 """Sds of the states before X_PUSH, at first."""
 START_PLACE: Final = 1.0  # m
-SLOPE_SD: Final = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
-SLOPE_LENGTH: Final = 12.0  # m, over which it changes
+SLOPE_LENGTH: Final = 6.0  # m, over which it changes: time constant of a critically damped process
 UNEVEN_LENGTH: Final = 1.5  # m
 
 

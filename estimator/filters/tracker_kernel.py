@@ -21,7 +21,7 @@ from tilth.estimator.filters.measurement_model import (
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
-    Ground,
+    GroundNoise,
     drive_at,
     empty_transition,
     geometry_jacobian,
@@ -58,10 +58,10 @@ class SegmentArrays(NamedTuple):
 class JointEstimate(NamedTuple):
     """Mean and covariance of the joint state, prior before the run, posterior after it."""
 
-    x: Array  # (24,)
+    x: Array  # (26,)
     unknowns: Array  # (n,), in the order of unknowns.NAMES
-    P_xx: Array  # (24, 24)
-    P_xtheta: Array  # (24, n), of x with the unknowns
+    P_xx: Array  # (26, 26)
+    P_xtheta: Array  # (26, n), of x with the unknowns
     P_theta: Array  # (n, n)
 
 
@@ -77,7 +77,7 @@ class RowTally(NamedTuple):
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (24 + a, 24 + a)."""
+    """The joint covariance of x and the active unknowns, shape (26 + a, 26 + a)."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
@@ -122,7 +122,7 @@ def add_residual(kind: int, residual: float, stated_sd: float, sums: Array) -> N
 
 
 @kernel
-def add_ground(x: Array, P: Array, ground: Ground, sums: Array) -> None:
+def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
     """Add what the ground does to its tally."""
     for i in range(GROUND):
         place = X_PUSH + i if i < 3 else X_UNEVEN + i - 3
@@ -134,11 +134,11 @@ def add_ground(x: Array, P: Array, ground: Ground, sums: Array) -> None:
 @kernel
 def track_segment(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
-    ground: Ground, tally: RowTally,
+    ground: GroundNoise, tally: RowTally,
 ) -> None:  # fmt: skip
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
-    places: (a,), indices of the active ones of unknowns.NAMES. considered: (24 + a,), 1.0 for what may not be
+    places: (a,), indices of the active ones of unknowns.NAMES. considered: (26 + a,), 1.0 for what may not be
     learned.
     """
     ticks, first, length, rows = segment
@@ -161,7 +161,7 @@ def track_segment(
         if (k - first) % EVERY == 0:
             point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
             plant = plant_at(plant, point, setup)
-            set_processes(drive.u, ground, setup.sds, step)
+            set_processes(drive.u, ground, setup, step)
             linearise(x, ticks, k, point, plant, setup, active, step)
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
-from tilth.estimator.filters.propagation import Ground, first_covariance
+from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_STATES
@@ -31,7 +31,7 @@ from tilth.estimator.filters.tracker_kernel import (
     track_segment,
 )
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
-from tilth.estimator.record.record import PSI, Record, Segment
+from tilth.estimator.record.record import PSI, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import SINCE_CHANGE
@@ -51,8 +51,9 @@ STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
 LARGEST_ANGLE: Final = math.radians(15.0)
-"""Of wheels and articulation: in tighter turns the joint filter follows the motion, but learns no tyres. There
-its one linearisation at a time errs: on the spatial plant intervals then held in 42 % of runs. pem searches."""
+"""Of wheels and articulation: in tighter turns the joint filter follows the motion, but learns no tyres.
+There its one linearisation at a time errs: on the spatial plant intervals then held in 42 % of runs. pem
+searches."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
@@ -174,7 +175,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         return
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
-    ground = Ground(sds[:3], PUSH_MEMORY_S, float(sds[3]))
+    ground = GroundNoise(sds[:3], PUSH_MEMORY_S, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
@@ -207,10 +208,10 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.window_s += count * DT
 
 
-def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Ground) -> None:
+def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
-    state.P_xx = first_covariance(ground, np.maximum(setup.sds, 1e-6))
+    state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
     state.restarts += 1

@@ -12,31 +12,56 @@ from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.filters import soil_change, unknowns
-from tilth.estimator.filters.measurement_model import Observation
-from tilth.estimator.filters.propagation import rig_at
-from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
+from tilth.estimator.filters.propagation import Active, Ground, rig_at
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_TRACKER, X_PAIR, X_POSITION, X_PUSH, Point
+from tilth.estimator.filters.states import (
+    DT,
+    N_STATES,
+    SLOPE_LENGTH,
+    X_ALPHA,
+    X_PAIR,
+    X_POSITION,
+    X_PSI,
+    X_PUSH,
+    X_R,
+    X_ROLL,
+    X_SLOPE,
+    X_UNEVEN,
+    X_V,
+    Point,
+)
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
+    GROUND,
+    SENSORS,
     USED,
     JointEstimate,
-    ProcessNoise,
     RowTally,
     SegmentArrays,
-    predict_joint_measurement,
     track_segment,
 )
-from tilth.estimator.filters.tracker_model import Active
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, VELOCITY, YAW_RATE, Record, Segment
+from tilth.estimator.record.record import (
+    EAST,
+    HEADING,
+    NORTH,
+    ROLL_ANGLE,
+    TICK_NS,
+    VELOCITY,
+    YAW_RATE,
+    Record,
+    Segment,
+)
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
-from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, SoilChange
+from tilth.simulator import scenario
+from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
@@ -45,7 +70,7 @@ Given = list[tuple[Pose, Segment | None]]
 
 TICKS = 10  # of a segment
 FIELD = Soil(grip=0.7, rolling=0.06)
-ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
+ROUGH = scenario.Ground(roll_sd_deg=0.7, force_sd=0.015)
 RANDOM = Scenario(
     seconds=30.0, steering=DrivenManoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False
 )
@@ -60,14 +85,23 @@ KINDS = (
     (EAST, 1),
     (EAST, 2),
     (HEADING, 0),
+    (ROLL_ANGLE, 0),
+    (ROLL_ANGLE, 3),
 )
 
 
 # The filter's equations
 
 
-CHANGED_CONSTANTS = [*range(8), X_POSITION, X_POSITION + 1]
+PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1, X_POSITION, X_POSITION + 1]
+"""The states that the planar model has too, in its order of `simulated`."""
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
+SLOPES = 4.0, -2.0  # m/s^2
+LOW = SETUP._replace(
+    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, stiffness_f=1e30)
+)
+"""Everything at the ground: then no force leans a body."""
+HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber")]
 
 
 def somewhere(seed: int) -> tuple[Array, Array]:
@@ -76,57 +110,79 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     mean, sd = unknowns.prior(MACHINE)
     point = mean.copy()
     point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
-    x = np.zeros(N_TRACKER)
-    x[CHANGED_CONSTANTS] = simulated(x, point, np.full(150, READINGS[20]))
+    x = np.zeros(N_STATES)
+    x[X_SLOPE:X_UNEVEN] = SLOPES  # at first; what they do to the lean has settled by the end
+    x = moved(x, point, np.full(600, READINGS[20]), 0, 600)
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
-    x[X_PUSH:X_POSITION] = rng.normal(size=3) * [0.01, 0.01, 0.005]
+    x[X_PUSH:X_SLOPE] = rng.normal(size=3) * [1e-3, 1e-3, 5e-4]
+    x[X_UNEVEN:X_POSITION] = rng.normal(size=2) * 5e-5
     x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
     return x, point
 
 
+def at_the_ground(point: Array) -> Array:
+    out = point.copy()
+    out[HEIGHTS] = 0.0
+    return out
+
+
 def simulated(x: Array, point: Array, readings: Array) -> Array:
-    """x[MOVED] after as many ticks, less one, by the nonlinear model."""
-    geometry = unknowns.geometry(SETUP.geometry, point)
-    rig = rig_at.interpreted()(SETUP.rig, geometry, point[AT["rolling"]], point[AT["curvature"]])
+    """x[PLANAR] after as many ticks, less one, by the nonlinear model at 4.5 m/s with LOW's heights."""
+    geometry = unknowns.geometry(LOW.geometry, point)
+    rig = rig_at.interpreted()(LOW.rig, geometry, point, False)
+    fade = np.exp(-DT * 4.5 / SLOPE_LENGTH * np.arange(len(readings)))
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
         speed=4.5,
-        gravity_t=rig.g * math.sin(0.02),
-        gravity_i=rig.g * math.sin(-0.01),
+        gravity_t=x[X_SLOPE] * fade,
+        gravity_i=x[X_SLOPE + 1] * fade,
     )
     start = nonlinear.running(4.5)
-    start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, 6, 7]], x[:6]
-    states = nonlinear.simulate(rig, inputs, start, DT, soil=np.exp(point[SIX]), linear=True)
+    start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, X_PSI, X_PSI + 1]], x[PLANAR[:6]]
+    held = rig._replace(drive_gain=2e6, drive_limit=1e9)  # the speed stays, by whatever force that takes
+    states = nonlinear.simulate(held, inputs, start, DT, soil=np.exp(point[SIX]), linear=True)
     return np.asarray(states[-1, [5, 6, 7, 8, 9, 10, 2, 3, 0, 1]], np.float64)
 
 
-def half_a_stretch(x: Array, point: Array, covariance: Array, P_xx: Array) -> tuple[Array, Array, Array]:
-    """(x, its covariance, that with the unknowns) after five ticks of turning without a measurement."""
-    ticks = np.zeros((30, 8))
-    ticks[:, 0], ticks[:, 1] = READINGS, 4.5
-    ticks[:, 6], ticks[:, 7] = 0.02, -0.01
+def half_a_stretch(
+    x: Array, point: Array, covariance: Array, P_xx: Array,
+    readings: Array = READINGS, first: int = 20, size: int = 5, setup: RigSetup = SETUP,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """(x, its covariance, that with the unknowns) after `size` ticks of turning without a measurement."""
+    ticks = np.zeros((len(readings), 8))
+    ticks[:, 0], ticks[:, 1] = readings, 4.5
     x, point, P_xx = x.copy(), point.copy(), P_xx.copy()
-    P_xtheta = np.zeros((N_TRACKER, len(point)))
+    P_xtheta = np.zeros((N_STATES, len(point)))
     track_segment(
-        SegmentArrays(ticks, 20, 5, np.zeros((0, 6))), JointEstimate(x, point, P_xx, P_xtheta, covariance),
-        SETUP._replace(sds=np.zeros(3)), ACTIVE, np.zeros(N_TRACKER + len(ACTIVE)),
-        ProcessNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((6, 2))),
+        SegmentArrays(ticks, first, size, np.zeros((0, 6))),
+        JointEstimate(x, point, P_xx, P_xtheta, covariance),
+        setup._replace(sds=np.zeros(4)), ACTIVE, np.zeros(N_STATES + len(ACTIVE)),
+        Ground(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2))),
     )  # fmt: skip
     return x, P_xx, P_xtheta
 
 
-def test_the_mean_moves_as_the_nonlinear_model_does() -> None:
+def moved(
+    x: Array, point: Array, readings: Array = READINGS, first: int = 20, size: int = 5,
+    setup: RigSetup = SETUP,
+) -> Array:  # fmt: skip
+    n = len(point)
+    nothing = np.zeros((n, n)), np.zeros((N_STATES, N_STATES))
+    return half_a_stretch(x, point, *nothing, readings, first, size, setup)[0]
+
+
+def test_with_everything_at_the_ground_the_mean_moves_as_the_nonlinear_model_does() -> None:
     x, point = somewhere(1)
-    x[X_PUSH:X_POSITION] = 0.0
-    after, _, _ = half_a_stretch(
-        x, point, np.zeros((len(point), len(point))), np.zeros((N_TRACKER, N_TRACKER))
-    )
+    x[X_ROLL:X_PSI] = x[X_PUSH:X_SLOPE] = x[X_UNEVEN:X_POSITION] = 0.0
+    point = at_the_ground(point)
+    after = moved(x, point, READINGS, 20, 5, LOW)
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
     true = simulated(x, point, READINGS[20:26] - late)
-    assert np.max(np.abs(true - x[CHANGED_CONSTANTS])) > 0.01
-    np.testing.assert_allclose(after[:8], true[:8], atol=2e-4)
+    assert np.max(np.abs(true - x[PLANAR])) > 0.01
+    np.testing.assert_allclose(after[PLANAR[:8]], true[:8], atol=2e-4)
     np.testing.assert_allclose(after[X_POSITION : X_POSITION + 2], true[8:], atol=2e-3)
+    np.testing.assert_allclose(after[X_ROLL:X_PSI], 0.0, atol=1e-12)
 
 
 def test_the_covariance_moves_as_small_changes_do() -> None:
@@ -134,15 +190,14 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
     n = len(point)
     covariance = np.zeros((n, n))
     covariance[ACTIVE, ACTIVE] = 1.0
-    after, P_xx, P_xtheta = half_a_stretch(x, point, covariance, np.eye(N_TRACKER))
-    nothing = np.zeros((n, n)), np.zeros((N_TRACKER, N_TRACKER))
-    by_x, by_point = np.zeros((N_TRACKER, N_TRACKER)), np.zeros((N_TRACKER, n))
-    for j in range(N_TRACKER):
-        nudge = 1e-6 * np.eye(N_TRACKER)[j]
-        by_x[:, j] = (half_a_stretch(x + nudge, point, *nothing)[0] - after) / 1e-6
+    after, P_xx, P_xtheta = half_a_stretch(x, point, covariance, np.eye(N_STATES))
+    by_x, by_point = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, n))
+    for j in range(N_STATES):
+        nudge = 1e-6 * np.eye(N_STATES)[j]
+        by_x[:, j] = (moved(x + nudge, point) - after) / 1e-6
     for k in ACTIVE:
         nudge = 1e-6 * np.eye(n)[k]
-        by_point[:, k] = (half_a_stretch(x, point + nudge, *nothing)[0] - after) / 1e-6
+        by_point[:, k] = (moved(x, point + nudge) - after) / 1e-6
     scale = np.abs(by_point).max(axis=0) + 1e-3
     # One set of slopes serves five ticks: what relaxation lengths do while slip grows is right to an eighth.
     np.testing.assert_allclose(P_xtheta / scale, by_point / scale, atol=0.12)
@@ -157,7 +212,7 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
     run = predict_joint_measurement.interpreted()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
-        geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_TRACKER + len(ACTIVE))
+        geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_STATES + len(ACTIVE))
         active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
         for j, name in enumerate(ACTIVE):
             nudged = unknowns.geometry(SETUP.geometry, point + 1e-7 * np.eye(len(point))[name])
@@ -167,7 +222,7 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         return value, h
 
     value, h = at(x, point)
-    steps = 1e-6 * np.eye(N_TRACKER)
+    steps = 1e-6 * np.eye(N_STATES)
     found = [(at(x + step, point)[0] - value) / 1e-6 for step in steps]
     found += [(at(x, point + 1e-6 * np.eye(len(point))[k])[0] - value) / 1e-6 for k in ACTIVE]
     np.testing.assert_allclose(h, found, atol=2e-3)

@@ -8,7 +8,16 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import TABLE_5_1, Rig
-from tilth.estimator.models.rolling import LEAN, N_ROLLING, RollModes, rates_rolling, roll_work
+from tilth.estimator.models.rolling import (
+    HELD,
+    LEAN,
+    N_INPUTS,
+    N_ROLLING,
+    UNEVEN,
+    RollModes,
+    rates_rolling,
+    roll_work,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,18 +42,33 @@ def some_state() -> Array:
 
 
 def some_inputs() -> Array:
-    w = np.zeros(11)
+    w = np.zeros(N_INPUTS)
     w[:4] = [*RNG.uniform(-0.3, 0.3, 3), 4.5]
+    w[HELD] = RNG.uniform(-0.5, 0.5)
     return w
 
 
-@pytest.mark.parametrize("_", range(5))
-def test_with_everything_at_the_ground_it_is_the_planar_model(_: int) -> None:
-    low = TABLE_5_1._replace(h_t=0.0, h_i=0.0, h_h=0.0)
-    modes = MODES._replace(pin=0.0)
+@pytest.mark.parametrize("front_drive", [0.0, 0.0, 0.4, 0.4, 1.0])
+def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float) -> None:
+    """The planar model is driven by some force; this one is told only what u' that gives."""
+    low = TABLE_5_1._replace(h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0)
     x, w = some_state(), some_inputs()
-    planar = nonlinear.derivative(low, np.concatenate([x[:LEAN], [w[0], 0.0]]), w[:9])
-    np.testing.assert_allclose(rates(x, w, low, modes)[:LEAN], planar[:LEAN], rtol=1e-9, atol=1e-12)
+    driven = w[:9].copy()
+    driven[4] = RNG.uniform(-10e3, 10e3)
+    planar = nonlinear.derivative(low, np.concatenate([x[:LEAN], [w[0], 0.0]]), driven)
+    w[HELD] = planar[4]
+    got = rates(x, w, low, MODES._replace(pin=0.0))
+    np.testing.assert_allclose(got[:LEAN], planar[:LEAN], rtol=1e-9, atol=1e-12)
+
+
+def test_the_speed_changes_as_it_is_told_whatever_the_drive() -> None:
+    x, w = some_state(), some_inputs()
+    x[LEAN:] = RNG.uniform(-0.03, 0.03, 4)
+    pushed = w.copy()
+    pushed[4] = 5e3
+    free = TABLE_5_1._replace(drive_gain=0.0)
+    assert rates(x, w, free)[4] == w[HELD]
+    np.testing.assert_allclose(rates(x, pushed, free), rates(x, w, free), rtol=1e-9, atol=1e-12)
 
 
 def test_left_and_right_are_alike() -> None:
@@ -52,14 +76,16 @@ def test_left_and_right_are_alike() -> None:
     x[LEAN:] = RNG.uniform(-0.03, 0.03, 4)
     mirror = np.ones(N_ROLLING)
     mirror[[1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]] = -1.0
-    turned = w * np.where(np.isin(np.arange(11), [3, 4]), 1.0, -1.0)
-    there, back = rates(x, w, TABLE_5_1), rates(mirror * x, turned, TABLE_5_1)
+    w[UNEVEN : UNEVEN + 2] = RNG.uniform(-0.02, 0.02, 2)
+    turned = w * np.where(np.isin(np.arange(N_INPUTS), [3, 4, HELD]), 1.0, -1.0)
+    modes = MODES._replace(camber=0.2)
+    there, back = rates(x, w, TABLE_5_1, modes), rates(mirror * x, turned, TABLE_5_1, modes)
     np.testing.assert_allclose(back, mirror * there, rtol=1e-9, atol=1e-12)
 
 
 def test_on_a_slope_a_body_at_rest_leans_downhill_by_what_statics_say() -> None:
     """Held sideways by its tyres, with no hitch force: k phi = m h g sin, both bodies."""
-    x, w = np.zeros(N_ROLLING), np.zeros(11)
+    x, w = np.zeros(N_ROLLING), np.zeros(N_INPUTS)
     x[4] = 4.5
     w[1] = w[2] = 0.3
     apart = TABLE_5_1._replace(h_h=0.0, roll_f=0.0, roll_r=0.0, roll_i=0.0)

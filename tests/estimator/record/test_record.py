@@ -1,11 +1,10 @@
-"""Records put together, the wheel angle at their ticks, and how much of a roll rate is believed."""
+"""Records put together, and the wheel angle at their ticks."""
 
 from collections import deque
 
 import numpy as np
 import pytest
 
-from tilth.estimator.pose.roll_pitch import trusted_share
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment, concatenate
 from tilth.estimator.record.record_builder import wheel_angles
 
@@ -50,15 +49,3 @@ def test_a_wheel_sensor_that_was_silent_for_too_long_gives_no_angle() -> None:
         assert (wheel_angles(received, 0) is not None) == given
     assert wheel_angles(deque(s for s in samples if s[0] < 150_000_000), 0) is None
     assert wheel_angles(deque(), 0) is None
-
-
-def test_the_trusted_share_is_small_for_noise_and_whole_for_swaying() -> None:
-    rng = np.random.default_rng(1)
-    lately, noise, roll_rate_squares = [0.0, 0.0], 1.0, 0.0
-    for _ in range(300):
-        noise = trusted_share(lately, rng.normal(0, 0.02), rng.normal(0, 0.02))
-    assert noise < 0.3
-    for _ in range(300):
-        roll_rate_squares = trusted_share(lately, rng.normal(0, 0.1), rng.normal(0, 0.02))
-    assert roll_rate_squares > 0.93
-    assert trusted_share([0.0, 0.0], 0.0, 0.0) == 0.0

@@ -9,17 +9,28 @@ import pytest
 from circle import demo_machine
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.measurement_model import Observation, predict_measurement
-from tilth.estimator.filters.propagation import RelaxationModel, discretise
-from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.states import DT, N_STATES, Point
+from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
+from tilth.estimator.filters.predictor import ground_at
+from tilth.estimator.filters.propagation import (
+    Active,
+    Transition,
+    empty_transition,
+    linearise,
+    plant_at,
+    plant_of,
+    set_processes,
+    set_wheel_noise,
+    stationary,
+)
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_PUSH, X_V, Point
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import Sensor, cramer_rao
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.record import YAW_RATE
+from tilth.estimator.record.record import Record
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor, Candidate
 from tilth.estimator.state_json import from_json_data, to_json_data
@@ -119,13 +130,14 @@ def test_information_is_what_the_posterior_has_beyond_the_prior() -> None:
 def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
     """Positions and yaw rates, six unknown: identifiability.cramer_rao has another model of the sensors, a
     known first state and Python for its filter."""
-    quiet = [r.model_copy(update={"velocity_sd": 1e3}) for r in MACHINE.receiver]
+    # Measured exactly, roll tells the cross slopes, which the other has not.
+    quiet = [r.model_copy(update={"velocity_sd": 1e3, "roll_sd": 1e-3}) for r in MACHINE.receiver]
     machine = MACHINE.model_copy(update={"receiver": quiet})
     point = LINEAR.copy()
     point[AT["rolling"]] = 0.0
     # The other knows white pushes only, each on one state.
-    point[AT["push_t"] : AT["memory"] + 1] = [-20.0, -20.0, math.log(0.1), -20.0]
-    found = advice.information(machine, point, SPEED, CHIRP, planar=False)[SIX, SIX]
+    point[AT["push_t"] : AT["uneven"] + 1] = [-20.0, -20.0, math.log(0.1), -20.0, -20.0]
+    found = advice.information(machine, point, SPEED, CHIRP, linear=True)[SIX, SIX]
     time: Array = np.arange(round((advice.SECONDS + 1.0) * 50) + 1, dtype=np.float64) * 0.02
     delta = manoeuvre_named("chirp").wheel_angle(time, math.radians(5.0), np.random.default_rng(1))
     sensors = (
@@ -140,51 +152,69 @@ def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(found))), limit.sd, rtol=0.15)
 
 
-def simulated(seed: int, machine: Machine, candidate: Candidate) -> tuple[Array, Array]:
-    """(ticks, rows) of a drive of the linear model at LINEAR with its own disturbances and white sensors."""
-    rng = np.random.default_rng(seed)
+def one_tick(setup: RigSetup, point: Point) -> Transition:
+    """The linear model at SPEED: the same at each tick but for the position, which is not in it."""
+    nothing = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
+    plant = plant_at.interpreted()(plant_of.interpreted()(setup), point, setup)
+    ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0)
+    ticks[:, 1] = SPEED
+    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup.sds, step)
+    set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
+    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, setup, nothing, step)
+    return step
+
+
+def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
+    """(n, 24): states of the linear model with its own disturbances."""
+    rng, step = np.random.default_rng(seed), one_tick(setup, point)
+    noise = rng.normal(size=(len(wheel), N_STATES)) * np.sqrt(step.q)
+    along, across = rng.normal(size=(2, len(wheel))) * [[ALONG], [ACROSS]] * math.sqrt(DT)
+    x = np.zeros((len(wheel), N_STATES))
+    ground = ground_at.interpreted()(point.unknowns)
+    x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup.sds))
+    for k in range(len(wheel) - 1):
+        x[k + 1] = step.F @ x[k] + noise[k]
+        x[k + 1, :X_PUSH] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
+        v, psi = (x[k, X_V] + x[k + 1, X_V]) / 2, (x[k, X_PSI] + x[k + 1, X_PSI]) / 2
+        forward, right = DT * SPEED + along[k], DT * v + across[k]
+        x[k + 1, X_POSITION] = x[k, X_POSITION] + forward * math.cos(psi) - right * math.sin(psi)
+        x[k + 1, X_POSITION + 1] = x[k, X_POSITION + 1] + forward * math.sin(psi) + right * math.cos(psi)
+    return x
+
+
+def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
+    """A drive of the linear model at LINEAR with its own disturbances and white sensors."""
     count = round((advice.SECONDS + 1.0) / DT) + 1
     time: Array = np.arange(count, dtype=np.float64) * DT
-    theta, shape = np.exp(LINEAR[SIX]), unknowns.geometry(unknowns.base_geometry(machine), LINEAR)
-    f, g, pushed = np.zeros((8, 8)), np.zeros((8, 3)), np.zeros((8, 3))
-    point = Point(LINEAR, theta, shape)
-    discretise(SPEED, point, rig_of(machine), RelaxationModel(f.copy(), g.copy(), f, g, pushed))
+    setup, nothing = rig_setup(machine, linear=True), Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
+    point = Point(LINEAR, np.exp(LINEAR[SIX]), unknowns.geometry(setup.geometry, LINEAR))
     ticks = np.zeros((count, 8))
     ticks[:, 0] = manoeuvre_named(candidate.manoeuvre).wheel_angle(
         time, math.radians(candidate.degrees), np.random.default_rng(1)
     )
     ticks[:, 1] = SPEED
-    x, push = np.zeros((count, N_STATES)), rng.normal(0, unknowns.DISTURBANCE, (count, 3))
-    lasts = math.exp(-DT / unknowns.MEMORY[0])
-    for k in range(count - 1):
-        delta = (ticks[k, 0] + ticks[k + 1, 0]) / 2
-        x[k + 1, :8] = f @ x[k, :8] + g[:, 0] * delta + pushed @ push[k]
-        push[k + 1] = lasts * push[k] + math.sqrt(1.0 - lasts**2) * push[k + 1]
-        v, psi = (x[k, 0] + x[k + 1, 0]) / 2, (x[k, 6] + x[k + 1, 6]) / 2
-        x[k + 1, 11] = x[k, 11] + DT * (SPEED * math.cos(psi) - v * math.sin(psi))
-        x[k + 1, 12] = x[k, 12] + DT * (SPEED * math.sin(psi) + v * math.cos(psi))
-    ticks[:, 2:4] = x[:, 6:8]
-    setup, unused = rig_setup(machine), np.zeros(N_STATES)
-    rows = advice._planned_rows(machine, count, (advice.HERTZ,) * 4)
+    x, rng = moving(seed, setup, point, ticks[:, 0]), np.random.default_rng(5000 + seed)
+    ticks[:, 2:4] = x[:, X_PSI : X_PSI + 2]
+    rows, unused = advice._planned_rows(machine, count, (advice.HERTZ,) * 4), np.zeros(N_STATES)
+    observe, predict = observation.interpreted(), predict_joint_measurement.interpreted()
     for row in rows:
-        k, kind, place = int(row[0]), int(row[2]), int(row[3])
-        body = place if kind == YAW_RATE else place // 2
-        observation = Observation(kind, place, 0.0, SPEED, ticks[k, 2 + body])
-        row[4] = rng.normal(0, row[5]) + predict_measurement(x[k], observation, point, setup, unused)
-    return ticks, rows
+        k = int(row[0])
+        value = predict(x[k], observe(ticks, row, k, SPEED), point, nothing, setup, unused)
+        row[4] = value + rng.normal(0, row[5])
+    return Record(0, ticks, rows)
 
 
 def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) -> tuple[Array, Array]:
     """(errors, sds) of the six after one Gauss-Newton step from the truth, what was believed before drawn."""
-    ticks, rows = simulated(seed, machine, candidate)
+    record, setup = simulated(seed, machine, candidate), rig_setup(machine, linear=True)
     nudges = 1e-3 * SD[known]
     points = np.tile(LINEAR, (len(known) + 1, 1))
     points[np.arange(1, len(known) + 1), known] += nudges
     errors, variances = [], []
     for point in points:  # one by one: each with its own gains
-        e, s = advice._prediction_errors(machine, ticks, rows, point[None], planar=False)
-        errors.append(e[0])
-        variances.append(s[0])
+        found = likelihood.innovations(record, setup, np.zeros(N_STATES), point)
+        errors.append(found.e)
+        variances.append(found.S)
     white = ((np.array(errors[1:]) - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
     relative = ((np.array(variances[1:]) - variances[0]) / nudges[:, None] / variances[0]).T
     score = -white.T @ (errors[0] / np.sqrt(variances[0]))
@@ -192,8 +222,8 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
     information = white.T @ white + 0.5 * relative.T @ relative
     believed = np.random.default_rng(1000 + seed).normal(0, SD[known])
     total = information + np.diag(SD[known] ** -2.0)
-    found = np.linalg.solve(total, score + believed / SD[known] ** 2)
-    return found[:6], np.sqrt(np.diag(np.linalg.inv(total)))[:6]
+    step: Array = np.asarray(np.linalg.solve(total, score + believed / SD[known] ** 2), np.float64)
+    return step[:6], np.asarray(np.sqrt(np.diag(np.linalg.inv(total)))[:6], np.float64)
 
 
 @pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
@@ -208,7 +238,7 @@ def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     held[known] = SD[known] ** 2
     chirp = Candidate("chirp", degrees)
     predicted = advice.predicted(
-        np.diag(held), advice.information(MACHINE, LINEAR, SPEED, chirp, planar=False)
+        np.diag(held), advice.information(MACHINE, LINEAR, SPEED, chirp, linear=True)
     )
     runs = [fitted(seed, MACHINE, chirp, known) for seed in range(80)]
     achieved = np.mean([sd for _, sd in runs], axis=0)

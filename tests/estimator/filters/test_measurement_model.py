@@ -1,0 +1,102 @@
+"""Predicted measurements against the motion: velocities are rates of positions, and those of the wheels."""
+
+import math
+
+import numpy as np
+import pytest
+from logs import MACHINE
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.measurement_model import Observation, predict_measurement
+from tilth.estimator.filters.propagation import rig_at, roll_at
+from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.states import (
+    N_STATES,
+    X_POSITION,
+    X_PSI,
+    X_R,
+    X_ROLL,
+    X_SLOPE,
+    X_V,
+    Point,
+)
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.models.rolling import LEAN, N_ROLLING, axle_velocities_rolling
+from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY
+from tilth.schemas.plausible import GRAVITY
+
+Array = NDArray[np.float64]
+
+SETUP = rig_setup(MACHINE)._replace(heights=np.array([2.8, 0.0, 3.1, 2.0]))
+SPEED = 3.0
+predict = predict_measurement.interpreted()
+
+
+def somewhere(seed: int) -> tuple[Array, Point]:
+    """Folded, turning and swaying on level ground."""
+    rng, (mean, sd) = np.random.default_rng(seed), unknowns.prior(MACHINE)
+    values = mean + 0.5 * sd * rng.normal(size=len(mean))
+    values[AT["aside_i"]] = 0.0
+    x = np.zeros(N_STATES)
+    x[X_V], x[X_R], x[X_R + 1] = rng.uniform(-0.3, 0.3, 3)
+    x[X_ROLL : X_ROLL + 4] = rng.uniform(-1.0, 1.0, 4) * [0.01, 0.01, 0.1, 0.1]
+    x[X_PSI], x[X_PSI + 1] = 0.7, 0.7 - math.radians(50.0)
+    return x, Point(values, np.exp(values[SIX]), unknowns.geometry(SETUP.geometry, values))
+
+
+def value(x: Array, kind: int, place: int, point: Point, setup: RigSetup = SETUP) -> float:
+    psi_ref = x[X_PSI + place // 2]
+    return float(predict(x, Observation(kind, place, 0.0, SPEED, psi_ref), point, setup, np.zeros(N_STATES)))
+
+
+def rate(x: Array) -> Array:
+    """Of what places the rig: position, headings and leans."""
+    out, (psi, v) = np.zeros(N_STATES), (x[X_PSI], x[X_V])
+    out[X_POSITION] = SPEED * math.cos(psi) - v * math.sin(psi)
+    out[X_POSITION + 1] = SPEED * math.sin(psi) + v * math.cos(psi)
+    out[X_PSI : X_PSI + 2], out[X_ROLL : X_ROLL + 2] = x[X_R : X_R + 2], x[X_ROLL + 2 : X_ROLL + 4]
+    return out
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("seed", range(3))
+def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int) -> None:
+    x, point = somewhere(seed)
+    step = 1e-5 * rate(x)
+    north, east = (
+        (value(x + step, kind, place, point) - value(x - step, kind, place, point)) / 2e-5
+        for kind in (NORTH, EAST)
+    )
+    psi = x[X_PSI + place // 2]
+    across = east * math.cos(psi) - north * math.sin(psi)
+    # A lean of the tractor turns with it: a hundredth of a radian on a drawbar of half a metre.
+    assert value(x, VELOCITY, place, point) == pytest.approx(across, abs=3e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_receiver_on_the_axle_of_the_implement_moves_as_its_wheels_do(seed: int) -> None:
+    """On the ground, and wherever the drawbar is."""
+    x, point = somewhere(seed)
+    point.unknowns[AT["roll_hitch"]] = 0.2
+    rig = rig_at.interpreted()(SETUP.rig, point.geometry, point.unknowns, False)
+    levers = SETUP.levers.copy()
+    levers[2, 0] = -rig.e - point.unknowns[AT["lever_i"]] + point.unknowns[AT["cg_i"]]
+    on_axle = SETUP._replace(levers=levers, heights=np.zeros(4))
+    planar = np.zeros(N_ROLLING)
+    planar[2:4], planar[4:8] = x[X_PSI : X_PSI + 2], [SPEED, x[X_V], x[X_R], x[X_R + 1]]
+    planar[LEAN : LEAN + 4] = x[X_ROLL : X_ROLL + 4]
+    pin = roll_at.interpreted()(SETUP.roll, point.unknowns).pin
+    across = axle_velocities_rolling.interpreted()(planar, 0.0, rig, pin)[5]
+    assert value(x, VELOCITY, 2, point, on_axle) == pytest.approx(across, abs=1e-9)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_roll_is_lean_and_slope_a_little_ago_with_its_zero(place: int) -> None:
+    x, point = somewhere(1)
+    body = place // 2
+    x[X_SLOPE + body] = 0.3
+    late = point.unknowns[AT["roll_late_t"] + body]
+    zero = point.unknowns[AT["roll_zero_tractor_front"] + place]
+    lean = x[X_ROLL + body] - late * x[X_ROLL + 2 + body]
+    assert value(x, ROLL_ANGLE, place, point) == pytest.approx(lean + 0.3 / GRAVITY + zero, abs=1e-12)
