@@ -30,7 +30,7 @@ from tilth.estimator.filters.tracker_kernel import (
     SegmentArrays,
     track_segment,
 )
-from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.filters.unknowns import AT, AT_ROLL_MODES, N_ROLL_MODES, NAMES, NOISE, SIX
 from tilth.estimator.record.record import PSI, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
@@ -46,7 +46,10 @@ METHOD = "tracker"
 SD_FACTOR: Final = 1.25
 """Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
 errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
-SOIL: Final = [*range(6), AT["rolling"], AT["curvature"]]  # learned only with steering
+ROLL_MODES: Final = [*range(AT_ROLL_MODES, AT_ROLL_MODES + N_ROLL_MODES), AT["roll_late_t"], AT["roll_late_i"]]
+SOIL: Final = [*range(6), AT["rolling"], AT["curvature"], *ROLL_MODES]
+"""Learned only with steering: along a row, ground that is not as in the model is all that there is to learn
+of."""
 STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
