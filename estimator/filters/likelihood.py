@@ -6,6 +6,7 @@ derivatives of e and S are differences of filter runs, so that the gradient is t
 The Fisher information is sum(de de'/S + 1/2 dS dS'/S^2).
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,6 +26,7 @@ from tilth.estimator.record.record import (
     PSI,
     TICK,
     VALUE,
+    WHEEL_ANGLE,
     R,
     Record,
 )
@@ -49,7 +51,7 @@ OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 _ROLL_MODES: Final = NAMES[AT["roll_k_t"] : AT["roll_pin"]]
-_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *_ROLL_MODES, "roll_cg_i", "curvature"})
+_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *_ROLL_MODES, "roll_cg_i", "curvature", "shrink"})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.03, 0.3)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
@@ -62,6 +64,11 @@ MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.05])
 """Sds of the six logarithms from errors of the model, which more data do not reduce: tyre curves and load
 transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo
 on the spatial plant with drawn rigs, tyres and ground."""
+TIGHT: Final = math.radians(15.0)  # of the wheels
+TIGHT_SD: Final = np.array([0.25, 0.10, 0.10, 0.25, 0.10, 0.10])
+"""The same where wheels were turned further than TIGHT. In headland turns a hundredth of the wheel angle does
+what a fifth of the front tyres' stiffness does: on the spatial plant C_af and sigma_f came out as much as
+halved."""
 SETTLING_TICKS: Final = 50
 """Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
@@ -128,6 +135,12 @@ class Iterate:
     cost: float
     iterations: int = 0
     converged: bool = False
+
+
+def model_sd(ticks: Array) -> Array:
+    """Sds of the six logarithms, (6,), from errors of the model in what was driven. ticks: as
+    record.Record."""
+    return TIGHT_SD if float(np.abs(ticks[:, WHEEL_ANGLE]).max()) > TIGHT else MODEL_SD
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
@@ -354,7 +367,7 @@ def _covariance(search: Search, scores: Array, covariance: Array, autocorrelatio
     whole *= np.outer(factors, factors)
     if search.setup.scale == 1.0:
         open_ = search.active[search.active < 6]
-        whole[open_, open_] += MODEL_SD[open_] ** 2
+        whole[open_, open_] += model_sd(search.record.ticks)[open_] ** 2
     return (whole + whole.T) / 2
 
 

@@ -46,6 +46,7 @@ from tilth.estimator.filters.unknowns import (
     AT_LATENCY,
     AT_ROLL_MODES,
     AT_ROLLING,
+    AT_SHRINK,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
     N_ROLL_MODES,
@@ -183,6 +184,7 @@ def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
         roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
         roll.inertia_t * k[4], roll.inertia_i * k[5],
         max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0], unknowns[AT_CAMBER],
+        unknowns[AT_SHRINK],
     )  # fmt: skip
 
 

@@ -61,7 +61,7 @@ def nominal_roll(machine: Machine) -> RollModes:
     d_t = 2 * DAMPING * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * DAMPING * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
     k_f = front / DEFLECTION * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f, 0.0)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
 
 
 def _heights(machine: Machine) -> Array:

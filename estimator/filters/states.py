@@ -7,7 +7,7 @@ with one time constant; gravity along the cross slope under either body (m/s^2),
 the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
 (m/s^3), with which they are critically damped processes over distance. North and east of the tractor's CG
 (m). Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the
-implement's antennas relative to the tractor's (m). """
+implement's antennas relative to the tractor's (m)."""
 
 import math
 from typing import Final, NamedTuple

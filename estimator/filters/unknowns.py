@@ -27,7 +27,7 @@ than a tick); sd of how far uneven ground turns the wheels of a body about its l
 sds that the machine file states for yaw rates, velocities, positions and headings, and rolls."""
 
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
-N_ROLL_MODES: Final = 11  # unknowns from roll_k_t to camber
+N_ROLL_MODES: Final = 12  # unknowns from roll_k_t to shrink
 
 NAMES: Final = (
     *PARAMETERS,  # natural logarithms of N/rad and m
@@ -45,6 +45,7 @@ NAMES: Final = (
     "roll_pin", "roll_hitch",  # m: the front axle's pin and the drawbar are higher than nominal
     "roll_cg_t", "roll_cg_i",  # m: CG higher than the file says
     "camber",  # camber thrust of a leaning wheel over its load and camber angle
+    "shrink",  # how far relaxation lengths fall with slip: 1 as the secant of the tyre curve, 0 not at all
     *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
     "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
@@ -74,6 +75,7 @@ AT_CURVATURE: Final = AT["curvature"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
 AT_HITCH: Final = AT["roll_hitch"]
 AT_CAMBER: Final = AT["camber"]
+AT_SHRINK: Final = AT["shrink"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
 AT_ROLL_LATE: Final = AT["roll_late_t"]
 AT_PUSH: Final = AT["push_t"]
@@ -89,6 +91,7 @@ ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
 ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 CAMBER: Final = (0.2, 0.15)
+SHRINK: Final = (0.5, 0.4)
 ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
 ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
@@ -120,6 +123,7 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
+    (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK
     measured = [any(r.mount is mount for r in machine.receiver) for mount in Mount]
     sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = np.where(measured, ROLL_ZERO_SD, 0.0)
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]

@@ -46,17 +46,21 @@ METHOD = "tracker"
 SD_FACTOR: Final = 1.25
 """Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
 errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
-ROLL_MODES: Final = [*range(AT_ROLL_MODES, AT_ROLL_MODES + N_ROLL_MODES), AT["roll_late_t"], AT["roll_late_i"]]
+ROLL_MODES: Final = [
+    *range(AT_ROLL_MODES, AT_ROLL_MODES + N_ROLL_MODES),
+    AT["roll_late_t"],
+    AT["roll_late_i"],
+]
 SOIL: Final = [*range(6), AT["rolling"], AT["curvature"], *ROLL_MODES]
 """Learned only with steering: along a row, ground that is not as in the model is all that there is to learn
 of."""
 STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
-LARGEST_ANGLE: Final = math.radians(15.0)
-"""Of wheels and articulation: in tighter turns the joint filter follows the motion, but learns no tyres.
-There its one linearisation at a time errs: on the spatial plant intervals then held in 42 % of runs. pem
-searches."""
+TIGHT_SHARE: Final = 0.1
+"""In tight turns (likelihood.TIGHT) the joint filter follows the motion, but learns no tyres: one
+linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
+that was their beginnings and ends, and errors of the model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
@@ -96,6 +100,7 @@ class TrackerState:
     segments_since_checkpoint: int = 0
     counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
     distance: float = 0.0  # m, over which it has run
+    tight_s: float = 0.0  # duration of tight turns since the last change of soil
     window_s: float = 0.0  # duration of what was learned from since the last change of soil
     last_pose_ns: int = 0
     informed_ns: int = 0
@@ -230,7 +235,11 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
-    elif float(np.max(np.abs(wheel))) > LARGEST_ANGLE or float(np.max(np.abs(articulation))) > LARGEST_ANGLE:
+    elif (
+        float(np.max(np.abs(wheel))) > likelihood.TIGHT
+        or float(np.max(np.abs(articulation))) > likelihood.TIGHT
+    ):
+        state.tight_s += len(record.ticks) * DT
         _refuse(state, "in a tight turn")
     return not state.reason
 
@@ -298,7 +307,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.checkpoints.clear()
     state.changes += 1
     state.changed_ns = state.last_pose_ns
-    state.window_s = 0.0
+    state.window_s = state.tight_s = 0.0
     text = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
     state.events.append(("soil_change", f"{text}; what was learned of it before is given up"))
 
@@ -318,7 +327,9 @@ def reported_covariance(state: TrackerState) -> Array:
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    return (covariance + covariance.T) / 2.0 + np.diag(np.square(likelihood.MODEL_SD))
+    tight = state.tight_s > TIGHT_SHARE * state.window_s
+    errors = likelihood.TIGHT_SD if tight else likelihood.MODEL_SD
+    return (covariance + covariance.T) / 2.0 + np.diag(np.square(errors))
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:

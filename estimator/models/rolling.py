@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
 from tilth.estimator.models.nonlinear import Pair, Six, applied, slip_rate, wheel_forces
-from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.parameters import Rig, static_loads
 
 Array = NDArray[np.float64]
 
 N_ROLLING: Final = 15
 LEAN: Final = 11  # of the tractor; of the implement, and their rates, next to it
 SPEEDS: Final = 6
+SHORTEST: Final = 0.2  # of its relaxation length that a tyre keeps at any slip
 UNEVEN, HELD = 9, 11  # inputs: of the tractor, with the implement's next to it; u'
 N_INPUTS: Final = 12
 
@@ -42,6 +43,7 @@ class RollModes(NamedTuple):
     pin: float  # m, height of the front axle's pin
     stiffness_f: float  # N m/rad, of the front axle about its pin
     camber: float = 0.0  # thrust of a leaning wheel over its load and its camber angle
+    shrink: float = 0.0  # how far relaxation lengths fall with slip: see `lag_length`
 
 
 class RollWork(NamedTuple):
@@ -145,6 +147,18 @@ def accelerations_rolling(
 
 
 @kernel
+def lag_length(length: float, alpha: float, stiffness: float, limit: float, shrink: float) -> float:
+    """Relaxation length at a slip angle, m: that of a stretched string falls as the secant of the tyre curve.
+
+    length: m, without slip. stiffness: N/rad, and limit: largest force, N, of the axle.
+    """
+    s = stiffness * abs(alpha) / limit
+    if s < 1e-6:
+        return length
+    return length * max(1.0 - shrink * (1.0 + math.expm1(-s) / s), SHORTEST)
+
+
+@kernel
 def across_front(forces: Array, delta: float) -> float:
     """The front axle's force across the tractor, N. forces: as nonlinear.wheel_forces."""
     along, across = forces[0, 1] + forces[1, 1], forces[0, 2] + forces[1, 2]
@@ -183,10 +197,14 @@ def rates_rolling(
         out[4 + i] = work.M[i, SPEEDS]
     along_f, across_f, along_r, across_r, along_i, across_i = axle_velocities_rolling(x, delta, rig, roll.pin)
     # The front axle turns about its pin as its side force pushes: one more spring in a row with the tyres.
-    length_f = theta[3] + theta[0] * roll.pin * roll.pin / roll.stiffness_f
+    static_f, static_r, static_i = static_loads(rig)
+    length_f = lag_length(theta[3], x[8], theta[0], rig.grip_f * static_f, roll.shrink)
+    length_r = lag_length(theta[4], x[9], theta[1], rig.grip_r * static_r, roll.shrink)
+    length_i = lag_length(theta[5], x[10], theta[2], rig.grip_i * static_i, roll.shrink)
+    length_f += theta[0] * roll.pin * roll.pin / roll.stiffness_f
     out[8] = slip_rate(x[8], along_f, across_f, length_f)
-    out[9] = slip_rate(x[9], along_r, across_r, theta[4])
-    out[10] = slip_rate(x[10], along_i, across_i, theta[5])
+    out[9] = slip_rate(x[9], along_r, across_r, length_r)
+    out[10] = slip_rate(x[10], along_i, across_i, length_i)
     out[LEAN], out[LEAN + 1] = x[LEAN + 2], x[LEAN + 3]
     out[LEAN + 2], out[LEAN + 3] = work.M[4, SPEEDS], work.M[5, SPEEDS]
 
