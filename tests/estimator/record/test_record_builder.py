@@ -210,7 +210,7 @@ def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: fl
 def test_what_a_swaying_body_does_to_its_antennas_stays_in_the_rows() -> None:
     """The cart's antennas are 3.1 m high; the tractor's receivers report points on the ground. Roll is
     for the filters: the rows say where an antenna is."""
-    truth = driven(Ground(roll_sd_deg=1.5))
+    truth = driven(Ground(roll_sd_deg=1.5, band=(0.6, 6.0)))
     _, out = record(KNOWN, measurements(KNOWN, truth))
     table = errors(KNOWN, truth, out)
     roll_rate_squares = 3.1 * np.gradient(truth.implement.roll, truth.time)
@@ -224,7 +224,7 @@ def test_what_a_swaying_body_does_to_its_antennas_stays_in_the_rows() -> None:
 
 
 def test_rolls_are_rows_of_their_receivers_as_they_were_measured() -> None:
-    truth = driven(Ground(roll_sd_deg=1.5))
+    truth = driven(Ground(roll_sd_deg=1.5, band=(0.6, 6.0)))
     sent, start = measurements(KNOWN, truth), truth.scenario.utc_start_ns
     marked = []
     for m in sent:  # each receiver has its own zero error and says its own sd
