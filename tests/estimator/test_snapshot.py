@@ -84,7 +84,9 @@ def test_it_is_json_of_a_version_and_not_long() -> None:
     # All that the fold remembers, but for the machine file and what follows from the rest.
     assert set(document) == {"version"} | {f.name for f in fields(State)} - {"machine", "estimates"}
     del document["estimators"]["pem_two_step"]  # which few ask for
-    assert len(json.dumps(document, separators=(",", ":"))) < 200_000
+    assert (
+        len(json.dumps(document, separators=(",", ":"))) < 320_000
+    )  # 61 unknowns, the covariance of which two methods keep
     assert snapshot(restore(MACHINE, stored())) == stored()
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tilth.estimator import fold
 from tilth.estimator.filters import soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
-from tilth.estimator.filters.propagation import Active, Ground, rig_at
+from tilth.estimator.filters.propagation import Active, GroundNoise, rig_at
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import (
@@ -28,6 +28,7 @@ from tilth.estimator.filters.states import (
     X_R,
     X_ROLL,
     X_SLOPE,
+    X_SLOPE_RATE,
     X_UNEVEN,
     X_V,
     Point,
@@ -101,7 +102,7 @@ LOW = SETUP._replace(
     rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, stiffness_f=1e30)
 )
 """Everything at the ground: then no force leans a body."""
-HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber")]
+HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber", "shrink")]
 
 
 def somewhere(seed: int) -> tuple[Array, Array]:
@@ -115,7 +116,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     x = moved(x, point, np.full(600, READINGS[20]), 0, 600)
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
     x[X_PUSH:X_SLOPE] = rng.normal(size=3) * [1e-3, 1e-3, 5e-4]
-    x[X_UNEVEN:X_POSITION] = rng.normal(size=2) * 5e-5
+    x[X_UNEVEN:X_SLOPE_RATE] = rng.normal(size=2) * 5e-5
     x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
     return x, point
 
@@ -130,13 +131,18 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[PLANAR] after as many ticks, less one, by the nonlinear model at 4.5 m/s with LOW's heights."""
     geometry = unknowns.geometry(LOW.geometry, point)
     rig = rig_at.interpreted()(LOW.rig, geometry, point, False)
-    fade = np.exp(-DT * 4.5 / SLOPE_LENGTH * np.arange(len(readings)))
+    time = DT * np.arange(len(readings))
+    rate = 4.5 / SLOPE_LENGTH  # of the slopes' critically damped way to nothing
+    slopes = [
+        np.exp(-rate * time) * (x[X_SLOPE + k] * (1.0 + rate * time) + x[X_SLOPE_RATE + k] * time)
+        for k in (0, 1)
+    ]
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
         speed=4.5,
-        gravity_t=x[X_SLOPE] * fade,
-        gravity_i=x[X_SLOPE + 1] * fade,
+        gravity_t=slopes[0],
+        gravity_i=slopes[1],
     )
     start = nonlinear.running(4.5)
     start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, X_PSI, X_PSI + 1]], x[PLANAR[:6]]
@@ -158,7 +164,7 @@ def half_a_stretch(
         SegmentArrays(ticks, first, size, np.zeros((0, 6))),
         JointEstimate(x, point, P_xx, P_xtheta, covariance),
         setup._replace(sds=np.zeros(4)), ACTIVE, np.zeros(N_STATES + len(ACTIVE)),
-        Ground(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2))),
+        GroundNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2))),
     )  # fmt: skip
     return x, P_xx, P_xtheta
 
@@ -174,7 +180,7 @@ def moved(
 
 def test_with_everything_at_the_ground_the_mean_moves_as_the_nonlinear_model_does() -> None:
     x, point = somewhere(1)
-    x[X_ROLL:X_PSI] = x[X_PUSH:X_SLOPE] = x[X_UNEVEN:X_POSITION] = 0.0
+    x[X_ROLL:X_PSI] = x[X_PUSH:X_SLOPE] = x[X_UNEVEN:X_SLOPE_RATE] = 0.0
     point = at_the_ground(point)
     after = moved(x, point, READINGS, 20, 5, LOW)
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])

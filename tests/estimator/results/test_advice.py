@@ -158,20 +158,20 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     plant = plant_at.interpreted()(plant_of.interpreted()(setup), point, setup)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0)
     ticks[:, 1] = SPEED
-    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup.sds, step)
+    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
     linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, setup, nothing, step)
     return step
 
 
 def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
-    """(n, 24): states of the linear model with its own disturbances."""
+    """(n, 26): states of the linear model with its own disturbances."""
     rng, step = np.random.default_rng(seed), one_tick(setup, point)
     noise = rng.normal(size=(len(wheel), N_STATES)) * np.sqrt(step.q)
     along, across = rng.normal(size=(2, len(wheel))) * [[ALONG], [ACROSS]] * math.sqrt(DT)
     x = np.zeros((len(wheel), N_STATES))
     ground = ground_at.interpreted()(point.unknowns)
-    x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup.sds))
+    x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(SPEED, ground, setup))
     for k in range(len(wheel) - 1):
         x[k + 1] = step.F @ x[k] + noise[k]
         x[k + 1, :X_PUSH] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
