@@ -101,7 +101,9 @@ def terrain(ground: Ground, roll_deg: tuple[float, float], rig: Rig, rng: np.ran
         math.radians(ground.slope_deg),
         math.radians(ground.downhill_deg),
         (math.radians(roll_deg[0]), math.radians(roll_deg[1])),
-        waves(rng, math.radians(ground.roll_sd_deg), (ROLL_WAVES * ground.band[0], ROLL_WAVES * ground.band[1])),
+        waves(
+            rng, math.radians(ground.roll_sd_deg), (ROLL_WAVES * ground.band[0], ROLL_WAVES * ground.band[1])
+        ),
         waves(rng, ground.force_sd, ground.band),
         rig.c - rig.b + rig.towed_length,
     )
