@@ -91,7 +91,7 @@ def assert_alike(name: str, found: Array, expected: Array) -> None:
     for kind in KINDS:
         chosen = rows[:, KIND] == kind
         off = np.abs((found - expected) * in_sds)[chosen].max()
-        assert off < 0.02 + 0.03 * np.abs(expected * in_sds)[chosen].max(), (name, kind)
+        assert off < 0.02 + 0.04 * np.abs(expected * in_sds)[chosen].max(), (name, kind)
 
 
 def test_the_record_turns_as_sharply_as_a_headland_does() -> None:
