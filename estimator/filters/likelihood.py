@@ -53,7 +53,7 @@ LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 _ROLL_MODES: Final = NAMES[AT["roll_k_t"] : AT["roll_pin"]]
 _GAINS: Final = frozenset({*PARAMETERS, *NOISES, *_ROLL_MODES, "roll_cg_i", "curvature", "shrink"})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
-TRUST: Final = (0.03, 0.3)
+TRUST: Final = (0.1, 0.6)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
 is nine tenths of the cost of a fit."""
 COLOUR_FACTOR: Final = 1.0
