@@ -22,7 +22,15 @@ from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.regulator import gain_on, regulator
 from tilth.simulator import noise
 from tilth.simulator.noise import gauss_markov, generator
-from tilth.simulator.scenario import STEP_S, DrivenManoeuvre, Fieldwork, RowSteering, Scenario, Turns
+from tilth.simulator.scenario import (
+    STEP_S,
+    DrivenManoeuvre,
+    Fieldwork,
+    HeadlandTurn,
+    RowSteering,
+    Scenario,
+    Turns,
+)
 
 Array = NDArray[np.float64]
 
@@ -36,6 +44,10 @@ SLOWEST: Final = 0.5  # m/s, gains below are those of this speed
 SERVO: Final = 3.0  # rad/s of steering for each rad that is missing: damping 0.9 behind BOSSERD
 PATH_STEP: Final = 0.1  # m
 LEAD_OUT_M: Final = 40.0  # of the next row at the end of a turn's path
+DRAWN_OUT_M: Final = 5.0  # straight on before a reversal, so that the implement follows in line
+BACK_SPEED: Final = 1.2  # m/s
+BACK_BEYOND_M: Final = 1.0  # further back than the next quarter turn begins
+BACK_GAIN: Final = 2.5  # wheel angle for each rad of articulation; above 0.63 it stays in line in reverse
 IN_LINE: Final = (0.15, math.radians(4.0))  # m and rad off the row: where the regulator takes over
 AT: Final = {name: k for k, name in enumerate(STATES)}
 
@@ -170,13 +182,13 @@ def _limited(wanted: Array, most: float) -> Array:
 class Pilot:
     """Automatic steering on rows that run north and south, turns between them. Angles rad, lengths m.
 
-    Row i lies `first + i spacing` to the east and runs from north = 0 to `length`, even ones northwards. The
+    Rows run from north = 0 to `length`, even ones northwards; the next one is always to the east. The
     regulator has the model's whole state, with an error of position that it does not know.
     """
 
     work: Fieldwork
     length: float  # infinite: one row
-    first: float
+    east: float  # of the row that is driven
     heading: float  # of the rig at the start
     speed: Array  # m/s, (n,)
     belief: Array  # error of the believed position across the row, (n,)
@@ -189,6 +201,8 @@ class Pilot:
     row: int = 0
     turning: int | None = None  # how far along the turn's path
     path: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    back_at: int | None = None  # where on the path a reversal begins
+    backing: bool = False
     most: float = math.inf  # m/s, rising with ACCELERATION after a turn
 
     def start(self) -> Array:
@@ -197,8 +211,12 @@ class Pilot:
     def steer(self, k: int, end: int, x: Array) -> tuple[Array | float, Array | float]:
         axle = x[:2] - self.rear * np.array([math.cos(x[AT["psi_t"]]), math.sin(x[AT["psi_t"]])])
         distance_left = self.length - axle[0] if self.row % 2 == 0 else axle[0]
+        change = ACCELERATION * (end - k) * STEP_S
         if self.turning is None and distance_left <= 0.0:
             self._begin_turn()
+        if self.backing and not self._is_back(axle):
+            self.most = max(-BACK_SPEED, self.most - change)
+            return self._command(SERVO * (self._in_reverse(x) - x[AT["delta"]]), x), self.most
         if self.turning is not None:
             rate = SERVO * (self._ahead(x, axle) - x[AT["delta"]])
             allowed = min(self.speed[k], self.work.turn_speed)
@@ -207,14 +225,20 @@ class Pilot:
             allowed = min(
                 self.speed[k], math.sqrt(self.work.turn_speed**2 + 2 * ACCELERATION * max(distance_left, 0.0))
             )
-        self.most = min(allowed, self.most + ACCELERATION * (end - k) * STEP_S)
+        self.most = min(allowed, self.most + change)
         return self._command(rate, x), self.most
+
+    @property
+    def turn(self) -> HeadlandTurn:
+        """The one at the end of this row."""
+        turns = self.work.turns or (HeadlandTurn(self.work.spacing, self.work.turn_radius),)
+        return turns[self.row % len(turns)]
 
     def _regulated(self, k: int, x: Array) -> float:
         """-K x in the row's frame."""
         north = self.row % 2 == 0
         off = x.copy()
-        across = x[AT["y_t"]] - self.first - self.row * self.work.spacing
+        across = x[AT["y_t"]] - self.east
         off[AT["y_t"]] = (across if north else -across) + self.belief[k]
         for name in ("psi_t", "psi_i"):
             off[AT[name]] = math.remainder(x[AT[name]] - (0.0 if north else math.pi), math.tau)
@@ -238,15 +262,39 @@ class Pilot:
         )
         to_go = (len(self.path) - self.turning) * PATH_STEP
         if to_go < 1.0 or (to_go < LEAD_OUT_M and across < IN_LINE[0] and off < IN_LINE[1]):
+            self.east += self.turn.spacing
             self.turning, self.row = None, self.row + 1
 
     def _begin_turn(self) -> None:
         """Lay the path from the end of this row to the start of the next one."""
         north = 1.0 if self.row % 2 == 0 else -1.0
-        shape = headland(self.work.turn_radius, self.work.spacing)
-        start = np.array([self.length if north > 0 else 0.0, self.first + self.row * self.work.spacing])
+        turn, start = self.turn, np.array([self.length if north > 0 else 0.0, self.east])
+        shape = away(turn.radius) if turn.reversal else headland(turn.radius, turn.spacing)
         self.path = start + shape * np.array([north, 1.0])  # the next row is to the east in either direction
         self.turning = 0
+        self.back_at = len(shape) - round(LEAD_OUT_M / PATH_STEP) if turn.reversal else None
+
+    def _is_back(self, axle: Array) -> bool:
+        """Whether the reversal is over; then lay the path from here to the start of the next row."""
+        radius = self.turn.radius
+        ahead = self.east + self.turn.spacing - radius - axle[1]
+        if ahead < BACK_BEYOND_M:
+            return False
+        north = 1.0 if self.row % 2 == 0 else -1.0
+        # Along the headland forward is east, and the row's start is on the other side.
+        shape = _laid([(ahead, 0.0), (radius * math.pi / 2, 1 / radius)])
+        self.path = axle + shape[:, ::-1] * np.array([-north, 1.0])
+        self.backing, self.turning = False, 0
+        return True
+
+    def _in_reverse(self, x: Array) -> float:
+        """Wheel angle that backs the implement straight along the headland."""
+        off = math.remainder(x[AT["psi_i"]] - math.pi / 2, math.tau)
+        if x[AT["u"]] > 0.0:
+            wanted = -math.remainder(x[AT["psi_t"]] - math.pi / 2, math.tau)
+        else:
+            wanted = BACK_GAIN * (math.remainder(x[AT["psi_t"]] - x[AT["psi_i"]], math.tau) - off)
+        return min(max(wanted, -self.limit), self.limit)
 
     def _ahead(self, x: Array, axle: Array) -> float:
         """Wheel angle towards a point of the path ahead; ends the turn at the path's end."""
@@ -256,7 +304,10 @@ class Pilot:
         reach = 2.0 + 1.5 * abs(x[AT["u"]])
         target = self.path[min(self.turning + round(reach / PATH_STEP), len(self.path) - 1)] - axle
         bearing = math.atan2(target[1], target[0]) - x[AT["psi_t"]]
-        self._end_turn(axle, x[AT["psi_t"]])
+        if self.back_at is None:
+            self._end_turn(axle, x[AT["psi_t"]])
+        elif self.turning >= self.back_at:
+            self.back_at, self.backing = None, True
         # The circle through the rear axle, tangent to the tractor, that passes the point.
         wanted = math.atan2(2 * self.wheelbase * math.sin(bearing), math.hypot(target[0], target[1]))
         return min(max(wanted, -self.limit), self.limit)
@@ -273,7 +324,7 @@ def pilot(
     return Pilot(
         work=rows,
         length=length,
-        first=first,
+        east=first,
         heading=math.radians(heading_deg),
         speed=speed,
         belief=gauss_markov(rng, work.position_sd, BELIEF_S, STEP_S, len(speed)),
@@ -307,6 +358,18 @@ def headland(radius: float, spacing: float) -> Array:
     else:
         quarter = radius * math.pi / 2
         pieces = [(quarter, 1 / radius), (spacing - 2 * radius, 0.0), (quarter, 1 / radius)]
+    return _laid(pieces)
+
+
+def away(radius: float) -> Array:
+    """Path of the rear axle into a turn with a reversal: a quarter to the right and straight on along the
+    headland, as `headland`. What lies DRAWN_OUT_M beyond the quarter is only to look at."""
+    return _laid([(radius * math.pi / 2, 1 / radius), (DRAWN_OUT_M, 0.0)])
+
+
+def _laid(pieces: list[tuple[float, float]]) -> Array:
+    """A path of (length in m, bend to the right in 1/m) and LEAD_OUT_M straight on: forward and right from
+    its start, shape (m, 2), m."""
     lengths, bends = np.array([*pieces, (LEAD_OUT_M, 0.0)]).T
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     headings = np.concatenate([[0.0], np.cumsum(lengths * bends)])

@@ -85,6 +85,16 @@ class RowSteering:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class HeadlandTurn:
+    """From one row to the next one: a U, or a loop where the rows are closer than two radii, or a quarter
+    turn, some metres back, and another quarter turn."""
+
+    spacing: Annotated[float, Field(ge=1, le=100)] = 6.1  # m, to the next row
+    radius: Annotated[float, Field(ge=4, le=50)] = 6.0  # m, of the tractor's rear axle
+    reversal: bool = False
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class Fieldwork:
     """Rows to and fro, each next one to the east, with headland turns by hand between them."""
 
@@ -93,6 +103,7 @@ class Fieldwork:
     spacing: Annotated[float, Field(ge=1, le=100)] = 6.1  # m; closer than two radii needs a loop
     turn_radius: Annotated[float, Field(ge=5, le=50)] = 6.0  # m, of the tractor's rear axle
     turn_speed: Annotated[float, Field(ge=0.5, le=5)] = 2.0  # m/s
+    turns: tuple[HeadlandTurn, ...] = ()  # in this order, repeated; instead of spacing and turn_radius
     position_sd: NotNegative = 0.02  # as of Row
 
 
@@ -239,6 +250,7 @@ class SurveyErrors:
     """How far the machine file is from the truth; drawn once for a run."""
 
     cg_sd: Annotated[float, Field(ge=0, le=0.2)] = 0.01  # m, of either CG, along each axis
+    cg_height_sd: Annotated[float, Field(ge=0, le=0.3)] | None = None  # m, instead; None: the same
     lever_sd: Annotated[float, Field(ge=0, le=0.2)] = 0.01  # m, of each receiver, forward and right
     pair_sd_deg: Annotated[float, Field(ge=0, le=1)] = 0.2  # of the yaw of either pair, at most 0.3 in truth
 

@@ -217,7 +217,8 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
         drawn = max(0.02, receiver.latency.value + receiver.latency.sd * share)
         result[f"latency_{receiver.mount}"] = given.get(receiver.mount, drawn)
     names = [f"cg_{axis}_{body}" for body in ("tractor", "implement") for axis in ("forward", "right", "up")]
-    shifts = scenario.noise * survey.cg_sd * within(rng, len(names))
+    height_sd = survey.cg_sd if survey.cg_height_sd is None else survey.cg_height_sd
+    shifts = scenario.noise * np.tile([survey.cg_sd, survey.cg_sd, height_sd], 2) * within(rng, len(names))
     result |= zip(names, shifts, strict=True)
     for receiver in machine.receiver:
         forward, right = scenario.noise * survey.lever_sd * within(rng, 2)

@@ -10,7 +10,16 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.noise import generator
 from tilth.simulator.pilots import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
-from tilth.simulator.scenario import STEP_S, DrivenManoeuvre, Fieldwork, Ground, RowSteering, Scenario, Soil
+from tilth.simulator.scenario import (
+    STEP_S,
+    DrivenManoeuvre,
+    Fieldwork,
+    Ground,
+    HeadlandTurn,
+    RowSteering,
+    Scenario,
+    Soil,
+)
 from tilth.simulator.tractor import Truth, drive
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
@@ -169,3 +178,41 @@ def test_every_row_is_held_to_its_end(machine: Machine) -> None:
 def test_a_pilot_is_repeatable(machine: Machine, field: Truth) -> None:
     again = drive(machine, 2, 125.0, Scenario(steering=ROWS, soil=FIRM))
     np.testing.assert_array_equal(again.states, field.states)
+
+
+# Turns of three kinds.
+
+KINDS = (HeadlandTurn(18.0, 8.9), HeadlandTurn(6.1, 4.8), HeadlandTurn(6.1, 5.0, reversal=True))
+EAST = np.cumsum([0.0, 18.0, 6.1, 6.1, 18.0])
+
+
+@pytest.fixture(scope="module")
+def kinds(machine: Machine) -> Truth:
+    """Five rows: a U, a loop, a reversal, a U, on the planar plant."""
+    work = Fieldwork(length=60.0, turns=KINDS, turn_speed=1.8, position_sd=0.0)
+    return drive(machine, 2, 165.0, Scenario(steering=work, speed=3.5, soil=FIRM, steering_limit_deg=32.5))
+
+
+def test_each_turn_leads_to_the_row_that_it_is_for(kinds: Truth) -> None:
+    north, east = kinds.states[:, 0], kinds.states[:, 1]
+    on = (north > 25.0) & (north < 35.0)
+    nearest = np.argmin(np.abs(east[on, None] - EAST), axis=1)
+    assert set(nearest) == {0, 1, 2, 3, 4}
+    assert np.abs(east[on] - EAST[nearest]).max() < 0.6
+
+
+def test_a_wide_turn_needs_less_of_the_wheels_than_a_tight_one(kinds: Truth) -> None:
+    x, degrees = kinds.states, np.degrees(np.abs(kinds.wheel_angle))
+    wide = (x[:, 0] > 64.0) & (x[:, 1] > 5.0) & (x[:, 1] < 13.0)
+    assert np.median(degrees[wide]) == pytest.approx(18.0, abs=1.0)
+    tight = (x[:, 0] < -4.0) & (x[:, 1] < 32.0)
+    assert 31.0 < degrees[tight].max() < 33.5
+
+
+def test_the_implement_stays_in_line_in_reverse(kinds: Truth) -> None:
+    """Left alone it would fold: its angle grows by a factor of e each 3.7 m."""
+    x = kinds.states
+    back = x[:, 4] < -0.1
+    assert 5.0 < -x[back, 4].sum() * STEP_S < 20.0  # m
+    assert np.degrees(np.abs(x[back, 2] - x[back, 3])).max() < 15.0
+    assert np.abs(np.degrees(x[back, 3]) - 90.0).max() < 25.0  # along the headland
