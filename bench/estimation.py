@@ -1,6 +1,6 @@
 """How good are the estimates? The whole table of figures, each row by Monte Carlo with fixed seeds.
 
-    python bench/estimation.py [ROW …] [--runs N] [--processes 2] [--json FILE]
+    python bench/estimation.py [ROW …] [--runs N] [--processes 2] [--json FILE] [--logs DIR]
 
 Run k of a row has seed k, on whatever number of processes; a row alone takes a few minutes on two cores.
 Six numbers in a row are those of C_af, C_ar, C_ai, sigma_f, sigma_r, sigma_i. `coverage` is the share of the
@@ -16,131 +16,30 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import estimation_runs as runs
 import estimation_study
 import numpy as np
+import spatial_rows
 from estimation_runs import Linear, PeerResult
 from estimation_study import CHANGE_S, COVERAGE, DROP, HIDDEN, Case, Followed
+from estimation_table import Bench, Line, Row, coverage, figures, percents, table_of
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
-from rich.table import Table
+from spatial_logs import CACHE
 
-from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
 
 Array = NDArray[np.float64]
 
-Z: float = 1.959964  # of a 95 % interval
 WITHIN = math.log(1.05)
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One figure: what was measured, and whether that is what it must be."""
-
-    figure: str
-    reached: str
-    reach: str = ""
-    held: bool | None = None  # None: nothing that it must be
-    values: Sequence[float] = ()  # for --json
-
-
-@dataclass(slots=True)
-class Bench:
-    """Where runs are made. pool None: in this process."""
-
-    runs: int | None = None
-    pool: ProcessPoolExecutor | None = None
-    progress: Progress | None = None
-    scale: float = 1.0  # of a window and a drive: less only to try whether a row works
-    made: list[int] = field(default_factory=list)  # how many runs each call made
-
-    def each(self, run: Callable[[int], Any], default: int) -> list[Any]:
-        """The results of seeds 0 to N - 1, in that order."""
-        n = self.runs or default
-        self.made.append(n)
-        if self.pool is None:
-            return [run(seed) for seed in range(n)]
-        waiting = {self.pool.submit(run, seed): seed for seed in range(n)}
-        results: list[Any] = [None] * n
-        task = self.progress.add_task(f"{n} runs", total=n) if self.progress else None
-        for done in as_completed(waiting):
-            results[waiting[done]] = done.result()
-            if self.progress and task is not None:
-                self.progress.advance(task)
-        return results
-
-    def case(self, case: Case) -> Case:
-        """The case, its drive as long as asked for."""
-        seconds = max(case.scenario.seconds * self.scale, 12.0 if self.scale < 1 else 0.0)
-        return replace(case, scenario=replace(case.scenario, seconds=seconds))
-
-    @property
-    def window(self) -> int:
-        """Stretches of 0.2 s."""
-        return round(WINDOW * self.scale)
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    name: str
-    reach: str  # in words
-    make: Callable[[Bench], list[Line]]
-
-
-def figures(values: Sequence[float] | Array, digits: int = 2) -> str:
-    return "  ".join("–" if not math.isfinite(v) else f"{v:.{digits}f}" for v in values)
-
-
-def percents(values: Sequence[float] | Array, digits: int = 1) -> str:
-    return figures(100 * np.asarray(values), digits) + " %"
-
-
-def wilson(hits: int, n: int) -> tuple[float, float]:
-    """The 95 % interval of a share."""
-    if n == 0:
-        return 0.0, 1.0
-    share, z2 = hits / n, Z * Z
-    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-    half = Z * math.sqrt(share * (1 - share) / n + z2 / (4 * n * n)) / (1 + z2 / n)
-    return middle - half, middle + half
-
-
-def coverage(z: Array, least: float, most: float = 1.0, name: str = "coverage") -> list[Line]:
-    """Pooled and of each parameter. z: errors over sds, (n, 6), not a number where none was given."""
-    hits, given = np.sum(np.abs(z) < Z, axis=0), np.sum(np.isfinite(z), axis=0)
-    pooled, all_ = int(hits.sum()), int(given.sum())
-    if all_ == 0:
-        return [Line(name, "no number was given in any run")]
-    low, high = wilson(pooled, all_)
-    reach = f"{100 * least:.0f} to {100 * most:.0f} %" if most < 1 else f"≥ {100 * least:.0f} %"
-    shares = hits / np.maximum(given, 1)
-    each = "  ".join(f"{h}/{n}" for h, n in zip(hits, given, strict=True))
-    intervals = [wilson(int(h), int(n)) for h, n in zip(hits, given, strict=True)]
-    intervals_text = "  ".join(f"{100 * a:.0f}–{100 * b:.0f}" for a, b in intervals)
-    return [
-        Line(
-            f"{name}, pooled", f"{100 * pooled / all_:.1f} % of {all_} ({100 * low:.1f} to {100 * high:.1f})",
-            reach, least <= pooled / all_ <= most, (pooled / all_, low, high),
-        ),
-        Line(
-            f"{name}, each", percents(shares), reach,
-            bool(np.all((shares >= least) & (shares <= most) | (given == 0))), shares.tolist(),
-        ),
-        Line("  of runs; 95 % interval of that share", f"{each}; {intervals_text} %"),
-        Line("  mean, and root mean square, error over sd",
-             f"{figures(np.nanmean(z, axis=0))}; {figures(np.sqrt(np.nanmean(z**2, axis=0)))}"),
-    ]  # fmt: skip
 
 
 # Rows.
@@ -379,20 +278,11 @@ ROWS: tuple[Row, ...] = (
     Row("merging", "≥ 93 % covered", merging),
     Row("speed", "≤ 15 µs; ≤ 150 ms; ≤ 2 s", speed),
     Row("plain", "", other_programs),
+    *spatial_rows.ROWS,
 )
 
 
-# The table.
-
-
-def table_of(row: Row, lines: list[Line], note: str) -> Table:
-    table = Table(title=f"{row.name}  ({note})", title_justify="left")
-    for heading in ("figure", "reached", "to reach", ""):
-        table.add_column(heading)
-    verdicts = {True: "[green]held[/]", False: "[red]missed[/]", None: ""}
-    for line in lines:
-        table.add_row(line.figure, line.reached, line.reach, verdicts[line.held])
-    return table
+# The command.
 
 
 def main() -> None:
@@ -400,7 +290,13 @@ def main() -> None:
     parser.add_argument("row", nargs="*", help=", ".join(row.name for row in ROWS))
     parser.add_argument("--runs", type=int, help="of each row, instead of its own number")
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--json", type=Path, help="file for the figures as numbers")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        help="file for numbers, a line for each run of a spatial row and for each row; "
+        "runs that it has are not made again",
+    )
+    parser.add_argument("--logs", type=Path, default=CACHE, help="folder of bench/spatial_logs.py")
     args = parser.parse_args()
     unknown = set(args.row) - {row.name for row in ROWS}
     if unknown or (args.runs or 1) < 1 or args.processes < 1:
@@ -408,7 +304,6 @@ def main() -> None:
     os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
     console = Console(width=None if Console().is_terminal else 150)
     console.print(f"{os.cpu_count()} cores, {args.processes} processes, Python {platform.python_version()}")
-    reports = []
     for row in (row for row in ROWS if not args.row or row.name in args.row):
         with ExitStack() as stack:
             pool = stack.enter_context(ProcessPoolExecutor(args.processes, get_context("spawn")))
@@ -417,17 +312,16 @@ def main() -> None:
                     *Progress.get_default_columns(), TimeElapsedColumn(), console=console, transient=True
                 )
             )
-            bench = Bench(args.runs, pool, progress)
+            bench = Bench(args.runs, pool, progress, logs=args.logs, kept=args.json)
             began = time.perf_counter()
             lines = row.make(bench)
             seconds = time.perf_counter() - began
         n = bench.made[0] if bench.made else 1
         console.print(table_of(row, lines, f"N {n}, seeds 0 to {n - 1}, {seconds:.0f} s; {row.reach}"))
-        reports.append(
-            {"row": row.name, "runs": n, "seconds": seconds, "lines": [asdict(line) for line in lines]}
-        )
         if args.json:
-            args.json.write_text(json.dumps(reports, indent=1, ensure_ascii=False), encoding="utf-8")
+            report = {"figures": row.name, "runs": n, "seconds": seconds, "lines": list(map(asdict, lines))}
+            with args.json.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(report, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":

@@ -267,10 +267,12 @@ class Fitted:
     nuisance: dict[str, tuple[float, float]]
 
 
-def fitted(run: Driven, records: list[Record]) -> Fitted:
-    """The posterior of the first record is the prior of the next; noise levels start again with each."""
-    setup = rig_setup(run.machine)
-    prior_mean, prior_sd = unknowns.prior(run.machine)
+def fitted(machine: Machine, logs: Array, records: list[Record]) -> Fitted:
+    """The posterior of the first record is the prior of the next; noise levels start again with each.
+
+    logs: true logarithms, shape (6,)."""
+    setup = rig_setup(machine)
+    prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
@@ -279,7 +281,7 @@ def fitted(run: Driven, records: list[Record]) -> Fitted:
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))
     nuisance = {name: (float(mean[k]), float(sd[k])) for name, k in AT.items() if k > 5 and sd[k] > 0}
-    return Fitted(mean[SIX] - run.logs, sd[SIX], information, mean, len(records), nuisance)
+    return Fitted(mean[SIX] - logs, sd[SIX], information, mean, len(records), nuisance)
 
 
 def bound_of(information: Array, machine: Machine) -> Array:
@@ -296,10 +298,19 @@ def window_of(
     """The first windows of a run, fitted; None where the run has fewer."""
     run = driven(packaged, case, seed)
     records = windows(segments(run), length)[:count]
-    return fitted(run, records) if len(records) == count else None
+    return fitted(run.machine, run.logs, records) if len(records) == count else None
 
 
 # The way on from there.
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How a rig really went: times (m,), s, states (m, 13) there, and what it is."""
+
+    time: Array
+    states: Array
+    rig: Rig
 
 
 def trajectory_error(
@@ -312,13 +323,15 @@ def trajectory_error(
     records = windows(segments(run), length)
     if len(records) < 2:
         return None
-    found = fitted(run, records[:1])
-    rig = fitted_rig(run.machine, found.mean)
+    found = fitted(run.machine, run.logs, records[:1])
+    rig, truth = fitted_rig(run.machine, found.mean), run.truth
     zero, gain = found.mean[AT["wheel_zero"]], math.exp(found.mean[AT["wheel_gain"]])
-    fitted_errors = _distances(run, records[1], rig, zero, gain)
-    nuisances = run.truth.nuisances
-    best = _distances(run, records[1], run.truth.rig, nuisances["wheel_zero"], nuisances["wheel_gain"])
-    return (*fitted_errors, *best)
+    way, at_s = Way(truth.time, truth.states, truth.rig), run.seconds_of(records[1].t_ns)
+    told = truth.nuisances
+    return (
+        *distances(way, records[1], at_s, rig, (zero, gain)),
+        *distances(way, records[1], at_s, truth.rig, (told["wheel_zero"], told["wheel_gain"])),
+    )
 
 
 def fitted_rig(machine: Machine, mean: Array) -> Rig:
@@ -335,19 +348,26 @@ def fitted_rig(machine: Machine, mean: Array) -> Rig:
     )  # fmt: skip
 
 
-def _distances(run: Driven, record: Record, rig: Rig, zero: float, gain: float) -> tuple[float, float]:
+def distances(
+    way: Way, record: Record, at_s: float, rig: Rig, wheel: tuple[float, float], level: bool = False
+) -> tuple[float, float]:
+    """(tractor's, implement's) root mean square distance from the way over a record that begins at_s, m.
+
+    wheel: zero, rad, and gain of the wheel angle. level: the measured roll is not taken for a slope.
+    """
     ticks = record.ticks
-    at_s = run.seconds_of(record.t_ns) + np.arange(len(ticks)) * TICK_NS * 1e-9
-    true = np.array([np.interp(at_s, run.truth.time, column) for column in run.truth.states.T]).T
+    times = at_s + np.arange(len(ticks)) * TICK_NS * 1e-9
+    true = np.array([np.interp(times, way.time, column) for column in way.states.T]).T
+    slopes = np.zeros((len(ticks), 2)) if level else ticks[:, 6:8]
     inputs = nonlinear.inputs_of(
         len(ticks),
-        delta=(ticks[:, 0] - zero) / gain,
+        delta=(ticks[:, 0] - wheel[0]) / wheel[1],
         speed=ticks[:, 1],
-        gravity_t=rig.g * np.sin(ticks[:, 6]),
-        gravity_i=rig.g * np.sin(ticks[:, 7]),
+        gravity_t=rig.g * np.sin(slopes[:, 0]),
+        gravity_i=rig.g * np.sin(slopes[:, 1]),
     )
     made = nonlinear.simulate(rig, inputs, true[0], TICK_NS * 1e-9, linear=True)
-    carts = [nonlinear.implement(r, states)[:, :2] for r, states in ((rig, made), (run.truth.rig, true))]
+    carts = [nonlinear.implement(r, states)[:, :2] for r, states in ((rig, made), (way.rig, true))]
     off = made[:, :2] - true[:, :2], carts[0] - carts[1]
     rms = [math.sqrt(float(np.mean(np.sum(one**2, axis=1)))) for one in off]
     return rms[0], rms[1]
@@ -378,7 +398,7 @@ def followed(run: Driven) -> Followed:
         for publication in publications:
             value = publication.value
             if isinstance(value, Estimate):
-                series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *_numbers(value)])
+                series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, value.text))
     tables = {method: np.array(rows) for method, rows in series.items()}
@@ -395,7 +415,8 @@ def fitted_at_once(state: fold.State, t_ns: int) -> list[Publication]:
     return out
 
 
-def _numbers(estimate: Estimate) -> list[float]:
+def numbers(estimate: Estimate) -> list[float]:
+    """Six logarithms and their sds; not a number where there is none, (12,)."""
     sds = np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
     logs = [
         math.log(p.value) if p.value and p.status in (Status.ESTIMATED, Status.STALE) else math.nan

@@ -1,0 +1,222 @@
+"""One log of bench/spatial_logs.py through the product's estimators, and what is right of what they say.
+
+Each fit is made when it is due, as `tilth replay` does with a log that has no recorded fits. Of a method only
+what it publishes is used, so a change of its state changes nothing here.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import spatial_logs
+from estimation_study import Way, distances, fitted, fitted_at_once, fitted_rig, numbers, windows
+from numpy.typing import NDArray
+from spatial_logs import DROP, ROW, LogRow, Run
+
+from tilth.estimator import fold
+from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.models.parameters import Rig
+from tilth.estimator.record import record_builder
+from tilth.estimator.record.record import Segment
+from tilth.replay.readers.any_log import frames
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
+from tilth.schemas.machine import Machine, parse_machine
+
+Array = NDArray[np.float64]
+
+END_NS: Final = 60_000_000_000  # by when after the last frame every fit is due
+THINNED_S: Final = 10.0  # between what is kept of a series
+JITTER_S: Final = 0.0015  # mean of what a link adds to the latency: simulator/scenario.py
+TURNING: Final = math.radians(12.0)  # wheel angle of a headland turn
+TURN_GAP_S: Final = 15.0  # straight, between two turns
+
+
+def follow(to: Path, name: str, scale: float, seed: int, held_out: bool = False) -> dict[str, Any]:
+    """Plain data of one run, for a line of JSON; the log is made if it is not there. scale: of its seconds,
+    for a try."""
+    row = ROW[name] if scale == 1.0 else replace(ROW[name], seconds=ROW[name].seconds * scale)
+    spatial_logs.make(to, row, seed)
+    run = spatial_logs.read_run(to, name, seed)
+    machine = parse_machine(run.machine_text)
+    began = time.perf_counter()
+    heard = Heard(machine, run)
+    heard.take_all()
+    took_s = time.perf_counter() - began
+    result = {"row": name, "seed": seed, "scale": scale, "took_s": took_s, "drive_s": row.seconds}
+    result |= heard.result(row)
+    if held_out:
+        result["trajectory"] = held_out_errors(machine, run, heard.segments, scale)
+    return result
+
+
+class Heard:
+    """What is published over a log. Times are s of the truth."""
+
+    def __init__(self, machine: Machine, run: Run) -> None:
+        self.machine, self.run = machine, run
+        self.logs = np.log([run.described["parameters"][name] for name in PARAMETERS])
+        self.series: dict[str, list[list[float]]] = {}
+        self.last: dict[str, Estimate] = {}
+        self.events: list[tuple[float, str, str]] = []
+        self.segments: list[Segment] = []
+        self.refused: dict[str, int] = {}
+
+    def take_all(self) -> None:
+        state, recording = fold.initial(self.machine), record_builder.initial(self.machine)
+        t_ns = 0
+        for frame in frames(self.run.log):
+            t_ns = frame.t_ns
+            publications = fitted_at_once(state, t_ns) + fold.step(state, frame)
+            fold.request_fits(state, t_ns)
+            for publication in publications:
+                self._take(publication)
+                if isinstance(publication.value, Pose):
+                    segment = record_builder.observe(recording, state.aligner, publication.value)
+                    self.segments += [] if segment is None else [segment]
+        for publication in fitted_at_once(state, t_ns + END_NS):
+            self._take(publication)
+        self.refused = dict(state.record.refused)
+
+    def _take(self, publication: Publication) -> None:
+        value = publication.value
+        if isinstance(value, Estimate):
+            at_s = self.run.seconds_of(publication.t_ns)
+            self.series.setdefault(value.method, []).append([at_s, *numbers(value)])
+            self.last[value.method] = value
+        elif isinstance(value, Event):
+            self.events.append((self.run.seconds_of(value.t_ns), value.kind, value.text))
+
+    def result(self, row: LogRow) -> dict[str, Any]:
+        after = np.zeros(6)
+        after[:3] = math.log(DROP) if row.informed_s else 0.0
+        methods = {name: self._method(name, self.logs + after, row) for name in self.series}
+        return {
+            "logs": self.logs.tolist(), "methods": methods, "events": self.events, "refused": self.refused,
+            "turn_ends_s": turn_ends(self.run),
+            "wheel_s": informative_times(self.run, row.informed_s) if row.informed_s else [],
+        }  # fmt: skip
+
+    def _method(self, name: str, logs: Array, row: LogRow) -> dict[str, Any]:
+        series = np.array(self.series[name])
+        given = np.isfinite(series[:, 1:7])
+        first = [float(series[np.argmax(g), 0]) if g.any() else math.nan for g in given.T]
+        ends = [start + spatial_logs.GAP_S + 1.0 for start, _ in row.gaps]
+        at_ends = [series[np.searchsorted(series[:, 0], end) - 1].tolist() for end in ends]
+        error, sd = series[-1, 1:7] - logs, series[-1, 7:]
+        return {
+            "error": error.tolist(),
+            "sd": sd.tolist(),
+            "per_mass": per_mass(self.machine, self.run, self.last[name], float(error[2]), float(sd[2])),
+            "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
+            "first_s": first,
+            "run_ends": at_ends,
+            "series": thinned(series).tolist(),
+            "whole": whole_near(series, row.informed_s) if row.informed_s else [],
+        }
+
+
+def thinned(series: Array) -> Array:
+    """Rows at least THINNED_S apart; the last one always."""
+    steps = np.floor(series[:, 0] / THINNED_S)
+    return np.asarray(series[np.append(np.diff(steps) > 0.0, True)])
+
+
+def whole_near(series: Array, about_s: float) -> list[list[float]]:
+    """The rows from 10 s before a time on, all of them."""
+    return list(series[series[:, 0] > about_s - 10.0].tolist())
+
+
+# What is true.
+
+
+def per_mass(machine: Machine, run: Run, said: Estimate, error: float, sd: float) -> list[float]:
+    """(error, sd) of log C_ai over the implement's mass, from those of C_ai.
+
+    What is not known of the mass is in the sd of C_ai, and nothing on a bus tells it: it is taken out where
+    the method says that it is unknown.
+    """
+    told = machine.implement.mass.value
+    true = float(run.described["rig"]["m_i"]["value"])
+    mean_m, sd_m = said.nuisances.get("m_i", (0.0, 0.0))
+    variance = max(sd**2 - sd_m**2, (0.3 * sd) ** 2) if math.isfinite(sd) else math.nan
+    return [error - mean_m + math.log(true / told), math.sqrt(variance)]
+
+
+def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
+    """By unknowns.NAMES, as they are defined there: what antennas, clocks and sensors add up to."""
+    told, result = run.described["nuisances"], {}
+    result["wheel_zero"] = told["wheel_zero"]
+    result["wheel_gain"] = math.log(told["wheel_gain"] / machine.wheel_angle.gain.value)
+    late = [told[f"latency_{r.mount}"] - r.latency.value for r in machine.receiver]
+    result["latency"] = float(np.mean(late)) + JITTER_S
+    aside = {}
+    for body in ("tractor", "implement"):
+        k, mounts = body[0], [r for r in machine.receiver if r.mount.body == body]
+        place = np.array([r.position[0] for r in mounts])
+        right = np.array([told[f"right_{r.mount}"] for r in mounts])
+        # Two antennas: what moves them to either side turns the pair too.
+        turned = (right[0] - right[-1]) / (place[0] - place[-1])
+        result[f"pair_{k}"] = told[f"pair_{body}"] + float(turned)
+        result[f"lever_{k}"] = float(np.mean([told[f"forward_{r.mount}"] for r in mounts]))
+        result[f"cg_{k}"] = told[f"cg_forward_{body}"]
+        result[f"roll_zero_{k}"] = float(np.mean([told[f"roll_zero_{r.mount}"] for r in mounts]))
+        aside[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
+    result["aside_i"] = aside["implement"] - aside["tractor"]
+    return result
+
+
+def nuisance_errors(machine: Machine, run: Run, said: Estimate) -> dict[str, list[float]]:
+    """Name -> (error, sd) of what a method says of it."""
+    true = true_nuisances(machine, run)
+    return {
+        name: [value - true[name], sd]
+        for name, (value, sd) in said.nuisances.items()
+        if name in true and sd > 0.0
+    }
+
+
+def turn_ends(run: Run) -> list[float]:
+    """When each headland turn of a field is over, s."""
+    arrays = spatial_logs.truth_arrays(run.folder)
+    turning = np.flatnonzero(np.abs(arrays["wheel"]) > TURNING)
+    times = arrays["time"][turning]
+    if run.described["source"]["scenario"].find('"kind":"field"') < 0 or not len(times):
+        return []
+    last = np.append(np.diff(times) > TURN_GAP_S, True)
+    return [float(t) for t in times[last]]
+
+
+def informative_times(run: Run, after_s: float) -> list[float]:
+    """Times after a change, s, at which the wheels were beyond 2 degrees."""
+    arrays = spatial_logs.truth_arrays(run.folder)
+    chosen = (arrays["time"] > after_s) & (np.abs(arrays["wheel"]) > math.radians(2.0))
+    return [float(t) for t in arrays["time"][chosen][:: spatial_logs.KEEP]]
+
+
+# The way on from a fit.
+
+
+def held_out_errors(machine: Machine, run: Run, segments: list[Segment], scale: float) -> list[float] | None:
+    """(tractor, implement), m, over a second window of 30 s by what the first one gave: on level ground, then
+    with the measured roll taken for a slope, then level with the true rig. None without two windows."""
+    length = round(150 * min(1.0, 2 * scale))
+    records = windows(segments, length)
+    if len(records) < 2:
+        return None
+    logs = np.log([run.described["parameters"][name] for name in PARAMETERS])
+    found = fitted(machine, logs, records[:1])
+    true = Rig(**{name: entry["value"] for name, entry in run.described["rig"].items()})
+    arrays: Mapping[str, Array] = spatial_logs.truth_arrays(run.folder)
+    way, at_s = Way(arrays["time"], arrays["states"], true), run.seconds_of(records[1].t_ns)
+    wheel = found.mean[AT["wheel_zero"]], math.exp(found.mean[AT["wheel_gain"]])
+    told = run.described["nuisances"]
+    own = fitted_rig(machine, found.mean)
+    return [
+        *distances(way, records[1], at_s, own, wheel, level=True),
+        *distances(way, records[1], at_s, own, wheel),
+        *distances(way, records[1], at_s, true, (told["wheel_zero"], told["wheel_gain"]), level=True),
+    ]
