@@ -11,7 +11,6 @@ coloured noise.
 """
 
 import argparse
-import json
 import math
 import os
 import platform
@@ -29,7 +28,7 @@ import numpy as np
 import spatial_rows
 from estimation_runs import Linear, PeerResult
 from estimation_study import CHANGE_S, COVERAGE, DROP, HIDDEN, Case, Followed
-from estimation_table import Bench, Line, Row, coverage, figures, percents, table_of
+from estimation_table import Bench, Line, Row, append_line, coverage, figures, percents, table_of
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
@@ -320,8 +319,7 @@ def main() -> None:
         console.print(table_of(row, lines, f"N {n}, seeds 0 to {n - 1}, {seconds:.0f} s; {row.reach}"))
         if args.json:
             report = {"figures": row.name, "runs": n, "seconds": seconds, "lines": list(map(asdict, lines))}
-            with args.json.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(report, ensure_ascii=False) + "\n")
+            append_line(args.json, report)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Tables of figures: what was reached and must be, runs on several processes, shares with their intervals."""
 
+import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -80,6 +81,16 @@ class Bench:
     def window(self) -> int:
         """Stretches of 0.2 s."""
         return round(WINDOW * self.scale)
+
+
+def append_line(path: Path, made: Any) -> None:
+    """Add a line of JSON to a file, whose last line may have been cut short."""
+    with path.open("a+b") as stream:
+        if stream.tell():
+            stream.seek(-1, 2)
+            if stream.read() != b"\n":
+                stream.write(b"\n")
+        stream.write(json.dumps(made, ensure_ascii=False).encode() + b"\n")
 
 
 @dataclass(frozen=True, slots=True)

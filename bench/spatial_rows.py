@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 import spatial_runs
-from estimation_table import Bench, Line, Row, Z, figures, percents
+from estimation_table import Bench, Line, Row, Z, append_line, figures, percents
 from numpy.typing import NDArray
 from scipy.stats import binom
 from spatial_logs import CHANGE_S, DROP, ROW
@@ -69,8 +69,7 @@ def _kept(bench: Bench, name: str) -> dict[int, Result]:
 
 def _keep(bench: Bench, made: Result) -> None:
     if bench.kept is not None:
-        with bench.kept.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(made, ensure_ascii=False) + "\n")
+        append_line(bench.kept, made)
 
 
 # What holds.

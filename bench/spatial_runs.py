@@ -22,6 +22,7 @@ from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
+from tilth.estimator.record.windows import WINDOW
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
 from tilth.schemas.machine import Machine, parse_machine
@@ -203,7 +204,7 @@ def informative_times(run: Run, after_s: float) -> list[float]:
 def held_out_errors(machine: Machine, run: Run, segments: list[Segment], scale: float) -> list[float] | None:
     """(tractor, implement), m, over a second window of 30 s by what the first one gave: on level ground, then
     with the measured roll taken for a slope, then level with the true rig. None without two windows."""
-    length = round(150 * min(1.0, 2 * scale))
+    length = round(WINDOW * scale)
     records = windows(segments, length)
     if len(records) < 2:
         return None

@@ -1,0 +1,138 @@
+"""Rows on the spatial plant: logs are made once, interrupted rows go on, and what must hold is told from what
+does not."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import spatial_logs
+import spatial_rows
+import spatial_runs
+from estimation_table import Bench
+from scipy.stats import binom
+
+from tilth.estimator.filters.unknowns import AT
+from tilth.schemas.machine import parse_machine
+
+SCALE = 0.15  # of 120 s
+NAME = "spatial_random"
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With one short run."""
+    folder = tmp_path_factory.mktemp("logs")
+    assert spatial_logs.make(folder, _short(NAME), 3)
+    return folder
+
+
+def _short(name: str) -> spatial_logs.LogRow:
+    row = spatial_logs.ROW[name]
+    return replace(row, seconds=row.seconds * SCALE)
+
+
+def test_a_log_is_made_once(logs: Path) -> None:
+    assert not spatial_logs.make(logs, _short(NAME), 3)
+    folder = spatial_logs.folder_of(logs, NAME, 3)
+    assert {path.name for path in folder.iterdir()} == {"run.log", "run.log.truth.json", "truth.npz"}
+    assert not list(folder.parent.glob(".*"))
+    assert not spatial_logs.is_there(folder, spatial_logs.source_of(replace(_short(NAME), rms=0.02), 3))
+
+
+def test_a_row_is_made_of_runs_that_are_kept(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = next(row for row in spatial_rows.ROWS if row.name == NAME)
+    bench = Bench(runs=1, scale=SCALE, logs=logs, kept=tmp_path / "kept.jsonl")
+    lines = row.make(bench)
+    assert any(line.reach for line in lines) and all(line.figure and line.reached for line in lines)
+    assert any("not fitted" in line.figure for line in lines)
+    kept = (tmp_path / "kept.jsonl").read_text()
+    (tmp_path / "kept.jsonl").write_text(kept[:100] + "\n" + kept + kept[:100])  # lines that were cut short
+    monkeypatch.setattr(spatial_runs, "follow", _never)
+    again = row.make(bench)
+    assert [line.reached for line in again] == [line.reached for line in lines]
+
+
+def _never(*_: Any, **__: Any) -> None:
+    raise AssertionError("it was to be kept")
+
+
+def test_after_a_line_that_was_cut_short_comes_a_new_one(tmp_path: Path) -> None:
+    bench = Bench(kept=tmp_path / "kept.jsonl")
+    (tmp_path / "kept.jsonl").write_text('{"row": "spa')
+    spatial_rows._keep(bench, {"row": NAME, "seed": 7, "scale": 1.0})
+    assert set(spatial_rows._kept(bench, NAME)) == {7}
+
+
+def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> None:
+    run = spatial_logs.read_run(logs, NAME, 3)
+    true = spatial_runs.true_nuisances(parse_machine(run.machine_text), run)
+    assert true.keys() <= set(AT)
+    assert all(math.isfinite(value) for value in true.values())
+    assert abs(true["wheel_gain"]) < 0.04 and abs(true["roll_zero_t"]) < math.radians(1.0)
+
+
+def test_every_seed_has_its_own_rig_and_every_row_the_same() -> None:
+    sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS]
+    heights = {source.machine.tractor.cg_height for source in sources}
+    assert len(heights) == 1
+    assert spatial_logs.drawn(1) != spatial_logs.drawn(2)
+    heavy = next(s for s, row in zip(sources, spatial_logs.ROWS, strict=True) if row.heavy)
+    assert (heavy.machine.implement.mass.value, heavy.machine.implement.mass.sd) == (8000.0, 800.0)
+
+
+def test_between_the_step_runs_nothing_is_recorded() -> None:
+    row = spatial_logs.ROW["spatial_steps"]
+    steering = spatial_logs.source_of(row, 1).scenario.steering
+    assert isinstance(steering, tuple)
+    ends = np.cumsum([seconds for seconds, _ in steering])
+    turning = [(end - s, end) for end, (s, degrees) in zip(ends, steering, strict=True) if degrees]
+    assert [start for start, _ in row.gaps] == [end for _, end in turning[:2]]
+    assert all(start - end == pytest.approx(spatial_logs.LEAD_S) for (_, end), (start, _) in zip(
+        row.gaps, turning[1:], strict=True))  # fmt: skip
+    assert row.seconds >= turning[2][1]
+
+
+def test_frames_of_a_gap_are_left_out(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    log.write_text("".join(f"({1000 + k}.000000) can0 18FF0B15#00\n" for k in range(10)))
+    spatial_logs._cut(log, [(2.0, 5.0), (8.0, 9.0)])
+    assert [int(line[1:5]) - 1000 for line in log.read_text().splitlines()] == [0, 1, 5, 6, 7, 9]
+
+
+# What holds.
+
+
+@pytest.mark.parametrize("n", [8, 40, 200])
+def test_the_fewest_that_must_hold_are_those_of_the_binomial_test(n: int) -> None:
+    least = spatial_rows.least_hits(n, 18)
+    assert binom.cdf(least, n, 0.95) >= 0.01 / 18 > binom.cdf(least - 1, n, 0.95)
+
+
+def _made(scale: float, bias: float = 0.0) -> list[dict[str, Any]]:
+    """Forty runs of a method whose errors are so many sds wide."""
+    rng = np.random.default_rng(1)
+    runs = []
+    for seed in range(40):
+        error = 0.1 * (scale * rng.standard_normal(6) + bias)
+        said = {
+            "error": error.tolist(), "sd": [0.1] * 6, "per_mass": [float(error[2]), 0.1],
+            "nuisances": {"wheel_zero": [0.01 * scale * rng.standard_normal(), 0.01]},
+        }  # fmt: skip
+        runs.append({"seed": seed, "methods": {"pem": said}, "events": [], "took_s": 1.0, "drive_s": 60.0})
+    return json.loads(json.dumps(runs))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(("scale", "bias", "held"), [(1.0, 0.0, True), (2.0, 0.0, False), (0.3, 3.0, False)])
+def test_intervals_that_are_right_hold_and_others_do_not(scale: float, bias: float, held: bool) -> None:
+    lines = spatial_rows.judged(_made(scale, bias), spatial_rows.Reach())
+    judged = [line.held for line in lines if line.figure.startswith("pem:") and line.held is not None]
+    assert len(judged) == 3
+    assert all(judged) is held
+    nothing = [line for line in lines if line.figure.startswith("tracker:")]
+    assert [line.held for line in nothing] == [False]
