@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 import estimation_study
+import held_out
 import linear_plant
 import numpy as np
 import plain_filterpy
@@ -126,7 +127,7 @@ def mean_bound(case: Case, made: list[Fitted]) -> Array:
 
 
 def trajectory(case: Case, length: int, seed: int) -> tuple[float, ...] | None:
-    return estimation_study.trajectory_error(machine(), case, seed, length)
+    return held_out.trajectory_error(machine(), case, seed, length)
 
 
 def follow(case: Case, seed: int) -> Followed:

@@ -13,7 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 import spatial_logs
-from estimation_study import Way, distances, fitted, fitted_at_once, fitted_rig, numbers, windows
+from estimation_study import fitted, fitted_at_once, numbers, windows
+from held_out import Way, distances, fitted_rig
 from numpy.typing import NDArray
 from spatial_logs import DROP, ROW, LogRow, Run
 
