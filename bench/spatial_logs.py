@@ -58,7 +58,8 @@ KEEP: Final = 2  # of the truth's samples every other is kept: 50 a second
 HEAVY: Final = 8000.0  # kg
 DROP: Final = 0.7  # of all stiffnesses, on other soil
 CHANGE_S: Final = 92.0  # into the run, on a straight stretch
-LEAD_S, STEP_S, GAP_S = 2.0, 30.0, 15.0  # of each step run: straight, turning, and not recorded after it
+STEPS_DEG: Final = np.array([8.0, -6.0, 4.0])  # about, as in examples/scenarios/step_runs.toml
+LEAD_S, STEP_S, GAP_S = 5.0, 30.0, 15.0  # of each step run: straight, turning, and not recorded after it
 FIRST_S: Final = 5.0  # before the first step run, recorded
 TURNS: Final = (HeadlandTurn(18.0, 8.9), HeadlandTurn(6.1, 4.8), HeadlandTurn(6.1, 5.0, reversal=True))
 """A U at 18 degrees of the wheels, a loop at 32, and one with a reversal."""
@@ -83,7 +84,7 @@ class Drawn(NamedTuple):
 def drawn(seed: int) -> Drawn:
     rng = generator(seed, STREAM)
     side = float(rng.choice([-1.0, 1.0]))
-    sizes = rng.uniform(4.0, 9.0, 3) * [side, -side, side]
+    sizes = rng.uniform(0.85, 1.15, 3) * STEPS_DEG * side
     return Drawn(
         (float(rng.uniform(0.9, 1.3)), float(rng.uniform(0.9, 1.5))),
         1.0 + 0.02 * float(within(rng, 1)[0]),

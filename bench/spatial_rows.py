@@ -7,7 +7,8 @@ were every share 95 %. C_ai is that over the implement's mass, which is told to 
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 Result = dict[str, Any]
 """As spatial_runs.follow gives it."""
 
-METHODS: Final = ("pem", "tracker", "steady_state")
+WANTED: Final = {"pem": 6, "tracker": 6, "steady_state": 3}  # numbers of each method
+METHODS: Final = tuple(WANTED)
 LEVEL: Final = 0.01  # of the test, for a whole table
 POOLED: Final = (0.92, 0.98)
 NAMES: Final = (*PARAMETERS[:2], "C_ai/m_i", *PARAMETERS[3:])
@@ -160,7 +162,23 @@ def judged(made: list[Result], reach: Reach) -> list[Line]:
         whole, whole_sd = errors(made, method, per_mass=False)
         lines += holding(f"{method}, C_ai itself", (whole / whole_sd)[:, 2:3], 1, ("C_ai",))[1:]
         lines += _nuisances(method, made, method)
-    return [*lines, _contradictions(made), _speed(made)]
+    return [*lines, *_reasons(made), _contradictions(made), _speed(made)]
+
+
+def _reasons(made: list[Result]) -> Iterator[Line]:
+    """Why there is no number, of each method the most frequent."""
+    for method in METHODS:
+        said = Counter(
+            reason
+            for run in made
+            if method in run["methods"]
+            for k, reason in enumerate(run["methods"][method]["reasons"][: WANTED[method]])
+            if not math.isfinite(run["methods"][method]["error"][k])
+        )
+        if said:
+            (reason, n), *_ = said.most_common(1)
+            all_ = WANTED[method] * len(made)
+            yield Line(f"{method}: no number, most often because", f"{n} of {all_}: {reason}")
 
 
 def _contradictions(made: list[Result]) -> Line:
@@ -203,7 +221,7 @@ def field(name: str, bench: Bench) -> list[Line]:
     """An ordinary field: also when the numbers are there."""
     made = results(bench, name)
     lines = []
-    for method, wanted in (("pem", 6), ("tracker", 6), ("steady_state", 3)):
+    for method, wanted in WANTED.items():
         soon = [_soon(run, method, wanted) for run in made]
         lines.append(
             Line(

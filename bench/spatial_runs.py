@@ -115,6 +115,7 @@ class Heard:
             "per_mass": per_mass(self.machine, self.run, self.last[name], float(error[2]), float(sd[2])),
             "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
             "first_s": first,
+            "reasons": [p.reason for p in self.last[name].parameters],
             "run_ends": at_ends,
             "series": thinned(series).tolist(),
             "whole": whole_near(series, row.informed_s) if row.informed_s else [],

@@ -121,7 +121,7 @@ def _made(scale: float, bias: float = 0.0) -> list[dict[str, Any]]:
     for seed in range(40):
         error = 0.1 * (scale * rng.standard_normal(6) + bias)
         said = {
-            "error": error.tolist(), "sd": [0.1] * 6, "per_mass": [float(error[2]), 0.1],
+            "error": error.tolist(), "sd": [0.1] * 6, "reasons": [""] * 6, "per_mass": [float(error[2]), 0.1],
             "nuisances": {"wheel_zero": [0.01 * scale * rng.standard_normal(), 0.01]},
         }  # fmt: skip
         runs.append({"seed": seed, "methods": {"pem": said}, "events": [], "took_s": 1.0, "drive_s": 60.0})
