@@ -34,7 +34,7 @@ END_NS: Final = 60_000_000_000  # by when after the last frame every fit is due
 THINNED_S: Final = 10.0  # between what is kept of a series
 JITTER_S: Final = 0.0015  # mean of what a link adds to the latency: simulator/scenario.py
 TURNING: Final = math.radians(12.0)  # wheel angle of a headland turn
-TURN_GAP_S: Final = 15.0  # straight, between two turns
+TURN_GAP_S: Final = 30.0  # from turn to turn at least; more than a reversal takes
 
 
 def follow(to: Path, name: str, scale: float, seed: int, held_out: bool = False) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def follow(to: Path, name: str, scale: float, seed: int, held_out: bool = False)
     machine = parse_machine(run.machine_text)
     began = time.perf_counter()
     heard = Heard(machine, run)
-    heard.take_all()
+    heard.take_all(held_out)
     took_s = time.perf_counter() - began
     result = {"row": name, "seed": seed, "scale": scale, "took_s": took_s, "drive_s": row.seconds}
     result |= heard.result(row)
@@ -67,7 +67,7 @@ class Heard:
         self.segments: list[Segment] = []
         self.refused: dict[str, int] = {}
 
-    def take_all(self) -> None:
+    def take_all(self, with_segments: bool) -> None:
         state, recording = fold.initial(self.machine), record_builder.initial(self.machine)
         t_ns = 0
         for frame in frames(self.run.log):
@@ -76,7 +76,7 @@ class Heard:
             fold.request_fits(state, t_ns)
             for publication in publications:
                 self._take(publication)
-                if isinstance(publication.value, Pose):
+                if with_segments and isinstance(publication.value, Pose):
                     segment = record_builder.observe(recording, state.aligner, publication.value)
                     self.segments += [] if segment is None else [segment]
         for publication in fitted_at_once(state, t_ns + END_NS):

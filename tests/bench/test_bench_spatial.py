@@ -136,3 +136,40 @@ def test_intervals_that_are_right_hold_and_others_do_not(scale: float, bias: flo
     assert all(judged) is held
     nothing = [line for line in lines if line.figure.startswith("tracker:")]
     assert [line.held for line in nothing] == [False]
+
+
+# Rows of their own.
+
+
+def _changed(noticed_s: float, ratio: float) -> dict[str, Any]:
+    """A run whose wheels turn from 97 s on; a method says how C changes at 92 s."""
+    made = _made(1.0)[0]
+    rows = [[t, *[0.0 if t < 92.5 else math.log(ratio)] * 6, *[0.1] * 6] for t in range(85, 120)]
+    made["methods"]["pem"]["whole"] = rows
+    events = [[noticed_s, "soil_change", "it holds less"]]
+    return {**made, "wheel_s": [97.0 + 0.04 * k for k in range(400)], "events": events}
+
+
+@pytest.mark.parametrize(("noticed_s", "ratio", "held"), [(98.5, 0.72, True), (101.0, 0.8, False)])
+def test_a_change_of_soil_is_noticed_in_time_and_by_how_much(
+    noticed_s: float, ratio: float, held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spatial_rows, "results", lambda bench, name: [_changed(noticed_s, ratio)] * 5)
+    lines = {line.figure: line for line in spatial_rows.soil(Bench())}
+    delay = lines["noticed after the first turn that could tell, median"]
+    assert delay.held is held
+    assert delay.values[0] == pytest.approx(noticed_s - 97.0)
+    assert lines["pem: ratio of C_af, C_ar off after 8 s, median"].held is held
+    assert lines["tracker: ratio of C_af, C_ar off after 8 s, median"].held is False
+
+
+@pytest.mark.parametrize(("first_s", "held"), [(140.0, True), (170.0, False), (math.nan, False)])
+def test_numbers_of_a_field_are_there_within_three_turns(
+    first_s: float, held: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = {**_made(1.0)[0], "turn_ends_s": [50.0, 100.0, 150.0, 200.0]}
+    made["methods"]["pem"]["first_s"] = [60.0] * 5 + [first_s]
+    monkeypatch.setattr(spatial_rows, "results", lambda bench, name: [made])
+    lines = {line.figure: line.held for line in spatial_rows.field("planar_field", Bench())}
+    assert lines["pem: 6 numbers within 3 turns"] is held
+    assert lines["steady_state: 3 numbers within 3 turns"] is False
