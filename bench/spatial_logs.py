@@ -237,7 +237,11 @@ def make(to: Path, row: LogRow, seed: int) -> bool:
     try:
         _fill(fresh, row, source)
         shutil.rmtree(folder, ignore_errors=True)
-        fresh.rename(folder)
+        try:
+            fresh.rename(folder)
+        except OSError:  # another process was faster
+            if not is_there(folder, source):
+                raise
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
     return True
