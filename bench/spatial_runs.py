@@ -166,7 +166,6 @@ def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
         result[f"pair_{k}"] = told[f"pair_{body}"] + float(turned)
         result[f"lever_{k}"] = float(np.mean([told[f"forward_{r.mount}"] for r in mounts]))
         result[f"cg_{k}"] = told[f"cg_forward_{body}"]
-        result[f"roll_zero_{k}"] = float(np.mean([told[f"roll_zero_{r.mount}"] for r in mounts]))
         aside[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
     result["aside_i"] = aside["implement"] - aside["tractor"]
     return result

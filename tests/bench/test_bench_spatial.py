@@ -74,7 +74,7 @@ def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> N
     true = spatial_runs.true_nuisances(parse_machine(run.machine_text), run)
     assert true.keys() <= set(AT)
     assert all(math.isfinite(value) for value in true.values())
-    assert abs(true["wheel_gain"]) < 0.04 and abs(true["roll_zero_t"]) < math.radians(1.0)
+    assert abs(true["wheel_gain"]) < 0.04
 
 
 def test_every_seed_has_its_own_rig_and_every_row_the_same() -> None:
