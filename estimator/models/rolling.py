@@ -159,6 +159,18 @@ def lag_length(length: float, alpha: float, stiffness: float, limit: float, shri
 
 
 @kernel
+def both_wheels(along: float, difference: float) -> float:
+    """Speed along an axle's wheels that gives the mean of their two slip angles, m/s.
+
+    In a turn the inner wheel is slower and slips at a larger angle: the mean of across / (along -+ difference / 2)
+    is more than across / along. difference: of the wheels' speeds, yaw rate times track, m/s.
+    """
+    if abs(along) < abs(difference):
+        return along
+    return along - 0.25 * difference * difference / along
+
+
+@kernel
 def across_front(forces: Array, delta: float) -> float:
     """The front axle's force across the tractor, N. forces: as nonlinear.wheel_forces."""
     along, across = forces[0, 1] + forces[1, 1], forces[0, 2] + forces[1, 2]
@@ -202,9 +214,9 @@ def rates_rolling(
     length_r = lag_length(theta[4], x[9], theta[1], rig.grip_r * static_r, roll.shrink)
     length_i = lag_length(theta[5], x[10], theta[2], rig.grip_i * static_i, roll.shrink)
     length_f += theta[0] * roll.pin * roll.pin / roll.stiffness_f
-    out[8] = slip_rate(x[8], along_f, across_f, length_f)
-    out[9] = slip_rate(x[9], along_r, across_r, length_r)
-    out[10] = slip_rate(x[10], along_i, across_i, length_i)
+    out[8] = slip_rate(x[8], both_wheels(along_f, x[6] * rig.w_f), across_f, length_f)
+    out[9] = slip_rate(x[9], both_wheels(along_r, x[6] * rig.w_r), across_r, length_r)
+    out[10] = slip_rate(x[10], both_wheels(along_i, x[7] * rig.w_i), across_i, length_i)
     out[LEAN], out[LEAN + 1] = x[LEAN + 2], x[LEAN + 3]
     out[LEAN + 2], out[LEAN + 3] = work.M[4, SPEEDS], work.M[5, SPEEDS]
 
