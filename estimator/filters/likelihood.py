@@ -51,7 +51,7 @@ OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 _ROLL_MODES: Final = NAMES[AT["roll_k_t"] : AT["roll_pin"]]
-_GAINS: Final = frozenset({*PARAMETERS, *NOISES, *_ROLL_MODES, "roll_cg_i", "curvature", "shrink"})
+_GAINS: Final = frozenset({*PARAMETERS, *NOISES})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.1, 0.6)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
