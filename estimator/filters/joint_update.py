@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.propagation import Transition
 from tilth.estimator.filters.states import N_STATES, Places
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ class UpdateWork(NamedTuple):
 
 
 @kernel
-def between(share: float, h: Array, F: Array, H: Array) -> None:
+def between(share: float, h: Array, step: Transition, H: Array) -> None:
     """Fill H (n,), the Jacobian over the joint state at the tick, from h (n,), that at an instant a share of
     a tick later, between which the state is linear."""
     n = H.shape[0]
@@ -39,8 +40,10 @@ def between(share: float, h: Array, F: Array, H: Array) -> None:
         H[j] = (1.0 - share) * h[j] if j < N_STATES else h[j]
     for i in range(N_STATES):
         if h[i] != 0.0 and share != 0.0:
-            for j in range(n):
-                H[j] += share * h[i] * F[i, j]
+            for j in range(N_STATES):
+                H[j] += share * h[i] * step.F[i, j]
+            for j in range(N_STATES, n):
+                H[j] += share * h[i] * step.F_unknowns[i, j - N_STATES]
 
 
 @kernel

@@ -25,14 +25,14 @@ from tilth.estimator.filters.propagation import (
     Active,
     GroundNoise,
     drive_at,
+    empty_plant,
     empty_transition,
     first_covariance,
-    geometry_jacobian,
     linearise,
-    plant_at,
-    plant_of,
     propagate,
     propagate_covariance,
+    set_geometry_slopes,
+    set_plant,
     set_processes,
     set_wheel_noise,
 )
@@ -73,20 +73,6 @@ def ground_at(unknowns: Array) -> GroundNoise:
 
 
 @kernel
-def propagate_derivatives(D: Array, F: Array, out: Array) -> None:
-    """Fill out (26, a), the derivatives of x over the unknowns one tick after D (26, a)."""
-    a = D.shape[1]
-    for i in range(N_STATES):
-        for j in range(a):
-            out[i, j] = F[i, N_STATES + j]
-        for k in range(N_STATES):
-            part = F[i, k]
-            if part != 0.0:
-                for j in range(a):
-                    out[i, j] += part * D[k, j]
-
-
-@kernel
 def run_filter(
     measured: Measured, x: Array, point: Point, setup: RigSetup, places: Places, driven: Array,
     out: Innovations,
@@ -100,8 +86,9 @@ def run_filter(
     na, nothing = places.shape[0], places[:0]
     response = driven.shape[0] > 0
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0)
-    ground, plant = ground_at(point.unknowns), plant_at(plant_of(setup), point, setup)
-    geometry_jacobian(setup.geometry, point, active)
+    ground, plant = ground_at(point.unknowns), empty_plant(setup, na)
+    set_geometry_slopes(point, active)
+    set_plant(plant, point, setup, active)
     P = first_covariance(ticks[0, U], ground, setup)
     state = JointState(x, np.zeros(N_STATES), point.unknowns, nothing, np.zeros(N_STATES), P)
     following, x_at = state.following, np.zeros(N_STATES)
@@ -114,11 +101,12 @@ def run_filter(
         if k % EVERY == 0:
             set_processes(drive.u, ground, setup, step)
             set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-            linearise(x, ticks, k, point, plant, setup, active, step)
+            linearise(x, ticks, k, point, plant, active, step)
         propagate(x, drive, plant, active, step, following)
         if response:
-            step.F[:, N_STATES:] = 0.0
-        propagate_derivatives(D, step.F, D_following)
+            step.F_unknowns[:] = 0.0
+        np.dot(step.F, D, D_following)
+        D_following += step.F_unknowns
         while row < m and rows[row, TICK] <= k:
             out.e[row], out.S[row] = 0.0, 1.0
             out.de[row, :] = 0.0
@@ -137,7 +125,7 @@ def run_filter(
                         d[j] -= h[i] * (D[i, j] + obs.share * (D_following[i, j] - D[i, j]))
             out.e[row], out.de[row, :] = error, d
             if closed:
-                between(obs.share, h, step.F, H)
+                between(obs.share, h, step, H)
                 noise_variance = (rows[row, SD] * noise_factor(obs.kind, point.unknowns)) ** 2
                 out.S[row] = update(error, noise_variance, H, state, step.F_T, UNLIMITED, work)
                 for i in range(N_STATES):

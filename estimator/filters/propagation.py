@@ -30,6 +30,7 @@ from tilth.estimator.filters.states import (
     X_PSI,
     X_PUSH,
     X_R,
+    X_ROLL,
     X_SLOPE,
     X_SLOPE_RATE,
     X_UNEVEN,
@@ -44,46 +45,61 @@ from tilth.estimator.filters.unknowns import (
     AT_GEOMETRY,
     AT_HITCH,
     AT_LATENCY,
+    AT_PIN,
     AT_ROLL_MODES,
     AT_ROLLING,
     AT_SHRINK,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
-    N_ROLL_MODES,
 )
-from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models import rolling
 from tilth.estimator.models.rolling import (
-    HELD,
+    BY_INPUT,
+    BY_PARAMETER,
     N_INPUTS,
-    N_ROLLING,
-    UNEVEN,
-    RollModes,
-    RollWork,
-    rates_rolling,
-    roll_work,
+    N_PARAMETERS,
+    Motion,
+    empty_motion,
+    rate_slopes,
+    rates,
 )
+from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
 from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
-NUDGE: Final = 1e-5  # step of the differences, in the unit of each state or unknown
 EVERY: Final = 5  # ticks for which one set of Jacobians is used
 SLOWEST: Final = 1.0  # m/s: distances along the ground are driven at least as fast
+LEAST_CURVATURE: Final = 1e-3
+
+# Indices of rolling's inputs and parameters. Of those of two bodies the tractor's; the implement's is next.
+W_DELTA: Final = INPUTS.index("delta")
+W_GRAVITY: Final = INPUTS.index("gravity_t")
+W_UNEVEN: Final = INPUTS.index("uneven_t")
+W_U: Final = INPUTS.index("u")
+W_U_RATE: Final = INPUTS.index("u_rate")
+P_GEOMETRY: Final = PARAMETERS.index("a")
+P_HEIGHT: Final = PARAMETERS.index("h_t")
+P_DRAWBAR: Final = PARAMETERS.index("h_h")
+P_ROLLING: Final = PARAMETERS.index("rolling")
+P_CURVATURE: Final = PARAMETERS.index("curvature")
+P_ROLL_MODES: Final = PARAMETERS.index("k_t")
+P_PIN: Final = PARAMETERS.index("pin")
+P_FRONT: Final = PARAMETERS.index("k_f")
+P_CAMBER: Final = PARAMETERS.index("camber")
+P_SHRINK: Final = PARAMETERS.index("shrink")
+P_CONSTANTS: Final = len(PARAMETERS)
 
 
 class Plant(NamedTuple):
     """The motion model at one point of the unknowns, and its work arrays."""
 
-    theta: Array  # (6,)
-    rig: Rig
-    roll: RollModes
+    p: Array  # (36,), rolling.PARAMETERS and CONSTANTS
+    p_unknowns: Array  # (a, 30), derivatives of PARAMETERS by the active unknowns
     scale: float  # of all motions; as RigSetup.scale
-    x: Array  # (15,), its state
-    w: Array  # (12,), its inputs
-    forces: Array  # (6, 3)
-    rates: Array  # (15,), x'
-    work: RollWork
+    x: Array  # (12,), its state
+    w: Array  # (7,), its inputs
+    motion: Motion
 
 
 class Active(NamedTuple):
@@ -118,15 +134,16 @@ class Transition(NamedTuple):
     rates_wheel: Array  # (12,), over the true wheel angle
     rates_unknowns: Array  # (12, a), over the active unknowns
     rates: Array  # (12,), the rates themselves
-    nudged: Array  # (12,), overwritten
     held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
     decay: Array  # (26,), factor on the states from X_PUSH on
     q: Array  # (26,), variances of the process noise, without that of the position
     slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
-    F: Array  # (26, n), Jacobian of x one tick later over the joint state
-    F_T: Array  # (n, 26)
-    F_P: Array  # (26, 26 + a), overwritten
+    F: Array  # (26, 26), Jacobian of x one tick later over x
+    F_unknowns: Array  # (26, a), the same over the active unknowns
+    F_T: Array  # (n, 26), both, transposed, over the joint state of the covariance
+    F_P: Array  # (26, n), overwritten
+    P: Array  # (26, 26), overwritten
 
 
 # The inputs and the rates.
@@ -160,143 +177,151 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
 
 
 @kernel
-def rig_at(rig: Rig, geometry: Array, unknowns: Array, linear: bool) -> Rig:
-    """The rig with this geometry (9,), and heights, rolling resistance and curvature of the tyre curve
-    (1/grip) at a point of the unknowns, of which a linear model has none."""
-    grip = 1.0 / max(unknowns[AT_CURVATURE], 1e-3)
-    rolling, raised = unknowns[AT_ROLLING], unknowns[AT_HITCH : AT_HITCH + 3]
-    if linear:
-        rolling, raised = 0.0, np.zeros(3)
-    return Rig(
-        geometry[0], geometry[1], geometry[2], geometry[3], geometry[4], geometry[5], geometry[6],
-        geometry[7], geometry[8], rig.C_af, rig.C_ar, rig.C_ai, rig.sigma_f, rig.sigma_r, rig.sigma_i,
-        rig.h_t + raised[1], rig.h_i + raised[2], rig.h_h + raised[0], rig.w_f, rig.w_r, rig.w_i,
-        rig.roll_share_f, grip, grip, grip, rig.load_exponent, rolling, rolling, rolling, rig.front_drive,
-        0.0, rig.drive_limit, rig.g,
-    )  # fmt: skip
-
-
-@kernel
-def roll_at(roll: RollModes, unknowns: Array) -> RollModes:
-    """The roll modes at a point of the unknowns."""
-    k = np.exp(unknowns[AT_ROLL_MODES : AT_ROLL_MODES + 6])
-    return RollModes(
-        roll.stiffness_t * k[0], roll.stiffness_i * k[1], roll.damping_t * k[2], roll.damping_i * k[3],
-        roll.inertia_t * k[4], roll.inertia_i * k[5],
-        max(roll.pin + unknowns[AT_ROLL_MODES + 6], 0.0), roll.stiffness_f * k[0], unknowns[AT_CAMBER],
-        unknowns[AT_SHRINK],
-    )  # fmt: skip
-
-
-@kernel
-def plant_of(setup: RigSetup) -> Plant:
-    """The motion model with the machine file's parameters."""
+def empty_plant(setup: RigSetup, na: int) -> Plant:
+    """A Plant for `na` active unknowns, without its parameters."""
     return Plant(
-        np.zeros(6), setup.rig, setup.roll, setup.scale,
-        np.zeros(N_ROLLING), np.zeros(N_INPUTS), np.zeros((6, 3)), np.zeros(N_ROLLING), roll_work(),
+        np.zeros(N_PARAMETERS), np.zeros((na, P_CONSTANTS)), setup.scale, np.zeros(rolling.N_STATES),
+        np.zeros(N_INPUTS), empty_motion(),
     )  # fmt: skip
 
 
 @kernel
-def plant_at(plant: Plant, point: Point, setup: RigSetup) -> Plant:
-    """The plant at a point of the unknowns, with the same work arrays."""
-    linear = setup.scale != 1.0
-    rig = rig_at(setup.rig, point.geometry, point.unknowns, linear)
-    roll = setup.roll if linear else roll_at(setup.roll, point.unknowns)
-    return Plant(
-        point.theta, rig, roll, setup.scale,
-        plant.x, plant.w, plant.forces, plant.rates, plant.work,
-    )  # fmt: skip
+def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
+    """Fill p (36,), rolling.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
+    rolling resistance, and its roll modes and heights are those of the setup."""
+    rig, roll, unknowns = setup.rig, setup.roll, point.unknowns
+    p[:6], p[P_GEOMETRY : P_GEOMETRY + 9] = point.theta, point.geometry
+    p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
+    p[P_CURVATURE] = max(unknowns[AT_CURVATURE], LEAST_CURVATURE)
+    modes = (roll.k_t, roll.k_i, roll.d_t, roll.d_i, roll.j_t, roll.j_i)
+    p[P_PIN], p[P_FRONT] = roll.pin, roll.k_f
+    constants = (rig.w_f, rig.w_r, rig.w_i, rig.load_exponent, rig.front_drive, rig.g)
+    for i in range(6):
+        p[P_ROLL_MODES + i] = modes[i]
+        p[P_CONSTANTS + i] = constants[i]
+    if setup.scale != 1.0:
+        return
+    for i in range(6):
+        p[P_ROLL_MODES + i] *= math.exp(unknowns[AT_ROLL_MODES + i])
+    p[P_FRONT] *= math.exp(unknowns[AT_ROLL_MODES])
+    p[P_PIN] = max(roll.pin + unknowns[AT_PIN], 0.0)
+    p[P_DRAWBAR] += unknowns[AT_HITCH]
+    p[P_HEIGHT] += unknowns[AT_HITCH + 1]
+    p[P_HEIGHT + 1] += unknowns[AT_HITCH + 2]
+    p[P_ROLLING], p[P_CAMBER], p[P_SHRINK] = unknowns[AT_ROLLING], unknowns[AT_CAMBER], unknowns[AT_SHRINK]
+
+
+@kernel
+def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> None:
+    """Fill out (a, 30), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
+    out[:] = 0.0
+    for j in range(active.places.shape[0]):
+        place = active.places[j]
+        mode = place - AT_ROLL_MODES
+        if place < 6:
+            out[j, place] = p[place]
+        elif place == AT_CURVATURE:
+            out[j, P_CURVATURE] = 1.0 if p[P_CURVATURE] > LEAST_CURVATURE else 0.0
+        elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
+            out[j, P_GEOMETRY : P_GEOMETRY + 9] = active.geometry[j]
+        elif linear:
+            continue
+        elif place == AT_ROLLING:
+            out[j, P_ROLLING] = 1.0
+        elif 0 <= mode < 6:
+            out[j, P_ROLL_MODES + mode] = p[P_ROLL_MODES + mode]
+            if mode == 0:
+                out[j, P_FRONT] = p[P_FRONT]
+        elif place == AT_PIN:
+            out[j, P_PIN] = 1.0 if p[P_PIN] > 0.0 else 0.0
+        elif place == AT_HITCH:
+            out[j, P_DRAWBAR] = 1.0
+        elif place == AT_HITCH + 1 or place == AT_HITCH + 2:
+            out[j, P_HEIGHT + place - AT_HITCH - 1] = 1.0
+        elif place == AT_CAMBER:
+            out[j, P_CAMBER] = 1.0
+        elif place == AT_SHRINK:
+            out[j, P_SHRINK] = 1.0
+
+
+@kernel
+def set_plant(plant: Plant, point: Point, setup: RigSetup, active: Active) -> None:
+    """Move the plant to a point of the unknowns."""
+    set_parameters(point, setup, plant.p)
+    set_parameter_slopes(active, setup.scale != 1.0, plant.p, plant.p_unknowns)
 
 
 @kernel
 def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     """Fill out (12,), the rates of the states before X_PUSH."""
     state, w, scale = plant.x, plant.w, plant.scale
-    state[2], state[3], state[4] = scale * x[X_PSI], scale * x[X_PSI + 1], drive.u
-    for i in range(X_PSI):
-        state[5 + i] = scale * x[i]
-    w[0], w[3], w[HELD] = scale * drive.wheel, drive.u, drive.u_rate if scale == 1.0 else 0.0
+    for i in range(X_PUSH):
+        state[i] = scale * x[i]
+    w[W_DELTA], w[W_U] = scale * drive.wheel, drive.u
+    w[W_U_RATE] = drive.u_rate if scale == 1.0 else 0.0
     for body in range(2):
-        w[1 + body] = scale * (x[X_PUSH + body] + x[X_SLOPE + body])
-        w[UNEVEN + body] = scale * x[X_UNEVEN + body]
-    rates_rolling(state, w, plant.theta, plant.rig, plant.roll, plant.forces, plant.work, plant.rates)
-    for i in range(X_PSI):
-        out[i] = plant.rates[5 + i] / scale
+        w[W_GRAVITY + body] = scale * (x[X_PUSH + body] + x[X_SLOPE + body])
+        w[W_UNEVEN + body] = scale * x[X_UNEVEN + body]
+    rates(state, w, plant.p, plant.motion, out)
+    for i in range(X_PUSH):
+        out[i] /= scale
     out[X_R] += x[X_PUSH + 2]
-    out[X_PSI], out[X_PSI + 1] = x[X_R], x[X_R + 1]
 
 
 # The Jacobians.
 
 
 @kernel
-def rate_jacobians(
-    x: Array, drive: DriveInputs, point: Point, plant: Plant, setup: RigSetup, active: Active, out: Transition
-) -> None:
-    """Fill the Jacobians of the rates, by differences."""
-    base, nudged_rate = out.rates, out.nudged
-    state_rates(x, drive, plant, base)
-    at = x.copy()
-    for j in range(X_POSITION):
-        if j == X_PSI + 1 or X_PUSH + 2 <= j < X_UNEVEN or j >= X_SLOPE_RATE:
-            continue  # of the headings only the difference matters
-        at[j] += NUDGE
-        state_rates(at, drive, plant, nudged_rate)
-        at[j] = x[j]
-        for i in range(X_PUSH):
-            out.rates_x[i, j] = (nudged_rate[i] - base[i]) / NUDGE
-    for i in range(X_PUSH):
-        out.rates_x[i, X_PSI + 1] = -out.rates_x[i, X_PSI]
-        out.rates_x[i, X_PUSH + 2] = 1.0 if i == X_R else 0.0
-        out.rates_x[i, X_SLOPE] = out.rates_x[i, X_PUSH]
-        out.rates_x[i, X_SLOPE + 1] = out.rates_x[i, X_PUSH + 1]
-    nudged_drive = DriveInputs(
-        drive.u, drive.u_rate, drive.wheel + NUDGE, drive.wheel_rate, drive.wheel_scale
-    )
-    state_rates(x, nudged_drive, plant, nudged_rate)
-    for i in range(X_PUSH):
-        out.rates_wheel[i] = (nudged_rate[i] - base[i]) / NUDGE
-    for j in range(active.places.shape[0]):
-        depends = nudged_rates(x, drive, point, plant, setup, active, j, nudged_rate)
-        for i in range(X_PUSH):
-            out.rates_unknowns[i, j] = (nudged_rate[i] - base[i]) / NUDGE if depends else 0.0
+def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, out: Transition) -> None:
+    """Fill the rates at x and their Jacobians. Those of psi_t, psi_i and of the leans are constant."""
+    state_rates(x, drive, plant, out.rates)
+    motion = plant.motion
+    rate_slopes(plant.x, plant.w, plant.p, motion)
+    for i in range(X_ROLL + 4):
+        if i == X_ROLL or i == X_ROLL + 1:
+            continue
+        slopes = motion.slip_slopes[i - X_ALPHA]
+        if i < X_ALPHA:
+            slopes = motion.right_slopes[1 + i]
+        elif i > X_ROLL:
+            slopes = motion.right_slopes[4 + i - (X_ROLL + 2)]
+        for j in range(X_PSI + 1):
+            out.rates_x[i, j] = slopes[j]
+        out.rates_x[i, X_PSI + 1] = -slopes[X_PSI]
+        for body in range(2):
+            out.rates_x[i, X_PUSH + body] = slopes[BY_INPUT + W_GRAVITY + body]
+            out.rates_x[i, X_SLOPE + body] = slopes[BY_INPUT + W_GRAVITY + body]
+            out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
+        out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
+        for j in range(active.places.shape[0]):
+            total = 0.0
+            for k in range(P_CONSTANTS):
+                part = plant.p_unknowns[j, k]
+                if part != 0.0:
+                    total += part * slopes[BY_PARAMETER + k]
+            out.rates_unknowns[i, j] = total / plant.scale
 
 
 @kernel
-def nudged_rates(
-    x: Array, drive: DriveInputs, point: Point, plant: Plant, setup: RigSetup, active: Active, j: int,
-    out: Array,
-) -> bool:  # fmt: skip
-    """Fill out (12,), the rates with the j-th active unknown nudged; whether they depend on it."""
-    place = active.places[j]
-    roll_mode = AT_ROLL_MODES <= place < AT_ROLL_MODES + N_ROLL_MODES
-    if place < 6:
-        theta = point.theta.copy()
-        theta[place] *= 1.0 + NUDGE
-        nudged = plant_at(plant, Point(point.unknowns, theta, point.geometry), setup)
-    elif roll_mode or place in (AT_ROLLING, AT_CURVATURE):
-        unknowns = point.unknowns.copy()
-        unknowns[place] += NUDGE
-        nudged = plant_at(plant, Point(unknowns, point.theta, point.geometry), setup)
-    elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
-        geometry = point.geometry + NUDGE * active.geometry[j]
-        nudged = plant_at(plant, Point(point.unknowns, point.theta, geometry), setup)
-    else:
-        return False
-    state_rates(x, drive, nudged, out)
-    return True
-
-
-@kernel
-def geometry_jacobian(base: Array, point: Point, active: Active) -> None:
-    """Fill active.geometry. base: (9,), the geometry of the machine file."""
-    unknowns = point.unknowns.copy()
+def set_geometry_slopes(point: Point, active: Active) -> None:
+    """Fill active.geometry, the derivatives of unknowns.geometry."""
+    active.geometry[:] = 0.0
     for j in range(active.places.shape[0]):
         place = active.places[j]
-        unknowns[place] += NUDGE
-        active.geometry[j] = (geometry_at(base, unknowns) - point.geometry) / NUDGE
-        unknowns[place] = point.unknowns[place]
+        row = active.geometry[j]
+        if place == AT_GEOMETRY + 4:  # e is a length, not a logarithm
+            row[4] = 1.0
+        elif AT_GEOMETRY <= place < AT_GEOMETRY + 9:
+            k = place - AT_GEOMETRY
+            row[k] = point.geometry[k]
+            if k < 3:
+                row[k] += (1.0, -1.0, -1.0)[k] * point.unknowns[AT_CG]
+            elif k == 3:
+                row[k] += point.unknowns[AT_CG + 1]
+        elif place == AT_CG:
+            row[0], row[1], row[2] = -1.0, 1.0, 1.0
+        elif place == AT_CG + 1:
+            row[3], row[4] = -1.0, 1.0
 
 
 @kernel
@@ -312,10 +337,11 @@ def integrate_exponential(jacobian: Array, out: Array) -> None:
 
 
 @kernel
-def joint_jacobian(active: Active, step: Transition) -> None:
-    """Fill step.F and step.wheel, except for what `complete_jacobian` adds."""
-    held, F = step.held, step.F
+def joint_jacobian(step: Transition) -> None:
+    """Fill step.F, step.F_unknowns and step.wheel, except for what `complete_jacobian` adds."""
+    held, F, F_unknowns = step.held, step.F, step.F_unknowns
     F[:, :] = 0.0
+    F_unknowns[:, :] = 0.0
     for i in range(X_PUSH):
         F[i, i] = 1.0
         step.wheel[i] = 0.0
@@ -325,8 +351,8 @@ def joint_jacobian(active: Active, step: Transition) -> None:
                 step.wheel[i] += part * step.rates_wheel[k]
                 for j in range(X_POSITION):
                     F[i, j] += part * step.rates_x[k, j]
-                for j in range(active.places.shape[0]):
-                    F[i, N_STATES + j] += part * step.rates_unknowns[k, j]
+                for j in range(F_unknowns.shape[1]):
+                    F_unknowns[i, j] += part * step.rates_unknowns[k, j]
     for i in range(X_PUSH, N_STATES):
         F[i, i] = step.decay[i]
     for k in range(4):
@@ -342,7 +368,6 @@ def linearise(
     k: int,
     point: Point,
     plant: Plant,
-    setup: RigSetup,
     active: Active,
     step: Transition,
 ) -> None:
@@ -352,34 +377,36 @@ def linearise(
         state_rates(middle, drive_at(ticks, k, point.unknowns), plant, step.rates)
         for i in range(X_PUSH):
             middle[i] += 0.5 * DT * step.rates[i]
-    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), point, plant, setup, active, step)
+    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
     integrate_exponential(step.rates_x, step.held)
-    joint_jacobian(active, step)
+    joint_jacobian(step)
 
 
 @kernel
-def position_jacobian(u: float, psi: float, v: float, columns: int, F: Array) -> None:
-    """Fill the position's rows of F, in its first columns, from its rows of v and psi_t."""
+def position_jacobian(drive: DriveInputs, psi: float, v: float, step: Transition) -> None:
+    """Fill the position's rows of the Jacobians from their rows of v and psi_t."""
     sine, cosine = math.sin(psi), math.cos(psi)
-    north = -u * sine - v * cosine
-    east = u * cosine - v * sine
-    for j in range(columns):
-        half_v = 0.5 * DT * (F[X_V, j] + (1.0 if j == X_V else 0.0))
-        half_psi = 0.5 * DT * (F[X_PSI, j] + (1.0 if j == X_PSI else 0.0))
-        F[X_POSITION, j] = -sine * half_v + north * half_psi
-        F[X_POSITION + 1, j] = cosine * half_v + east * half_psi
+    north = -drive.u * sine - v * cosine
+    east = drive.u * cosine - v * sine
+    for jacobian, own in ((step.F, 1.0), (step.F_unknowns, 0.0)):
+        for j in range(jacobian.shape[1]):
+            half_v = 0.5 * DT * (jacobian[X_V, j] + (own if j == X_V else 0.0))
+            half_psi = 0.5 * DT * (jacobian[X_PSI, j] + (own if j == X_PSI else 0.0))
+            jacobian[X_POSITION, j] = -sine * half_v + north * half_psi
+            jacobian[X_POSITION + 1, j] = cosine * half_v + east * half_psi
+    step.F[X_POSITION, X_POSITION] = step.F[X_POSITION + 1, X_POSITION + 1] = 1.0
 
 
 @kernel
 def complete_jacobian(
     x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
 ) -> None:
-    """Complete step.F for one tick: rows of the position, columns of wheel zero, gain and latency; fill
-    step.F_T.
+    """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency;
+    fill step.F_T.
 
     x, following: (26,), the state before and after the tick.
     """
-    F, F_T = step.F, step.F_T
+    F, F_unknowns, F_T = step.F, step.F_unknowns, step.F_T
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if AT_WHEEL_ZERO <= place <= AT_LATENCY:
@@ -389,13 +416,15 @@ def complete_jacobian(
             elif place == AT_WHEEL_GAIN:
                 factor = -drive.wheel
             for i in range(X_PUSH):
-                F[i, N_STATES + j] = factor * step.wheel[i]
+                F_unknowns[i, j] = factor * step.wheel[i]
     psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
-    position_jacobian(drive.u, psi, v, F.shape[1], F)
-    F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
+    position_jacobian(drive, psi, v, step)
     for i in range(N_STATES):
-        for j in range(F.shape[1]):
+        for j in range(N_STATES):
             F_T[j, i] = F[i, j]
+    for j in range(N_STATES, F_T.shape[0]):
+        for i in range(N_STATES):
+            F_T[j, i] = F_unknowns[i, j - N_STATES]
 
 
 # One tick.
@@ -445,36 +474,17 @@ def add_position_noise(P: Array, psi: float) -> None:
 
 @kernel
 def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
-    """Propagate P (n, n), of x or of the joint state, over one tick, in place.
-
-    Processes and unknowns only decay or are constant, so that their part of F is diagonal. Loops add rows to
-    rows and skip zeros, so that the compiler can use vector instructions.
-    """
-    F, F_T, F_P, n = step.F, step.F_T, step.F_P, P.shape[0]
-    F_P[:X_PAIR] = 0.0
-    for i in range(X_PAIR):
-        for k in range(n):
-            part = F[i, k]
-            if part != 0.0:
-                for j in range(n):
-                    F_P[i, j] += part * P[k, j]
-    for i in range(X_PAIR, N_STATES):
-        for j in range(X_PAIR, n):
-            P[i, j] *= F[i, i] * (F[j, j] if j < N_STATES else 1.0)
-            if j >= N_STATES:
-                P[j, i] = P[i, j]
-    for i in range(X_PAIR):
-        for j in range(X_PAIR):
-            P[i, j] = 0.0
-        for k in range(n):
-            if k < X_PAIR or F_T[k, 0] != 0.0 or F_T[k, 1] != 0.0:
-                part = F_P[i, k]
-                for j in range(X_PAIR):
-                    P[i, j] += part * F_T[k, j]
-        for j in range(X_PAIR, n):
-            P[i, j] = F_P[i, j] * (F[j, j] if j < N_STATES else 1.0)
-            P[j, i] = P[i, j]
+    """Propagate P (n, n), of x or of the joint state, over one tick, in place; it stays symmetric."""
+    F_P, after, n = step.F_P, step.P, P.shape[0]
+    np.dot(step.F, P[:N_STATES], F_P)
+    if n > N_STATES:
+        F_P += np.dot(step.F_unknowns, P[N_STATES:])
+    np.dot(F_P, step.F_T, after)
     for i in range(N_STATES):
+        for j in range(N_STATES):
+            P[i, j] = 0.5 * (after[i, j] + after[j, i])
+        for j in range(N_STATES, n):
+            P[i, j] = P[j, i] = F_P[i, j]
         P[i, i] += step.q[i]
     for body in range(2):
         slope, rate = X_SLOPE + body, X_SLOPE_RATE + body
@@ -515,12 +525,17 @@ def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
 @kernel
 def empty_transition(na: int, rows: int) -> Transition:
     """A Transition for `na` active unknowns, of which `rows` are in the covariance, without its Jacobians."""
-    n = N_STATES + na
+    n = N_STATES + rows
+    rates_x = np.zeros((X_PUSH, X_POSITION))
+    for body in range(2):
+        rates_x[X_ROLL + body, X_ROLL + 2 + body] = rates_x[X_PSI + body, X_R + body] = 1.0
+    rates_x[X_R, X_PUSH + 2] = 1.0
     return Transition(
-        np.zeros((X_PUSH, X_POSITION)), np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH),
-        np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)), np.zeros(X_PUSH), np.ones(N_STATES), np.zeros(N_STATES),
+        rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
+        np.zeros(X_PUSH), np.ones(N_STATES), np.zeros(N_STATES),
         np.zeros((2, 3)),
-        np.zeros((N_STATES, n)), np.zeros((n, N_STATES)), np.zeros((N_STATES, N_STATES + rows)),
+        np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, na)), np.zeros((n, N_STATES)),
+        np.zeros((N_STATES, n)), np.zeros((N_STATES, N_STATES)),
     )  # fmt: skip
 
 

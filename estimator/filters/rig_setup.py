@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of, static_loads
-from tilth.estimator.models.rolling import RollModes
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 
@@ -22,6 +21,19 @@ PIN: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
 GYRATION: Final = 0.48  # radius of gyration in roll, over the track
 SMALL: Final = 1e-4  # scale of motions for which the model is linear
+
+
+class RollModes(NamedTuple):
+    """How the bodies roll on their tyres, by names of rolling_terms.PARAMETERS."""
+
+    k_t: float  # N m/rad, less what gravity takes off
+    k_i: float
+    d_t: float  # N m s/rad
+    d_i: float
+    j_t: float  # kg m^2, about a line through the CG
+    j_i: float
+    pin: float  # m, height of the front axle's pin
+    k_f: float  # N m/rad, of the front axle about its pin
 
 
 class RigSetup(NamedTuple):
@@ -81,5 +93,5 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     )  # fmt: skip
     if not linear:
         return setup
-    low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, stiffness_f=1e30)
+    low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
     return setup._replace(rig=low, roll=modes, heights=np.zeros(4), slope_sd=0.0, scale=SMALL)

@@ -23,13 +23,13 @@ from tilth.estimator.filters.propagation import (
     Active,
     GroundNoise,
     drive_at,
+    empty_plant,
     empty_transition,
-    geometry_jacobian,
     linearise,
-    plant_at,
-    plant_of,
     propagate,
     propagate_covariance,
+    set_geometry_slopes,
+    set_plant,
     set_processes,
     set_wheel_noise,
 )
@@ -147,8 +147,8 @@ def track_segment(
     P, n = pack_covariance(estimate, places), N_STATES + na
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na)
     point = Point(unknowns, np.zeros(6), geometry_at(setup.geometry, unknowns))
-    plant = plant_of(setup)
-    geometry_jacobian(setup.geometry, point, active)
+    plant = empty_plant(setup, na)
+    set_geometry_slopes(point, active)
     state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
     following, x_at = state.following, np.zeros(N_STATES)
     h, H = np.zeros(n), np.zeros(n)
@@ -160,9 +160,9 @@ def track_segment(
         drive = drive_at(ticks, k, unknowns)
         if (k - first) % EVERY == 0:
             point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
-            plant = plant_at(plant, point, setup)
+            set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step)
-            linearise(x, ticks, k, point, plant, setup, active, step)
+            linearise(x, ticks, k, point, plant, active, step)
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
             obs = observation(ticks, rows[row], k, drive.u)
@@ -174,7 +174,7 @@ def track_segment(
             if not (math.isfinite(error) and math.isfinite(noise_variance)):
                 counts[BAD] += 1.0
                 continue
-            between(obs.share, h, step.F, H)
+            between(obs.share, h, step, H)
             variance = update(error, noise_variance, H, state, step.F_T, GATE, work)
             if variance < 0.0:
                 counts[GATED] += 1.0

@@ -1,0 +1,358 @@
+"""The equations of estimator/models/rolling.py in symbols, and the kernels that are written from them.
+
+Two rigid bodies by Kane's method: generalised speeds u, v, r_t, r_i, p_t, p_i; lean is small. `python -m
+tilth.deploy.generate` writes estimator/models/rolling_kernels.py: the equations and their exact derivatives by
+states, inputs and parameters, with common subexpressions found once. For development only.
+"""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import sympy as sp
+from sympy.printing.pycode import PythonCodePrinter
+
+from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
+from tilth.schemas.axle_loads import axle_loads
+
+RESISTANCE_SPEED: Final = sp.Rational(1, 10)  # m/s: rolling resistance turns round over this range of speed
+X: Final = {name: sp.Symbol(name, real=True) for name in STATES}
+W: Final = {name: sp.Symbol(name, real=True) for name in INPUTS}
+P: Final = {name: sp.Symbol(name, real=True) for name in (*PARAMETERS, *CONSTANTS)}
+FOUND: Final = sp.symbols(" ".join(f"found_{k}" for k in range(SPEEDS)), real=True)  # what M is solved for
+
+
+# Functions that the kernels call by name; each tells its derivatives by others of rolling.py.
+
+
+class signum(sp.Function):
+    """Of a number, never 0."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+class size(sp.Function):
+    """Absolute value."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return signum(self.args[0])
+
+
+class within(sp.Function):
+    """The first argument, kept within plus and minus the second."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        inside = is_within(*self.args)
+        return inside if argindex == 1 else (1 - inside) * signum(self.args[0])
+
+
+class is_within(sp.Function):
+    """1 if `within` returns the first argument, else 0."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return sp.Integer(0)
+
+
+class kept_length(sp.Function):
+    """Share of its relaxation length that a tyre keeps."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return (kept_length_by_slip if argindex == 1 else kept_length_by_shrink)(*self.args)
+
+
+class kept_length_by_slip(sp.Function):
+    """Derivative by the first argument."""
+
+
+class kept_length_by_shrink(sp.Function):
+    """Derivative by the second argument."""
+
+
+class both_wheels(sp.Function):
+    """Speed along an axle's wheels that gives the mean of their two slip angles."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        return (both_wheels_by_speed if argindex == 1 else both_wheels_by_difference)(*self.args)
+
+
+class both_wheels_by_speed(sp.Function):
+    """Derivative by the first argument."""
+
+
+class both_wheels_by_difference(sp.Function):
+    """Derivative by the second argument."""
+
+
+Wheel = tuple[Any, Any, Any]  # load, force along, force across
+
+
+def tyre(alpha: Any, stiffness: Any, limit: Any) -> Any:
+    """Lateral force of a wheel, 5.34 made odd."""
+    return signum(alpha) * limit * (sp.exp(-stiffness * size(alpha) / limit) - 1)
+
+
+def axle(static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any) -> list[Wheel]:
+    """The left and the right wheel of an axle. shift: load that goes to the left one."""
+    half = static * level / 2
+    moved = within(shift, sp.Float(0.999) * half)  # no wheel loses all of its load
+    wheels = []
+    for load in (half + moved, half - moved):
+        grown = stiffness / 2 * (load / (static / 2)) ** P["exponent"]
+        resistance = -P["rolling"] * load * sp.tanh(along / RESISTANCE_SPEED)
+        wheels.append((load, resistance, tyre(alpha, grown, load / P["curvature"])))
+    return wheels
+
+
+def velocities() -> dict[str, tuple[Any, Any]]:
+    """Velocity along and across the wheels of each axle; pin and drawbar move with the lean."""
+    delta, lam = W["delta"], X["psi_t"] - X["psi_i"]
+    u, v, r_t, r_i, p_t, p_i = W["u"], X["v"], X["r_t"], X["r_i"], X["p_t"], X["p_i"]
+    front, hitch = v + P["a"] * r_t + P["pin"] * p_t, v - P["c"] * r_t + P["h_h"] * p_t
+    side = u * sp.sin(lam) + hitch * sp.cos(lam) - (P["d"] + P["e"]) * r_i - P["h_h"] * p_i
+    return {
+        "f": (u * sp.cos(delta) + front * sp.sin(delta), front * sp.cos(delta) - u * sp.sin(delta)),
+        "r": (u, v - P["b"] * r_t),
+        "i": (u * sp.cos(lam) - hitch * sp.sin(lam), side),
+    }
+
+
+def roll_moments() -> tuple[Any, Any]:
+    """What springs and dampers of the wheels hold, N m. Springs hold the lean; gravity takes a part off."""
+    spring_t = P["k_t"] + P["g"] * P["m_t"] * P["h_t"]
+    spring_i = P["k_i"] + P["g"] * P["m_i"] * P["h_i"]
+    return (
+        -spring_t * X["phi_t"] - P["d_t"] * X["p_t"],
+        -spring_i * X["phi_i"] - P["d_i"] * X["p_i"],
+    )
+
+
+def front_side(wheels: Iterable[Wheel]) -> Any:
+    """The front axle's force across the tractor."""
+    delta = W["delta"]
+    return sum(along * sp.sin(delta) + across * sp.cos(delta) for _, along, across in wheels)
+
+
+def wheels() -> dict[str, list[Wheel]]:
+    """Of each axle. Loads go from side to side as pin and lean press the wheels."""
+    static = dict(zip("fri", axle_loads(*(P[n] for n in "a b c d e m_t m_i g".split())), strict=True))
+    level_t, level_i = (sp.sqrt(1 - (W[n] / P["g"]) ** 2) for n in ("gravity_t", "gravity_i"))
+    speed = {name: along for name, (along, _) in velocities().items()}
+    moment_t, moment_i = roll_moments()
+    front = (static["f"], level_t, X["alpha_f"], P["C_f"], speed["f"])
+    even = axle(front[0], front[1], sp.Integer(0), *front[2:])
+    found = {
+        "f": axle(front[0], front[1], P["pin"] * front_side(even) / P["w_f"], *front[2:]),
+        "r": axle(static["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),
+        "i": axle(static["i"], level_i, moment_i / P["w_i"], X["alpha_i"], P["C_i"], speed["i"]),
+    }
+    for name, lean in (("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])):
+        thrust = [P["camber"] * load * lean for load, _, _ in found[name]]  # the front axle does not lean
+        found[name] = [
+            (load, along, across + more) for (load, along, across), more in zip(found[name], thrust, strict=True)
+        ]
+    return found
+
+
+def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
+    """M (6, 6) and its right side: M (drive's force, v', r_t', r_i', p_t', p_i') = right side.
+
+    The speed is held: u' is known, and the force of the driven wheels is what that takes.
+    """
+    u, v, r_t, r_i, p_t, p_i = W["u"], X["v"], X["r_t"], X["r_i"], X["p_t"], X["p_i"]
+    m_t, m_i, z = P["m_t"], P["m_i"], P["h_h"]
+    s, c = sp.sin(X["psi_t"] - X["psi_i"]), sp.cos(X["psi_t"] - X["psi_i"])
+    # Velocities of both CGs along and across the tractor; what they change by without the speeds' derivatives.
+    tractor = sp.Matrix([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, P["h_t"], 0]])
+    implement = sp.Matrix([
+        [1, 0, 0, -P["d"] * s, 0, (P["h_i"] - z) * s],
+        [0, 1, -P["c"], -P["d"] * c, z, (P["h_i"] - z) * c],
+    ])  # fmt: skip
+    turned_t = sp.Matrix([-v * r_t, u * r_t])
+    turned_i = sp.Matrix([
+        -v * r_t + P["c"] * r_t**2 + P["d"] * r_i**2 * c, u * r_t - P["d"] * r_i**2 * s,
+    ])  # fmt: skip
+    M = m_t * tractor.T * tractor + m_i * implement.T * implement
+    M += sp.diag(0, 0, P["I_t"], P["I_i"], P["j_t"], P["j_i"])
+    on = wheels()
+    along, across = ({n: sum(w[k] for w in on[n]) for n in "fri"} for k in (1, 2))
+    front_y = front_side(on["f"])
+    front_x = along["f"] * sp.cos(W["delta"]) - across["f"] * sp.sin(W["delta"])
+    skew_f = (on["f"][0][1] - on["f"][1][1]) * sp.cos(W["delta"])
+    skew_f -= (on["f"][0][2] - on["f"][1][2]) * sp.sin(W["delta"])
+    skew = (P["w_f"] * skew_f + P["w_r"] * (on["r"][0][1] - on["r"][1][1])) / 2
+    skew_i = P["w_i"] * (on["i"][0][1] - on["i"][1][1]) / 2
+    moment_t, moment_i = roll_moments()
+    pull_t, pull_i = m_t * W["gravity_t"], m_i * W["gravity_i"]
+    cart_y = across["i"] + pull_i
+    cart_tx, cart_ty = along["i"] * c + cart_y * s, cart_y * c - along["i"] * s
+    spring_t, spring_i = P["k_t"] + P["g"] * m_t * P["h_t"], P["k_i"] + P["g"] * m_i * P["h_i"]
+    held_t = spring_t * W["uneven_t"] - P["k_t"] * X["phi_t"] - P["d_t"] * p_t
+    held_i = spring_i * W["uneven_i"] - P["k_i"] * X["phi_i"] - P["d_i"] * p_i
+    right = sp.Matrix([
+        front_x + along["r"] + cart_tx,
+        front_y + across["r"] + pull_t + cart_ty,
+        P["a"] * front_y - P["b"] * across["r"] + skew - P["c"] * cart_ty,
+        -P["e"] * across["i"] + skew_i - P["d"] * cart_y,
+        z * cart_ty + P["pin"] * front_y + P["h_t"] * pull_t + held_t,
+        -z * cart_y + P["h_i"] * pull_i + held_i,
+    ])  # fmt: skip
+    right -= m_t * tractor.T * turned_t + m_i * implement.T * turned_i + M[:, 0] * W["u_rate"]
+    share, sine = P["front_drive"], sp.sin(W["delta"])
+    push_x, push_y = share * (sp.cos(W["delta"]) - 1), share * sine
+    M[:, 0] = sp.Matrix([-1 - push_x, -push_y, -P["a"] * push_y, 0, -P["pin"] * push_y, 0])
+    return M, right
+
+
+def slip_rates() -> sp.Matrix:
+    """alpha' of the three axles, 3.107 for tan alpha, in terms that stay finite."""
+    static = axle_loads(*(P[n] for n in "a b c d e m_t m_i g".split()))
+    rows = []
+    for name, load, yaw in zip("fri", static, (X["r_t"], X["r_t"], X["r_i"]), strict=True):
+        along, across = velocities()[name]
+        alpha, stiffness = X[f"alpha_{name}"], P[f"C_{name}"]
+        length = P[f"sigma_{name}"] * kept_length(
+            stiffness * size(alpha) * P["curvature"] / load, P["shrink"]
+        )
+        if name == "f":  # the axle turns about its pin as it is pushed: one more spring in a row
+            length += stiffness * P["pin"] ** 2 / P["k_f"]
+        speed = size(both_wheels(along, yaw * P[f"w_{name}"]))
+        rows.append((across * sp.cos(alpha) - speed * sp.sin(alpha)) * sp.cos(alpha) / length)
+    return sp.Matrix(rows)
+
+
+# The kernels.
+
+HEAD: Final = '''"""Kernels of rolling.py and their exact derivatives. Written by `python -m tilth.deploy.generate` from
+deploy/motion_equations.py: change that.
+"""
+
+# ruff: noqa
+# fmt: off
+
+from math import cos, exp, sin, sqrt, tanh
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import kernel
+from tilth.estimator.models.rolling_terms import (
+    both_wheels,
+    both_wheels_by_difference,
+    both_wheels_by_speed,
+    is_within,
+    kept_length,
+    kept_length_by_shrink,
+    kept_length_by_slip,
+    signum,
+    size,
+    within,
+)
+
+Array = NDArray[np.float64]
+'''
+
+
+class _Printer(PythonCodePrinter):  # type: ignore[misc]
+    """Small powers as products, square roots as sqrt."""
+
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        base, power = expr.as_base_exp()
+        if power.is_Integer and 2 <= abs(power) <= 4:
+            product = "*".join([self.parenthesize(base, 60)] * abs(int(power)))
+            return f"({product})" if power > 0 else f"(1.0/({product}))"
+        if power == -1:
+            return f"(1.0/{self.parenthesize(base, 60)})"
+        return str(super()._print_Pow(expr, rational=rational))
+
+    def _print_Rational(self, expr: Any) -> str:
+        return repr(float(expr))
+
+
+def _text(expression: Any) -> str:
+    return str(_Printer({"fully_qualified_modules": False, "allow_unknown_functions": True}).doprint(expression))
+
+
+def _kernel(name: str, about: str, parameters: str, lines: Iterable[str]) -> str:
+    return "\n".join(["@kernel", f"def {name}({parameters}) -> None:", f'    """{about}"""', *lines]) + "\n"
+
+
+def _readings(given: dict[str, str], steps: Iterable[Any]) -> list[str]:
+    """Lines that read what the expressions need. given: symbol -> where it is read."""
+    used = {str(symbol) for step in steps for symbol in step.free_symbols}
+    return [f"    {symbol} = {where}" for symbol, where in given.items() if symbol in used]
+
+
+def _values(given: dict[str, str], outputs: dict[str, Any]) -> list[str]:
+    """Lines that compute the outputs: target -> expression; 0 is left out."""
+    wanted = {target: expression for target, expression in outputs.items() if expression != 0}
+    shared, reduced = sp.cse(list(wanted.values()), symbols=sp.numbered_symbols("t"))
+    lines = _readings(given, [*(e for _, e in shared), *reduced])
+    lines += [f"    {symbol} = {_text(expression)}" for symbol, expression in shared]
+    return lines + [f"    {target} = {_text(e)}" for target, e in zip(wanted, reduced, strict=True)]
+
+
+def _slopes(given: dict[str, str], outputs: dict[str, Any], columns: list[Any]) -> list[str]:
+    """Lines that compute the derivatives of the outputs (name of an array's row -> expression) by the columns.
+
+    Forward differentiation of the steps that give the values: each step's derivatives by what it is made of,
+    times the derivatives of these by the columns.
+    """
+    shared, reduced = sp.cse(list(outputs.values()), symbols=sp.numbered_symbols("t"))
+    slopes: dict[Any, dict[int, Any]] = {q: {j: sp.Integer(1)} for j, q in enumerate(columns)}
+    lines: list[str] = []
+    partials = sp.numbered_symbols("s")
+    products = sp.numbered_symbols("d")
+
+    def named(expression: Any, names: Any) -> Any:
+        if expression.is_Number or expression.is_Symbol or (-expression).is_Symbol:
+            return expression
+        symbol = next(names)
+        lines.append(f"    {symbol} = {_text(expression)}")
+        return symbol
+
+    def by_columns(expression: Any) -> dict[int, Any]:
+        total: dict[int, Any] = {}
+        for part in sorted(expression.free_symbols & slopes.keys(), key=str):
+            partial = named(sp.diff(expression, part), partials)
+            for j, slope in slopes[part].items():
+                total[j] = total.get(j, 0) + partial * slope
+        return {j: slope for j, slope in total.items() if slope != 0}
+
+    read = _readings(given, [*(e for _, e in shared), *reduced])
+    for symbol, expression in shared:
+        lines.append(f"    {symbol} = {_text(expression)}")
+        found = by_columns(expression)
+        if found:
+            slopes[symbol] = {j: named(slope, products) for j, slope in found.items()}
+    for row, expression in zip(outputs, reduced, strict=True):
+        lines += [f"    {row[:-1]}, {j}] = {_text(slope)}" for j, slope in by_columns(expression).items()]
+    return read + lines
+
+
+def source() -> str:
+    """The text of rolling_kernels.py."""
+    M, right = dynamics()
+    slips = slip_rates()
+    given = {name: f"x[{k}]" for k, name in enumerate(STATES)}
+    given |= {name: f"w[{k}]" for k, name in enumerate(INPUTS)}
+    given |= {name: f"p[{k}]" for k, name in enumerate((*PARAMETERS, *CONSTANTS))}
+    values = {f"M[{i}, {j}]": M[i, j] for i in range(SPEEDS) for j in range(SPEEDS)}
+    values |= {f"right[{i}, 0]": right[i] for i in range(SPEEDS)}
+    values |= {f"slip[{i}]": slips[i] for i in range(3)}
+    residual = right - M * sp.Matrix(FOUND)
+    rows = {f"right[{i}]": residual[i] for i in range(SPEEDS)} | {f"slip[{i}]": slips[i] for i in range(3)}
+    columns = [*(X[n] for n in STATES if n != "psi_i"), *(W[n] for n in INPUTS[:5]), *(P[n] for n in PARAMETERS)]
+    found = {str(symbol): f"found[{k}]" for k, symbol in enumerate(FOUND)}
+    arrays = "x: Array, w: Array, p: Array"
+    return "\n\n".join([
+        HEAD,
+        _kernel(
+            "motion", "Fill M (6, 6), right (6, 1) and slip (3,), alpha'. x: STATES, w: INPUTS, p: PARAMETERS and "
+            "CONSTANTS.", f"{arrays}, M: Array, right: Array, slip: Array", _values(given, values),
+        ),
+        _kernel(
+            "motion_slopes", "Fill right (6, n) with the derivatives of right - M found, and slip (3, n), by the "
+            "columns of rolling.py; what is 0 is left alone.", f"{arrays}, found: Array, right: Array, slip: Array",
+            _slopes(given | found, rows, columns),
+        ),
+    ])  # fmt: skip
