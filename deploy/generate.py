@@ -1,7 +1,8 @@
 """Write what is generated from the tree: `python -m tilth.deploy.generate`, from a development install.
 
 schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
-deploy/constraints.txt, the versions that a recorder is installed with.
+deploy/constraints.txt, the versions that a recorder is installed with; deploy/motion_equations.py →
+estimator/models/rolling_kernels.py.
 """
 
 import json
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tilth.deploy import motion_equations
 from tilth.schemas.machine import Machine
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,6 +24,7 @@ def main() -> None:
     subprocess.run([sys.executable, *command, str(proto / "tilth.proto")], check=True)
     schema = json.dumps(Machine.model_json_schema(), indent=2) + "\n"
     (SCHEMAS / "machine.schema.json").write_text(schema)
+    (ROOT / motion_equations.TARGET).write_text(motion_equations.source())
     exported = subprocess.run([*EXPORT.split(), "--directory", str(ROOT)], capture_output=True, check=True)
     (ROOT / "deploy" / "constraints.txt").write_bytes(exported.stdout)
 

@@ -14,6 +14,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 from tilth.schemas.axle_loads import axle_loads
 
+TARGET: Final = "estimator/models/rolling_kernels.py"
 RESISTANCE_SPEED: Final = sp.Rational(1, 10)  # m/s: rolling resistance turns round over this range of speed
 X: Final = {name: sp.Symbol(name, real=True) for name in STATES}
 W: Final = {name: sp.Symbol(name, real=True) for name in INPUTS}
@@ -148,7 +149,8 @@ def wheels() -> dict[str, list[Wheel]]:
     for name, lean in (("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])):
         thrust = [P["camber"] * load * lean for load, _, _ in found[name]]  # the front axle does not lean
         found[name] = [
-            (load, along, across + more) for (load, along, across), more in zip(found[name], thrust, strict=True)
+            (load, along, across + more)
+            for (load, along, across), more in zip(found[name], thrust, strict=True)
         ]
     return found
 
@@ -161,7 +163,7 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
     u, v, r_t, r_i, p_t, p_i = W["u"], X["v"], X["r_t"], X["r_i"], X["p_t"], X["p_i"]
     m_t, m_i, z = P["m_t"], P["m_i"], P["h_h"]
     s, c = sp.sin(X["psi_t"] - X["psi_i"]), sp.cos(X["psi_t"] - X["psi_i"])
-    # Velocities of both CGs along and across the tractor; what they change by without the speeds' derivatives.
+    # Velocities of both CGs along and across the tractor; what they change by when speeds do not.
     tractor = sp.Matrix([[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, P["h_t"], 0]])
     implement = sp.Matrix([
         [1, 0, 0, -P["d"] * s, 0, (P["h_i"] - z) * s],
@@ -252,6 +254,10 @@ Array = NDArray[np.float64]
 '''
 
 
+VALUE: Final = "Fill M (6, 6), right (6, 1) and slip (3,), alpha'. p: PARAMETERS and CONSTANTS."
+SLOPE: Final = "Fill right (6, n) with the derivatives of right - M found, and slip (3, n); zeros stay."
+
+
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
     """Small powers as products, square roots as sqrt."""
 
@@ -269,7 +275,9 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
 
 def _text(expression: Any) -> str:
-    return str(_Printer({"fully_qualified_modules": False, "allow_unknown_functions": True}).doprint(expression))
+    return str(
+        _Printer({"fully_qualified_modules": False, "allow_unknown_functions": True}).doprint(expression)
+    )
 
 
 def _kernel(name: str, about: str, parameters: str, lines: Iterable[str]) -> str:
@@ -341,18 +349,14 @@ def source() -> str:
     values |= {f"slip[{i}]": slips[i] for i in range(3)}
     residual = right - M * sp.Matrix(FOUND)
     rows = {f"right[{i}]": residual[i] for i in range(SPEEDS)} | {f"slip[{i}]": slips[i] for i in range(3)}
-    columns = [*(X[n] for n in STATES if n != "psi_i"), *(W[n] for n in INPUTS[:5]), *(P[n] for n in PARAMETERS)]
+    columns = [X[name] for name in STATES if name != "psi_i"]
+    columns += [W[name] for name in INPUTS[:5]] + [P[name] for name in PARAMETERS]
     found = {str(symbol): f"found[{k}]" for k, symbol in enumerate(FOUND)}
     arrays = "x: Array, w: Array, p: Array"
+    value = f"{arrays}, M: Array, right: Array, slip: Array"
+    slope = f"{arrays}, found: Array, right: Array, slip: Array"
     return "\n\n".join([
         HEAD,
-        _kernel(
-            "motion", "Fill M (6, 6), right (6, 1) and slip (3,), alpha'. x: STATES, w: INPUTS, p: PARAMETERS and "
-            "CONSTANTS.", f"{arrays}, M: Array, right: Array, slip: Array", _values(given, values),
-        ),
-        _kernel(
-            "motion_slopes", "Fill right (6, n) with the derivatives of right - M found, and slip (3, n), by the "
-            "columns of rolling.py; what is 0 is left alone.", f"{arrays}, found: Array, right: Array, slip: Array",
-            _slopes(given | found, rows, columns),
-        ),
+        _kernel("motion", VALUE, value, _values(given, values)),
+        _kernel("motion_slopes", SLOPE, slope, _slopes(given | found, rows, columns)),
     ])  # fmt: skip

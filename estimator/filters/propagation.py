@@ -277,14 +277,14 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
     state_rates(x, drive, plant, out.rates)
     motion = plant.motion
     rate_slopes(plant.x, plant.w, plant.p, motion)
-    for i in range(X_ROLL + 4):
-        if i == X_ROLL or i == X_ROLL + 1:
-            continue
-        slopes = motion.slip_slopes[i - X_ALPHA]
-        if i < X_ALPHA:
-            slopes = motion.right_slopes[1 + i]
-        elif i > X_ROLL:
-            slopes = motion.right_slopes[4 + i - (X_ROLL + 2)]
+    for k in range(8):
+        i = k if k < X_ROLL else k + 2  # v, yaw rates, slip angles, rates of the leans
+        if k < X_ALPHA:
+            slopes = motion.right_slopes[1 + k]
+        elif k < X_ROLL:
+            slopes = motion.slip_slopes[k - X_ALPHA]
+        else:
+            slopes = motion.right_slopes[k - 2]
         for j in range(X_PSI + 1):
             out.rates_x[i, j] = slopes[j]
         out.rates_x[i, X_PSI + 1] = -slopes[X_PSI]

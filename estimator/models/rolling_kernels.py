@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @kernel
 def motion(x: Array, w: Array, p: Array, M: Array, right: Array, slip: Array) -> None:
-    """Fill M (6, 6), right (6, 1) and slip (3,), alpha'. x: STATES, w: INPUTS, p: PARAMETERS and CONSTANTS."""
+    """Fill M (6, 6), right (6, 1) and slip (3,), alpha'. p: PARAMETERS and CONSTANTS."""
     v = x[0]
     r_t = x[1]
     r_i = x[2]
@@ -249,7 +249,7 @@ def motion(x: Array, w: Array, p: Array, M: Array, right: Array, slip: Array) ->
 
 @kernel
 def motion_slopes(x: Array, w: Array, p: Array, found: Array, right: Array, slip: Array) -> None:
-    """Fill right (6, n) with the derivatives of right - M found, and slip (3, n), by the columns of rolling.py; what is 0 is left alone."""
+    """Fill right (6, n) with the derivatives of right - M found, and slip (3, n); zeros stay."""
     v = x[0]
     r_t = x[1]
     r_i = x[2]

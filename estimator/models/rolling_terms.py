@@ -12,8 +12,9 @@ STATES: Final = (
 bodies (rad) and its rates (rad/s), headings (rad)."""
 
 INPUTS: Final = ("delta", "gravity_t", "gravity_i", "uneven_t", "uneven_i", "u", "u_rate")
-"""Angle of the front wheels (rad); gravity along the cross slope at either body (m/s^2); how far uneven ground
-turns the wheels of either body about its long axis (rad); the tractor's speed (m/s) and its rate (m/s^2)."""
+"""Angle of the front wheels (rad); gravity along the cross slope at either body (m/s^2); how far uneven
+ground turns the wheels of either body about its long axis (rad); the tractor's speed (m/s) and its rate
+(m/s^2)."""
 
 PARAMETERS: Final = (
     "C_f", "C_r", "C_i", "sigma_f", "sigma_r", "sigma_i", "a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i",
@@ -90,8 +91,8 @@ def kept_length_by_shrink(slip: float, shrink: float) -> float:
 def both_wheels(along: float, difference: float) -> float:
     """Speed along an axle's wheels that gives the mean of their two slip angles, m/s.
 
-    In a turn the inner wheel is slower and slips at a larger angle: the mean of across / (along -+ difference / 2)
-    is more than across / along. difference: of the wheels' speeds, yaw rate times track, m/s.
+    In a turn the inner wheel is slower and slips at a larger angle: the mean of across / (along -+
+    difference / 2) is more than across / along. difference: of the wheels' speeds, yaw rate times track, m/s.
     """
     if abs(along) < abs(difference):
         return along

@@ -9,6 +9,7 @@ from google.protobuf import descriptor_pb2
 from grpc_tools import protoc
 from paths import ROOT
 
+from tilth.deploy import motion_equations
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2
 
@@ -56,6 +57,13 @@ def test_the_shipped_json_schema_is_that_of_the_machine_file() -> None:
     shipped = json.loads((ROOT / "schemas" / "machine.schema.json").read_text())
     assert shipped == Machine.model_json_schema(), (
         "run `python -m tilth.deploy.generate` after a change of it"
+    )
+
+
+def test_the_kernels_of_the_motion_are_those_of_its_equations() -> None:
+    shipped = (ROOT / motion_equations.TARGET).read_text()
+    assert shipped == motion_equations.source(), (
+        "run `python -m tilth.deploy.generate` after a change of deploy/motion_equations.py"
     )
 
 

@@ -4,12 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import sympy
 from logs import MACHINE
 from numpy.typing import NDArray
 
+from tilth.deploy import motion_equations
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.measurement_model import Observation, predict_measurement
-from tilth.estimator.filters.propagation import rig_at, roll_at
+from tilth.estimator.filters.propagation import set_parameters
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.states import (
     N_STATES,
@@ -22,7 +24,7 @@ from tilth.estimator.filters.states import (
     Point,
 )
 from tilth.estimator.filters.unknowns import AT, SIX
-from tilth.estimator.models.rolling import LEAN, N_ROLLING, axle_velocities_rolling
+from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY
 from tilth.schemas.plausible import GRAVITY
 
@@ -79,15 +81,15 @@ def test_a_receiver_on_the_axle_of_the_implement_moves_as_its_wheels_do(seed: in
     """On the ground, and wherever the drawbar is."""
     x, point = somewhere(seed)
     point.unknowns[AT["roll_hitch"]] = 0.2
-    rig = rig_at.interpreted()(SETUP.rig, point.geometry, point.unknowns, False)
+    p = np.zeros(len(PARAMETERS) + len(CONSTANTS))
+    set_parameters.interpreted()(point, SETUP, p)
+    named = dict(zip((*PARAMETERS, *CONSTANTS), p, strict=True)) | dict.fromkeys(INPUTS, 0.0) | {"u": SPEED}
+    named |= dict(zip(STATES, x[: len(STATES)], strict=True))
     levers = SETUP.levers.copy()
-    levers[2, 0] = -rig.e - point.unknowns[AT["lever_i"]] + point.unknowns[AT["cg_i"]]
+    levers[2, 0] = -named["e"] - point.unknowns[AT["lever_i"]] + point.unknowns[AT["cg_i"]]
     on_axle = SETUP._replace(levers=levers, heights=np.zeros(4))
-    planar = np.zeros(N_ROLLING)
-    planar[2:4], planar[4:8] = x[X_PSI : X_PSI + 2], [SPEED, x[X_V], x[X_R], x[X_R + 1]]
-    planar[LEAN : LEAN + 4] = x[X_ROLL : X_ROLL + 4]
-    pin = roll_at.interpreted()(SETUP.roll, point.unknowns).pin
-    across = axle_velocities_rolling.interpreted()(planar, 0.0, rig, pin)[5]
+    symbols = {sympy.Symbol(name, real=True): value for name, value in named.items()}
+    across = float(motion_equations.velocities()["i"][1].subs(symbols))
     assert value(x, VELOCITY, 2, point, on_axle) == pytest.approx(across, abs=1e-9)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tilth.estimator import fold
 from tilth.estimator.filters import soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
-from tilth.estimator.filters.propagation import Active, GroundNoise, rig_at
+from tilth.estimator.filters.propagation import Active, GroundNoise, set_geometry_slopes
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import (
@@ -48,6 +48,7 @@ from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
+from tilth.estimator.models.parameters import GEOMETRY
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import (
     EAST,
@@ -99,7 +100,7 @@ PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1
 READINGS = 0.1 + 0.0003 * np.arange(30.0)  # of the wheel, rad, at the ticks
 SLOPES = 4.0, -2.0  # m/s^2
 LOW = SETUP._replace(
-    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, stiffness_f=1e30)
+    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, k_f=1e30)
 )
 """Everything at the ground: then no force leans a body."""
 HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber", "shrink")]
@@ -130,7 +131,11 @@ def at_the_ground(point: Array) -> Array:
 def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[PLANAR] after as many ticks, less one, by the nonlinear model at 4.5 m/s with LOW's heights."""
     geometry = unknowns.geometry(LOW.geometry, point)
-    rig = rig_at.interpreted()(LOW.rig, geometry, point, False)
+    changes = dict(zip(GEOMETRY, geometry, strict=True)) | dict.fromkeys(
+        ("roll_f", "roll_r", "roll_i"), point[AT["rolling"]]
+    )
+    grips = dict.fromkeys(("grip_f", "grip_r", "grip_i"), 1.0 / point[AT["curvature"]])
+    rig = LOW.rig._replace(**changes, **grips)
     time = DT * np.arange(len(readings))
     rate = 4.5 / SLOPE_LENGTH  # of the slopes' critically damped way to nothing
     slopes = [
@@ -220,11 +225,9 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
     def at(x: Array, point: Array) -> tuple[float, Array]:
         geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_STATES + len(ACTIVE))
         active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
-        for j, name in enumerate(ACTIVE):
-            nudged = unknowns.geometry(SETUP.geometry, point + 1e-7 * np.eye(len(point))[name])
-            active.geometry[j] = (nudged - geometry) / 1e-7
-        observation = Observation(kind, place, 0.0, 4.5, 0.3)
-        value = run(x, observation, Point(point, np.exp(point[SIX]), geometry), active, SETUP, h)
+        where = Point(point, np.exp(point[SIX]), geometry)
+        set_geometry_slopes.interpreted()(where, active)
+        value = run(x, Observation(kind, place, 0.0, 4.5, 0.3), where, active, SETUP, h)
         return value, h
 
     value, h = at(x, point)

@@ -1,106 +1,128 @@
-"""The motion with roll, against the planar model as its limit and against statics."""
-
-import math
+"""The motion with roll, against the planar model as its limit, statics, and differences."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tilth.estimator.models import nonlinear
-from tilth.estimator.models.parameters import TABLE_5_1, Rig
-from tilth.estimator.models.rolling import (
-    HELD,
-    LEAN,
-    N_INPUTS,
-    N_ROLLING,
-    UNEVEN,
-    RollModes,
-    rates_rolling,
-    roll_work,
-)
+from tilth.estimator.models.parameters import TABLE_5_1, Rig, static_loads
+from tilth.estimator.models.rolling import BY_INPUT, BY_PARAMETER, empty_motion, rate_slopes, rates
+from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 
 Array = NDArray[np.float64]
+Values = dict[str, float]
 
-MODES = RollModes(466e3, 1.0e6, 18e3, 20e3, 11.4e3, 3.1e3, 0.75, 466e3)
+MODES = {
+    "k_t": 466e3, "k_i": 1.0e6, "d_t": 18e3, "d_i": 20e3, "j_t": 11.4e3, "j_i": 3.1e3, "pin": 0.75,
+    "k_f": 466e3, "camber": 0.0, "shrink": 0.0,
+}  # fmt: skip
 RNG = np.random.default_rng(5)
-_rates = rates_rolling.interpreted()
-_work = roll_work.interpreted()
+_rates, _slopes, _empty = rates.interpreted(), rate_slopes.interpreted(), empty_motion.interpreted()
 
 
-def rates(x: Array, w: Array, rig: Rig, modes: RollModes = MODES) -> Array:
-    out = np.zeros(N_ROLLING)
-    _rates(x, w, rig.theta, rig, modes, np.zeros((6, 3)), _work(), out)
-    return out
+def parameters(rig: Rig, **changes: float) -> Array:
+    """(36,), PARAMETERS and CONSTANTS of a rig and MODES."""
+    named = dict(zip(PARAMETERS, [*rig.theta, *rig.geometry], strict=False))
+    named |= {"h_t": rig.h_t, "h_i": rig.h_i, "h_h": rig.h_h, "rolling": rig.roll_f}
+    named |= {"curvature": 1.0 / rig.grip_f}
+    named |= {"w_f": rig.w_f, "w_r": rig.w_r, "w_i": rig.w_i, "exponent": rig.load_exponent}
+    named |= {"front_drive": rig.front_drive, "g": rig.g} | MODES | changes
+    return np.array([named[name] for name in (*PARAMETERS, *CONSTANTS)])
 
 
-def some_state() -> Array:
-    x = np.zeros(N_ROLLING)
-    x[2:4] = RNG.uniform(-0.5, 0.5, 2)
-    x[4:8] = [4.5, *RNG.uniform(-0.2, 0.2, 3)]
-    x[8:11] = RNG.uniform(-0.1, 0.1, 3)
-    return x
+def moved(x: Values, w: Values, p: Array) -> Values:
+    """x' by name."""
+    out = np.zeros(len(STATES))
+    state, inputs = (np.array([v[n] for n in names]) for v, names in ((x, STATES), (w, INPUTS)))
+    _rates(state, inputs, p, _empty(), out)
+    return dict(zip(STATES, out, strict=True))
 
 
-def some_inputs() -> Array:
-    w = np.zeros(N_INPUTS)
-    w[:4] = [*RNG.uniform(-0.3, 0.3, 3), 4.5]
-    w[HELD] = RNG.uniform(-0.5, 0.5)
-    return w
+def some_state(lean: float = 0.0) -> Values:
+    sizes = [0.2] * 3 + [0.1] * 3 + [lean] * 4 + [0.5] * 2
+    return dict(zip(STATES, RNG.uniform(-1.0, 1.0, len(STATES)) * sizes, strict=True))
+
+
+def some_inputs(uneven: float = 0.0) -> Values:
+    found = dict(zip(INPUTS, RNG.uniform(-1.0, 1.0, len(INPUTS)) * 0.3, strict=True))
+    return found | {"u": 4.5, "uneven_t": uneven, "uneven_i": -uneven}
 
 
 @pytest.mark.parametrize("front_drive", [0.0, 0.0, 0.4, 0.4, 1.0])
 def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float) -> None:
-    """The planar model is driven by some force; this one is told only what u' that gives."""
-    low = TABLE_5_1._replace(h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0)
+    """The planar model is driven by some force; this one is told only what u' that gives. Both wheels of an
+    axle slip at one angle where there is no track between them."""
+    low = TABLE_5_1._replace(
+        h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0, w_f=1e-6, w_r=1e-6, w_i=1e-6
+    )
     x, w = some_state(), some_inputs()
-    driven = w[:9].copy()
-    driven[4] = RNG.uniform(-10e3, 10e3)
-    planar = nonlinear.derivative(low, np.concatenate([x[:LEAN], [w[0], 0.0]]), driven)
-    w[HELD] = planar[4]
-    got = rates(x, w, low, MODES._replace(pin=0.0))
-    np.testing.assert_allclose(got[:LEAN], planar[:LEAN], rtol=1e-9, atol=1e-12)
-
-
-def test_the_speed_changes_as_it_is_told_whatever_the_drive() -> None:
-    x, w = some_state(), some_inputs()
-    x[LEAN:] = RNG.uniform(-0.03, 0.03, 4)
-    pushed = w.copy()
-    pushed[4] = 5e3
-    free = TABLE_5_1._replace(drive_gain=0.0)
-    assert rates(x, w, free)[4] == w[HELD]
-    np.testing.assert_allclose(rates(x, pushed, free), rates(x, w, free), rtol=1e-9, atol=1e-12)
+    planar = np.array([0.0, 0.0, x["psi_t"], x["psi_i"], 4.5, *list(x.values())[:6], w["delta"], 0.0])
+    driven = np.zeros(len(nonlinear.INPUTS))
+    driven[:5] = [w["delta"], w["gravity_t"], w["gravity_i"], 4.5, RNG.uniform(-10e3, 10e3)]
+    wanted = dict(zip(nonlinear.STATES, nonlinear.derivative(low, planar, driven), strict=True))
+    got = moved(x, w | {"u_rate": wanted["u"]}, parameters(low, pin=0.0))
+    for name in STATES[:6]:
+        assert got[name] == pytest.approx(wanted[name], rel=1e-9, abs=1e-12), name
 
 
 def test_left_and_right_are_alike() -> None:
-    x, w = some_state(), some_inputs()
-    x[LEAN:] = RNG.uniform(-0.03, 0.03, 4)
-    mirror = np.ones(N_ROLLING)
-    mirror[[1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]] = -1.0
-    w[UNEVEN : UNEVEN + 2] = RNG.uniform(-0.02, 0.02, 2)
-    turned = w * np.where(np.isin(np.arange(N_INPUTS), [3, 4, HELD]), 1.0, -1.0)
-    modes = MODES._replace(camber=0.2)
-    there, back = rates(x, w, TABLE_5_1, modes), rates(mirror * x, turned, TABLE_5_1, modes)
-    np.testing.assert_allclose(back, mirror * there, rtol=1e-9, atol=1e-12)
+    x, w, p = some_state(0.03), some_inputs(0.01), parameters(TABLE_5_1, camber=0.2, shrink=0.5)
+    there = moved(x, w, p)
+    mirrored = {name: value if name in ("u", "u_rate") else -value for name, value in w.items()}
+    back = moved({name: -value for name, value in x.items()}, mirrored, p)
+    assert {name: -value for name, value in back.items()} == pytest.approx(there, rel=1e-9, abs=1e-12)
 
 
 def test_on_a_slope_a_body_at_rest_leans_downhill_by_what_statics_say() -> None:
     """Held sideways by its tyres, with no hitch force: k phi = m h g sin, both bodies."""
-    x, w = np.zeros(N_ROLLING), np.zeros(N_INPUTS)
-    x[4] = 4.5
-    w[1] = w[2] = 0.3
-    apart = TABLE_5_1._replace(h_h=0.0, roll_f=0.0, roll_r=0.0, roll_i=0.0)
-    x[LEAN], x[LEAN + 1] = (
-        apart.m_t * apart.h_t * 0.3 / MODES.stiffness_t,
-        apart.m_i * apart.h_i * 0.3 / MODES.stiffness_i,
-    )
+    flat = TABLE_5_1._replace(h_h=0.0, roll_f=0.0, grip_f=1e4, load_exponent=0.0)
+    x, w = dict.fromkeys(STATES, 0.0), dict.fromkeys(INPUTS, 0.0)
+    w |= {"u": 4.5, "gravity_t": 0.3, "gravity_i": 0.3}
+    x["phi_t"] = flat.m_t * flat.h_t * 0.3 / MODES["k_t"]
+    x["phi_i"] = flat.m_i * flat.h_i * 0.3 / MODES["k_i"]
     # Side forces that hold the rig: of each axle its share of the gravity along the slope.
-    front = apart.m_t * 0.3 * apart.b / (apart.a + apart.b)
-    hitch = apart.m_i * 0.3 * apart.e / (apart.d + apart.e)
-    front -= hitch * (apart.c - apart.b) / (apart.a + apart.b)
-    rear = apart.m_t * 0.3 + hitch - front
-    forces = (front, rear, apart.m_i * 0.3 - hitch)
-    linear = apart._replace(grip_f=math.inf, grip_r=math.inf, grip_i=math.inf, load_exponent=0.0)
-    x[8:11] = [force / stiffness for force, stiffness in zip(forces, linear.theta[:3], strict=True)]
-    got = rates(x, w, linear, MODES._replace(pin=0.0))
-    np.testing.assert_allclose(got[5:8], 0.0, atol=1e-9)
-    np.testing.assert_allclose(got[LEAN + 2 : LEAN + 4], 0.0, atol=1e-9)
+    front = flat.m_t * 0.3 * flat.b / (flat.a + flat.b)
+    hitch = flat.m_i * 0.3 * flat.e / (flat.d + flat.e)
+    front -= hitch * (flat.c - flat.b) / (flat.a + flat.b)
+    rear = flat.m_t * 0.3 + hitch - front
+    forces = (front, rear, flat.m_i * 0.3 - hitch)
+    for name, force, stiffness in zip("fri", forces, flat.theta[:3], strict=True):
+        x[f"alpha_{name}"] = force / stiffness
+    got = moved(x, w, parameters(flat, pin=0.0))
+    assert [got[name] for name in ("v", "r_t", "r_i", "p_t", "p_i")] == pytest.approx([0.0] * 5, abs=1e-5)
+
+
+def test_the_parameters_are_those_of_the_rig() -> None:
+    p = dict(zip((*PARAMETERS, *CONSTANTS), parameters(TABLE_5_1), strict=True))
+    assert [p[name] for name in ("a", "m_t", "C_r", "sigma_i")] == [1.7, 9391.0, 486e3, 0.75]
+    assert sum(static_loads(TABLE_5_1)) == pytest.approx((p["m_t"] + p["m_i"]) * p["g"])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_derivatives_are_those_of_differences(seed: int) -> None:
+    """At any angle, load and lean, by all states, inputs and parameters."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-0.2, 0.2, len(STATES))
+    x[6:10] *= 0.1
+    x[10:] = rng.uniform(-0.5, 0.5, 2)
+    w = np.array([*rng.uniform(-0.5, 0.5, 3), *rng.uniform(-0.01, 0.01, 2), 4.5, rng.uniform(-0.5, 0.5)])
+    p = parameters(TABLE_5_1._replace(front_drive=0.3), camber=0.2, shrink=0.5)
+    p[: len(PARAMETERS)] *= rng.uniform(0.8, 1.25, len(PARAMETERS))
+
+    def at(z: Array) -> Array:
+        out = np.zeros(len(STATES))
+        here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:BY_PARAMETER], w[5:])
+        _rates(*here, np.append(z[BY_PARAMETER:], p[len(PARAMETERS) :]), _empty(), out)
+        return out[[0, 1, 2, 3, 4, 5, 8, 9]]
+
+    motion, out = _empty(), np.zeros(len(STATES))
+    for _ in range(2):  # the second time the arrays are not empty
+        _rates(x, w, p, motion, out)
+        _slopes(x, w, p, motion)
+    found = np.vstack([motion.right_slopes[1:4], motion.slip_slopes, motion.right_slopes[4:6]])
+    z = np.concatenate([x[:BY_INPUT], w[:5], p[: len(PARAMETERS)]])
+    for j, value in enumerate(z):
+        step = 1e-5 * max(abs(value), 0.01) * np.eye(len(z))[j]
+        wanted = (at(z + step) - at(z - step)) / (2.0 * step[j])
+        scale = np.abs(wanted).max() + 1e-12
+        np.testing.assert_allclose(found[:, j] / scale, wanted / scale, atol=1e-5, err_msg=str(j))

@@ -15,10 +15,10 @@ from tilth.estimator.filters.predictor import ground_at
 from tilth.estimator.filters.propagation import (
     Active,
     Transition,
+    empty_plant,
     empty_transition,
     linearise,
-    plant_at,
-    plant_of,
+    set_plant,
     set_processes,
     set_wheel_noise,
     stationary,
@@ -155,12 +155,13 @@ def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
 def one_tick(setup: RigSetup, point: Point) -> Transition:
     """The linear model at SPEED: the same at each tick but for the position, which is not in it."""
     nothing = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
-    plant = plant_at.interpreted()(plant_of.interpreted()(setup), point, setup)
+    plant = empty_plant.interpreted()(setup, 0)
+    set_plant.interpreted()(plant, point, setup, nothing)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0)
     ticks[:, 1] = SPEED
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
-    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, setup, nothing, step)
+    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
     return step
 
 
