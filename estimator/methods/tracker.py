@@ -304,6 +304,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
     state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     state.P_xtheta[:, SIX] = 0.0
+    state.running = False  # what the wrong soil has made of the motion would be learned as tyres
     state.checkpoints.clear()
     state.changes += 1
     state.changed_ns = state.last_pose_ns
