@@ -49,16 +49,41 @@ def some_inputs() -> Array:
 
 
 @pytest.mark.parametrize("front_drive", [0.0, 0.0, 0.4, 0.4, 1.0])
-def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float) -> None:
-    """The planar model is driven by some force; this one is told only what u' that gives."""
+@pytest.mark.parametrize("narrow", [False, True])
+def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float, narrow: bool) -> None:
+    """The planar model is driven by some force; this one is told only what u' that gives. Rates of slip are
+    the planar model's without tracks: it has one slip angle for both wheels of an axle."""
     low = TABLE_5_1._replace(h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0)
+    same = slice(0, 8)
+    if narrow:
+        low, same = low._replace(w_f=1e-6, w_r=1e-6, w_i=1e-6), slice(0, LEAN)
     x, w = some_state(), some_inputs()
     driven = w[:9].copy()
     driven[4] = RNG.uniform(-10e3, 10e3)
     planar = nonlinear.derivative(low, np.concatenate([x[:LEAN], [w[0], 0.0]]), driven)
     w[HELD] = planar[4]
     got = rates(x, w, low, MODES._replace(pin=0.0))
-    np.testing.assert_allclose(got[:LEAN], planar[:LEAN], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(got[same], planar[same], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("axle", [0, 1, 2])
+def test_an_axle_slips_as_its_two_wheels_do_in_the_mean(axle: int) -> None:
+    """Settled in a turn of 6 m radius, 8° of slip: the inner wheel is slower and slips at a larger angle."""
+    rig, speed, turning, across = TABLE_5_1, 3.0, 0.5, 0.4
+    ahead = (rig.a, -rig.b, -rig.c - rig.towed_length)[axle]
+    x, w = np.zeros(N_ROLLING), np.zeros(N_INPUTS)
+    x[4:8] = [speed, across - turning * ahead, turning, turning]
+    half = 0.5 * turning * (rig.w_f, rig.w_r, rig.w_i)[axle]
+    slips = []
+    for angle in (math.atan(across / speed), _mean_slip(across, speed, half)):
+        x[8 + axle] = angle
+        slips.append(rates(x, w, rig, MODES._replace(pin=0.0))[8 + axle])
+    assert abs(slips[1]) < 0.05 * abs(slips[0])
+
+
+def _mean_slip(across: float, speed: float, half: float) -> float:
+    """Mean of two wheels' slip angles, rad. half: of the difference of their speeds, m/s."""
+    return 0.5 * (math.atan(across / (speed - half)) + math.atan(across / (speed + half)))
 
 
 def test_the_speed_changes_as_it_is_told_whatever_the_drive() -> None:
