@@ -27,6 +27,7 @@ from tilth.estimator.record.windows import WINDOW
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.simulator.scenario import Fieldwork, from_json
 
 Array = NDArray[np.float64]
 
@@ -185,10 +186,11 @@ def nuisance_errors(machine: Machine, run: Run, said: Estimate) -> dict[str, lis
 
 def turn_ends(run: Run) -> list[float]:
     """When each headland turn of a field is over, s."""
+    if not isinstance(from_json(run.described["source"]["scenario"]).steering, Fieldwork):
+        return []
     arrays = spatial_logs.truth_arrays(run.folder)
-    turning = np.flatnonzero(np.abs(arrays["wheel"]) > TURNING)
-    times = arrays["time"][turning]
-    if run.described["source"]["scenario"].find('"kind":"field"') < 0 or not len(times):
+    times = arrays["time"][np.abs(arrays["wheel"]) > TURNING]
+    if not len(times):
         return []
     last = np.append(np.diff(times) > TURN_GAP_S, True)
     return [float(t) for t in times[last]]

@@ -165,7 +165,7 @@ class Ground:
     downhill_deg: Degrees = 90.0  # direction in which the plane falls, clockwise from north
     roll_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # of either body on uneven ground
     force_sd: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # of the force across either body, over its weight
-    band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave
+    band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave; of roll 5 times these
     rms: Annotated[float, Field(ge=0, le=0.1)] | None = None  # m, of the height field; None: even, or drawn
     waves: tuple[Wave, Wave] = (1.0, 20.0)  # m, its shortest and longest wave
     bumps: tuple[Bump, ...] = ()

@@ -80,7 +80,7 @@ def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> N
 
 def test_every_seed_has_its_own_rig_and_every_row_the_same() -> None:
     sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS]
-    heights = {source.machine.tractor.cg_height for source in sources}
+    heights = {source.machine.tractor.cg_height.value for source in sources}
     assert len(heights) == 1
     assert spatial_logs.drawn(1) != spatial_logs.drawn(2)
     heavy = next(s for s, row in zip(sources, spatial_logs.ROWS, strict=True) if row.heavy)

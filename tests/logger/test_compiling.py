@@ -101,7 +101,7 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     """As numba tells it, without its work."""
     shares: list[float] = []
     kernels = [Kernel(one.function) for one in compiling.kernels_of(MACHINE)]
-    assert len(kernels) >= 2 and all(len(kernel.functions()) > 5 for kernel in kernels)
+    assert sum(len(kernel.functions()) > 5 for kernel in kernels) >= 2  # large ones, whose shares overlap
 
     def call(machine: Machine, on_start: Callable[[Any], None], on_end: Callable[[Any], None]) -> None:
         for kernel in kernels:

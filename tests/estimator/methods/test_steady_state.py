@@ -355,7 +355,7 @@ def test_where_the_implement_is_going_is_foreseen(degrees: float, speed: float, 
     at = {name: run[:, k] for k, name in enumerate(nonlinear.STATES)}
     articulation = at["psi_t"] - at["psi_i"]
     blank = SteadySample(**dict.fromkeys(SteadySample.__dataclass_fields__, 0.0))
-    settled, k = 0.0, 0
+    sample, settled, k = blank, 0.0, 0
     while settled < SETTLING:
         k += 1
         u, r, angle = (float(x[k]) for x in (at["u"], at["r_t"], articulation))

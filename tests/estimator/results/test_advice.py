@@ -209,15 +209,21 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
     """(errors, sds) of the six after one Gauss-Newton step from the truth, what was believed before drawn."""
     record, setup = simulated(seed, machine, candidate), rig_setup(machine, linear=True)
     nudges = 1e-3 * SD[known]
-    points = np.tile(LINEAR, (len(known) + 1, 1))
+    points = np.tile(LINEAR, (len(known) + 2, 1))
     points[np.arange(1, len(known) + 1), known] += nudges
+    # Wheel angles are straight lines between ticks: over a latency that is a tick's end, a difference to one
+    # side is the slope of half a tick later. This one is over both sides.
+    latency = known.index(AT["latency"])
+    points[-1, AT["latency"]] -= nudges[latency]
     errors, variances = [], []
     for point in points:  # one by one: each with its own gains
         found = likelihood.innovations(record, setup, np.zeros(N_STATES), point)
         errors.append(found.e)
         variances.append(found.S)
-    white = ((np.array(errors[1:]) - errors[0]) / nudges[:, None] / np.sqrt(variances[0])).T
-    relative = ((np.array(variances[1:]) - variances[0]) / nudges[:, None] / variances[0]).T
+    differences = np.array(errors[1:-1]) - errors[0]
+    differences[latency] = (errors[1 + latency] - errors[-1]) / 2.0
+    white = (differences / nudges[:, None] / np.sqrt(variances[0])).T
+    relative = ((np.array(variances[1:-1]) - variances[0]) / nudges[:, None] / variances[0]).T
     score = -white.T @ (errors[0] / np.sqrt(variances[0]))
     score += 0.5 * relative.T @ (errors[0] ** 2 / variances[0] - 1.0)
     information = white.T @ white + 0.5 * relative.T @ relative
