@@ -1,11 +1,11 @@
 """The equations of estimator/models/rolling.py in symbols, and the kernels that are written from them.
 
 Two rigid bodies by Kane's method: generalised speeds u, v, r_t, r_i, p_t, p_i; lean is small. `python -m
-tilth.deploy.generate` writes estimator/models/rolling_kernels.py: the equations and their exact derivatives by
-states, inputs and parameters, with common subexpressions found once. For development only.
+tilth.deploy.generate` writes estimator/models/rolling_kernels.py: the equations and their exact derivatives
+by states, inputs and parameters, with common subexpressions found once. For development only.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import sympy as sp
@@ -14,6 +14,7 @@ from sympy.printing.pycode import PythonCodePrinter
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 from tilth.schemas.axle_loads import axle_loads
 
+LOADS: Final = ("a", "b", "c", "d", "e", "m_t", "m_i", "g")  # what axle_loads takes
 TARGET: Final = "estimator/models/rolling_kernels.py"
 RESISTANCE_SPEED: Final = sp.Rational(1, 10)  # m/s: rolling resistance turns round over this range of speed
 X: Final = {name: sp.Symbol(name, real=True) for name in STATES}
@@ -22,66 +23,21 @@ P: Final = {name: sp.Symbol(name, real=True) for name in (*PARAMETERS, *CONSTANT
 FOUND: Final = sp.symbols(" ".join(f"found_{k}" for k in range(SPEEDS)), real=True)  # what M is solved for
 
 
-# Functions that the kernels call by name; each tells its derivatives by others of rolling.py.
+def _named(name: str, *slopes: Callable[..., Any]) -> Any:
+    """A function of rolling_terms.py that kernels call by name. slopes: its derivatives by each argument."""
+
+    def fdiff(self: Any, argindex: int = 1) -> Any:
+        return sp.sympify(slopes[argindex - 1](*self.args))
+
+    return type(name, (sp.Function,), {"fdiff": fdiff})
 
 
-class signum(sp.Function):
-    """Of a number, never 0."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        return sp.Integer(0)
-
-
-class size(sp.Function):
-    """Absolute value."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        return signum(self.args[0])
-
-
-class within(sp.Function):
-    """The first argument, kept within plus and minus the second."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        inside = is_within(*self.args)
-        return inside if argindex == 1 else (1 - inside) * signum(self.args[0])
-
-
-class is_within(sp.Function):
-    """1 if `within` returns the first argument, else 0."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        return sp.Integer(0)
-
-
-class kept_length(sp.Function):
-    """Share of its relaxation length that a tyre keeps."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        return (kept_length_by_slip if argindex == 1 else kept_length_by_shrink)(*self.args)
-
-
-class kept_length_by_slip(sp.Function):
-    """Derivative by the first argument."""
-
-
-class kept_length_by_shrink(sp.Function):
-    """Derivative by the second argument."""
-
-
-class both_wheels(sp.Function):
-    """Speed along an axle's wheels that gives the mean of their two slip angles."""
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        return (both_wheels_by_speed if argindex == 1 else both_wheels_by_difference)(*self.args)
-
-
-class both_wheels_by_speed(sp.Function):
-    """Derivative by the first argument."""
-
-
-class both_wheels_by_difference(sp.Function):
-    """Derivative by the second argument."""
+signum = _named("signum", lambda value: 0)
+size = _named("size", signum)
+is_within = _named("is_within", lambda value, limit: 0, lambda value, limit: 0)
+within = _named("within", is_within, lambda value, limit: (1 - is_within(value, limit)) * signum(value))
+kept_length = _named("kept_length", *map(sp.Function, ("kept_length_by_slip", "kept_length_by_shrink")))
+both_wheels = _named("both_wheels", *map(sp.Function, ("both_wheels_by_speed", "both_wheels_by_difference")))
 
 
 Wheel = tuple[Any, Any, Any]  # load, force along, force across
@@ -135,7 +91,7 @@ def front_side(wheels: Iterable[Wheel]) -> Any:
 
 def wheels() -> dict[str, list[Wheel]]:
     """Of each axle. Loads go from side to side as pin and lean press the wheels."""
-    static = dict(zip("fri", axle_loads(*(P[n] for n in "a b c d e m_t m_i g".split())), strict=True))
+    static = dict(zip("fri", axle_loads(*(P[n] for n in LOADS)), strict=True))
     level_t, level_i = (sp.sqrt(1 - (W[n] / P["g"]) ** 2) for n in ("gravity_t", "gravity_i"))
     speed = {name: along for name, (along, _) in velocities().items()}
     moment_t, moment_i = roll_moments()
@@ -183,7 +139,6 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
     skew_f -= (on["f"][0][2] - on["f"][1][2]) * sp.sin(W["delta"])
     skew = (P["w_f"] * skew_f + P["w_r"] * (on["r"][0][1] - on["r"][1][1])) / 2
     skew_i = P["w_i"] * (on["i"][0][1] - on["i"][1][1]) / 2
-    moment_t, moment_i = roll_moments()
     pull_t, pull_i = m_t * W["gravity_t"], m_i * W["gravity_i"]
     cart_y = across["i"] + pull_i
     cart_tx, cart_ty = along["i"] * c + cart_y * s, cart_y * c - along["i"] * s
@@ -207,7 +162,7 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
 
 def slip_rates() -> sp.Matrix:
     """alpha' of the three axles, 3.107 for tan alpha, in terms that stay finite."""
-    static = axle_loads(*(P[n] for n in "a b c d e m_t m_i g".split()))
+    static = axle_loads(*(P[n] for n in LOADS))
     rows = []
     for name, load, yaw in zip("fri", static, (X["r_t"], X["r_t"], X["r_i"]), strict=True):
         along, across = velocities()[name]
@@ -224,8 +179,9 @@ def slip_rates() -> sp.Matrix:
 
 # The kernels.
 
-HEAD: Final = '''"""Kernels of rolling.py and their exact derivatives. Written by `python -m tilth.deploy.generate` from
-deploy/motion_equations.py: change that.
+HEAD: Final = '''"""Kernels of rolling.py with exact derivatives. Written by `python -m tilth.deploy.generate`.
+
+Change deploy/motion_equations.py instead.
 """
 
 # ruff: noqa
@@ -300,7 +256,7 @@ def _values(given: dict[str, str], outputs: dict[str, Any]) -> list[str]:
 
 
 def _slopes(given: dict[str, str], outputs: dict[str, Any], columns: list[Any]) -> list[str]:
-    """Lines that compute the derivatives of the outputs (name of an array's row -> expression) by the columns.
+    """Lines that compute the derivatives of the outputs (row of an array -> expression) by the columns.
 
     Forward differentiation of the steps that give the values: each step's derivatives by what it is made of,
     times the derivatives of these by the columns.

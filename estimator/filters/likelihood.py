@@ -50,7 +50,6 @@ ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-_ROLL_MODES: Final = NAMES[AT["roll_k_t"] : AT["roll_pin"]]
 _GAINS: Final = frozenset({*PARAMETERS, *NOISES})
 """Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.1, 0.6)
@@ -107,6 +106,7 @@ class Search:
     used: Array  # (m,), 0.0 for a row that is left out
     prior_mean: Array  # [n]
     prior_information: Array  # (a, a), of the active ones
+    prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
 
     @property
@@ -213,8 +213,9 @@ def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -
     """The problem of a fit; arguments as of `maximise_posterior`."""
     active = np.flatnonzero(np.diag(covariance) > 0.0)
     sound = np.all(np.isfinite(record.rows), axis=1)
-    prior = _inverse(covariance[np.ix_(active, active)])
-    return Search(record, setup, first_state(record, setup), sound.astype(np.float64), mean, prior, active)
+    prior, sd = _inverse(covariance[np.ix_(active, active)]), np.sqrt(np.diag(covariance)[active])
+    start = first_state(record, setup)
+    return Search(record, setup, start, sound.astype(np.float64), mean, prior, sd, active)
 
 
 def maximise_posterior(
@@ -259,7 +260,10 @@ def _minimise(search: Search, point: Array) -> Iterate:
         gradient, information = gradient_and_information(search, at, scores_at(search, at))
         step, tried, predicted = _step(search, at, gradient, information, damping)
         if predicted is None:
-            break
+            if np.array_equal(at.point, at.jacobian.point):
+                break
+            at.jacobian, damping = _error_jacobian(search, at.point), 1e-3  # renewed before it gives up
+            continue
         damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 10.0 ** (tried - 1)
         at.point = at.point.copy()
         at.point[active] += step
@@ -298,7 +302,7 @@ def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
     """The derivatives at a point; of unknowns that change the gains by differences of filter runs."""
     here = _run(search, point, search.active)
     de, dS = np.ascontiguousarray(here.de.T), np.zeros((len(search.active), len(here.e)))
-    steps = np.minimum(DIFFERENCE_STEP / np.sqrt(np.diag(search.prior_information)), STEP_LIMIT)
+    steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
     for k, (place, step) in enumerate(zip(search.active, steps, strict=True)):
         if NAMES[place] in _GAINS:
             nudged = point.copy()
@@ -397,9 +401,7 @@ def _step(
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
     """(step, tries, (innovations, variances) after it); None in the third place if no step lowers the
     cost."""
-    limits = np.where(
-        search.active < 6, LONGEST_STEP, LONGEST_SHARE / np.sqrt(np.diag(search.prior_information))
-    )
+    limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
     for tried in range(1, 8):
         damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
         step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)

@@ -1,5 +1,6 @@
-"""Kernels of rolling.py and their exact derivatives. Written by `python -m tilth.deploy.generate` from
-deploy/motion_equations.py: change that.
+"""Kernels of rolling.py with exact derivatives. Written by `python -m tilth.deploy.generate`.
+
+Change deploy/motion_equations.py instead.
 """
 
 # ruff: noqa

@@ -94,8 +94,8 @@ def both_wheels(along: float, difference: float) -> float:
     In a turn the inner wheel is slower and slips at a larger angle: the mean of across / (along -+
     difference / 2) is more than across / along. difference: of the wheels' speeds, yaw rate times track, m/s.
     """
-    if abs(along) < abs(difference):
-        return along
+    if abs(along) < abs(difference):  # the inner wheel hardly rolls
+        return 0.75 * along
     return along - 0.25 * difference * difference / along
 
 
@@ -103,7 +103,7 @@ def both_wheels(along: float, difference: float) -> float:
 def both_wheels_by_speed(along: float, difference: float) -> float:
     """Derivative of `both_wheels` by the speed."""
     if abs(along) < abs(difference):
-        return 1.0
+        return 0.75
     return 1.0 + 0.25 * difference * difference / (along * along)
 
 
