@@ -179,7 +179,7 @@ def slip_rates() -> sp.Matrix:
 
 # The kernels.
 
-HEAD: Final = '''"""Kernels of rolling.py with exact derivatives. Written by `python -m tilth.deploy.generate`.
+HEAD: Final = '''"""Kernels of rolling.py with exact derivatives, written by `deploy.generate`.
 
 Change deploy/motion_equations.py instead.
 """

@@ -1,4 +1,4 @@
-"""Kernels of rolling.py with exact derivatives. Written by `python -m tilth.deploy.generate`.
+"""Kernels of rolling.py with exact derivatives, written by `deploy.generate`.
 
 Change deploy/motion_equations.py instead.
 """

@@ -76,7 +76,8 @@ def test_left_and_right_are_alike() -> None:
 def test_on_a_slope_a_body_at_rest_leans_downhill_by_what_statics_say() -> None:
     """Held sideways by its tyres, with no hitch force: k phi = m h g sin, both bodies."""
     flat = TABLE_5_1._replace(h_h=0.0, roll_f=0.0, grip_f=1e4, load_exponent=0.0)
-    x, w = dict.fromkeys(STATES, 0.0), dict.fromkeys(INPUTS, 0.0)
+    x: Values = dict.fromkeys(STATES, 0.0)
+    w: Values = dict.fromkeys(INPUTS, 0.0)
     w |= {"u": 4.5, "gravity_t": 0.3, "gravity_i": 0.3}
     x["phi_t"] = flat.m_t * flat.h_t * 0.3 / MODES["k_t"]
     x["phi_i"] = flat.m_i * flat.h_i * 0.3 / MODES["k_i"]
