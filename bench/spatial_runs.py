@@ -80,7 +80,10 @@ class Heard:
                 if with_segments and isinstance(publication.value, Pose):
                     segment = record_builder.observe(recording, state.aligner, publication.value)
                     self.segments += [] if segment is None else [segment]
-        for publication in fitted_at_once(state, t_ns + END_NS):
+        last = fitted_at_once(state, t_ns + END_NS)
+        fold.finish(state)
+        fold.request_fits(state, t_ns)
+        for publication in last + fitted_at_once(state, t_ns + END_NS):
             self._take(publication)
         self.refused = dict(state.record.refused)
 

@@ -58,7 +58,7 @@ from tilth.estimator.models.rolling import (
     BY_PARAMETER,
     N_INPUTS,
     N_PARAMETERS,
-    Motion,
+    MotionRates,
     empty_motion,
     rate_slopes,
     rates,
@@ -68,7 +68,7 @@ from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
-EVERY: Final = 2  # ticks for which one set of Jacobians is used
+EVERY: Final = 3  # ticks for which one set of Jacobians is used; odd, so that the middle of one is theirs
 SLOWEST: Final = 1.0  # m/s: distances along the ground are driven at least as fast
 LEAST_CURVATURE: Final = 1e-3
 
@@ -99,7 +99,7 @@ class Plant(NamedTuple):
     scale: float  # of all motions; as RigSetup.scale
     x: Array  # (12,), its state
     w: Array  # (7,), its inputs
-    motion: Motion
+    motion: MotionRates
 
 
 class Active(NamedTuple):
@@ -373,7 +373,7 @@ def linearise(
 ) -> None:
     """Renew step's Jacobians for EVERY ticks from tick k on, about x in the middle of them, roughly.
 
-    At 2 ticks a chirp's derivative by C_af is that of differences to a percent; at 5 it was 4 % off.
+    At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
     """
     middle = x.copy()
     for j in range(EVERY):

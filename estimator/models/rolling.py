@@ -30,7 +30,7 @@ BY_PARAMETER: Final = BY_INPUT + N_INPUTS - 2
 N_COLUMNS: Final = BY_PARAMETER + len(PARAMETERS)
 
 
-class Motion(NamedTuple):
+class MotionRates(NamedTuple):
     """The rates at one state and their derivatives, with work arrays."""
 
     M: Array  # (6, 6), mass matrix, then its factors
@@ -41,9 +41,9 @@ class Motion(NamedTuple):
 
 
 @kernel
-def empty_motion() -> Motion:
+def empty_motion() -> MotionRates:
     """Arrays for `rates` and `rate_slopes`."""
-    return Motion(
+    return MotionRates(
         np.zeros((SPEEDS, SPEEDS)), np.zeros((SPEEDS, 1)), np.zeros(3), np.zeros((SPEEDS, N_COLUMNS)),
         np.zeros((3, N_COLUMNS)),
     )  # fmt: skip
@@ -77,7 +77,7 @@ def solve(factors: Array, B: Array) -> None:
 
 
 @kernel
-def rates(x: Array, w: Array, p: Array, at: Motion, out: Array) -> None:
+def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
     """Fill out (12,), x', and the first three arrays of `at`. p: PARAMETERS and CONSTANTS, (36,)."""
     motion(x, w, p, at.M, at.right, at.slip)
     factorise(at.M)
@@ -91,7 +91,7 @@ def rates(x: Array, w: Array, p: Array, at: Motion, out: Array) -> None:
 
 
 @kernel
-def rate_slopes(x: Array, w: Array, p: Array, at: Motion) -> None:
+def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     """Fill the derivatives in `at`, whose other arrays `rates` has filled at the same state."""
     at.right_slopes[:] = 0.0
     motion_slopes(x, w, p, at.right[:, 0], at.right_slopes, at.slip_slopes)

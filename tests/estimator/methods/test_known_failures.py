@@ -170,7 +170,7 @@ def test_an_unknown_gain_of_the_wheel_angle_widens_the_stiffness(method: str) ->
     floor = likelihood.MODEL_SD[0] if method == pem.METHOD else 0.0  # which no gain can change
     sure, unsure = driven(QUIET, 42.0, SURE).last(method), driven(QUIET, 42.0, UNSURE).last(method)
     known, unknown = (math.sqrt(sds(published)[0] ** 2 - floor**2) for published in (sure, unsure))
-    assert unknown > 1.1 * known
+    assert unknown > 1.05 * known  # most of it is learned: what turns the implement follows the true angle
     assert sure.nuisances.get("wheel_gain", (0.0, 0.0))[1] == 0.0
     gain, sd = unsure.nuisances["wheel_gain"]
     assert abs(gain) < 3 * sd and 0.002 < sd <= 0.05
