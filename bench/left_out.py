@@ -1,10 +1,10 @@
-"""What comes of each effect that an estimator does not know: `pem` on the spatial plant, with a part left out.
+"""What comes of each effect that an estimator does not know: `pem` on the spatial plant, a part left out.
 
     python bench/left_out.py [--logs DIR] [--runs 12] [--processes 2]
 
-The logs are those of `bench/estimation.py spatial_random`: rigs, tyres, soil and sensors drawn anew for each run,
-ground of 1 cm rms, 120 s of random steering of 6°. The product's own estimator runs on them, with the unknowns of
-one effect held at the value that means "there is none".
+The logs are those of `bench/estimation.py spatial_random`: rigs, tyres, soil and sensors drawn anew for each
+run, ground of 1 cm rms, 120 s of random steering of 6°. The product's own estimator runs on them, with the
+unknowns of one effect held at the value that means "there is none".
 """
 
 import argparse
