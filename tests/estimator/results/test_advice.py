@@ -235,8 +235,8 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
 
 @pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
 def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
-    """Ten seconds on a linear plant with the model's own noise, all nuisances unknown. 80 runs put ±0.1 on
-    the mean square."""
+    """Ten seconds on a linear plant with the model's own noise, all nuisances unknown. 40 runs put ±0.13
+    on the mean square."""
     known = [
         k for k in range(len(NAMES)) if SD[k] > 0 and not unknowns.NOISE.start <= k < unknowns.NOISE.stop
     ]
@@ -247,13 +247,13 @@ def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     predicted = advice.predicted(
         np.diag(held), advice.information(MACHINE, LINEAR, SPEED, chirp, linear=True)
     )
-    runs = [fitted(seed, MACHINE, chirp, known) for seed in range(80)]
+    runs = [fitted(seed, MACHINE, chirp, known) for seed in range(40)]
     achieved = np.mean([sd for _, sd in runs], axis=0)
     share = predicted / achieved
-    # The disturbances' own colour tells the rest, sigma_i most. Hardly a promise that is not kept: C_af 0.94.
-    assert (share > 0.92).all() and (share < most).all()
+    # The disturbances' own colour tells the rest, sigma_i most. Never a promise that is not kept.
+    assert (share > 0.95).all() and (share < most).all()
     normal = np.array([error / sd for error, sd in runs])
-    assert 0.8 < float(np.mean(normal**2)) < 1.2  # what is called achieved is what errors show
+    assert 0.75 < float(np.mean(normal**2)) < 1.25  # what is called achieved is what errors show
 
 
 def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> None:
