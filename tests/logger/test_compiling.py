@@ -213,7 +213,8 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     assert main(["replay", *output["log"], "--verify", "--json"]) == 0
     again = json.loads(capsys.readouterr().out)
     assert again["verify"]["difference"] is None and again["verify"]["compared"] > output["measurements"]
-    assert all(again[key] == output[key] for key in ("frames", "measurements", "poses", "estimates"))
+    assert all(again[key] == output[key] for key in ("frames", "measurements", "poses"))
+    assert again["estimates"] >= output["estimates"]  # and what the end of the driving gave
     if expected:  # the second start finds them
         output, result = demo(ours, tmp_path / "logs")
         assert "compil" not in result and seconds_of([Path(name) for name in output["log"]])[0] < 3.0
