@@ -209,8 +209,18 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     import can
     from can.io.blf import BLFParseError
 
+    class Reader(can.BLFReader):
+        """python-can 4.6 reads an object of no length again and again, for ever."""
+
+        def _parse_data(self, data: bytes) -> Iterator[can.Message]:
+            end = _whole_objects(data)
+            yield from super()._parse_data(data[:end])
+            if end < len(data):
+                raise BLFParseError("an object is shorter than its header")
+
+    logging.getLogger("can.io.blf").setLevel(logging.ERROR)
     try:
-        reader = can.BLFReader(stream)
+        reader = Reader(stream)
         count = 0
         for message in reader:
             found = _frame(message)
@@ -224,6 +234,17 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         return
     fewer = not log.packed and reader.file_size > log.size
     log.truncated = log.truncated or fewer or (count > 0 and reader.object_count == 0)
+
+
+def _whole_objects(data: bytes) -> int:
+    """Where a container's first object begins that is shorter than its header; else its length."""
+    at = 0
+    while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + 16 <= len(data):
+        length = int.from_bytes(data[at + 8 : at + 12], "little")
+        if length < 16:
+            return at
+        at += length
+    return len(data)
 
 
 class _Incomplete(logging.Handler):

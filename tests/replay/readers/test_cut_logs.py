@@ -1,6 +1,7 @@
 """Heads and ends of logs: cut anywhere, packed, filled with zeros, begun with comments, of any year."""
 
 import gzip
+import struct
 import zlib
 from datetime import UTC, datetime
 from pathlib import Path
@@ -61,6 +62,18 @@ def test_gzip_cut_or_damaged_anywhere_gives_what_is_there_and_says_it(
     )  # it packs many into one
     assert read(path, packed)[:2] == (wanted, False)
     assert read(path, packed + gzip.compress(b"", mtime=0) + bytes(9))[:2] == (wanted, False)
+
+
+def test_an_object_of_no_length_ends_a_blf(tmp_path: Path) -> None:
+    """python-can alone would read it for ever."""
+    content, wanted = whole()["blf"]
+    objects = bytearray(zlib.decompress(content[176:]))
+    second = objects.index(b"LOBJ", 16)
+    objects[second + 8 : second + 12] = bytes(4)
+    container = struct.pack("<4sHHLLH6xL4x", b"LOBJ", 16, 1, 32 + len(objects), 10, 0, len(objects))
+    (tmp_path / "x.blf").write_bytes(content[:144] + container + bytes(objects))
+    found, log = drained(tmp_path / "x.blf")
+    assert found == wanted[:1] and log.truncated
 
 
 def test_all_of_a_gzip_that_is_cut_short_is_read(tmp_path: Path) -> None:
