@@ -73,10 +73,14 @@ def velocities() -> dict[str, tuple[Any, Any]]:
     }
 
 
+def springs() -> tuple[Any, Any]:
+    """Of the wheels about the roll axis, N m/rad: k is what is left when gravity has taken its part off."""
+    return P["k_t"] + P["g"] * P["m_t"] * P["h_t"], P["k_i"] + P["g"] * P["m_i"] * P["h_i"]
+
+
 def roll_moments() -> tuple[Any, Any]:
-    """What springs and dampers of the wheels hold, N m. Springs hold the lean; gravity takes a part off."""
-    spring_t = P["k_t"] + P["g"] * P["m_t"] * P["h_t"]
-    spring_i = P["k_i"] + P["g"] * P["m_i"] * P["h_i"]
+    """What springs and dampers of the wheels hold, N m, on even ground."""
+    spring_t, spring_i = springs()
     return (
         -spring_t * X["phi_t"] - P["d_t"] * X["p_t"],
         -spring_i * X["phi_i"] - P["d_i"] * X["p_i"],
@@ -142,9 +146,10 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
     pull_t, pull_i = m_t * W["gravity_t"], m_i * W["gravity_i"]
     cart_y = across["i"] + pull_i
     cart_tx, cart_ty = along["i"] * c + cart_y * s, cart_y * c - along["i"] * s
-    spring_t, spring_i = P["k_t"] + P["g"] * m_t * P["h_t"], P["k_i"] + P["g"] * m_i * P["h_i"]
-    held_t = spring_t * W["uneven_t"] - P["k_t"] * X["phi_t"] - P["d_t"] * p_t
-    held_i = spring_i * W["uneven_i"] - P["k_i"] * X["phi_i"] - P["d_i"] * p_i
+    moment_t, moment_i = roll_moments()
+    spring_t, spring_i = springs()
+    held_t = moment_t + spring_t * W["uneven_t"] + P["g"] * m_t * P["h_t"] * X["phi_t"]
+    held_i = moment_i + spring_i * W["uneven_i"] + P["g"] * m_i * P["h_i"] * X["phi_i"]
     right = sp.Matrix([
         front_x + along["r"] + cart_tx,
         front_y + across["r"] + pull_t + cart_ty,
@@ -211,7 +216,8 @@ Array = NDArray[np.float64]
 
 
 VALUE: Final = "Fill M (6, 6), right (6, 1) and slip (3,), alpha'. p: PARAMETERS and CONSTANTS."
-SLOPE: Final = "Fill right (6, n) with the derivatives of right - M found, and slip (3, n); zeros stay."
+SLOPE: Final = "Fill right (6, n), derivatives of right - M found by states and inputs, and slip; zeros stay."
+PARAMETER_SLOPE: Final = "Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip; zeros stay."
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
@@ -305,8 +311,8 @@ def source() -> str:
     values |= {f"slip[{i}]": slips[i] for i in range(3)}
     residual = right - M * sp.Matrix(FOUND)
     rows = {f"right[{i}]": residual[i] for i in range(SPEEDS)} | {f"slip[{i}]": slips[i] for i in range(3)}
-    columns = [X[name] for name in STATES if name != "psi_i"]
-    columns += [W[name] for name in INPUTS[:5]] + [P[name] for name in PARAMETERS]
+    moving = [X[name] for name in STATES if name != "psi_i"] + [W[name] for name in INPUTS[:5]]
+    constant = [P[name] for name in PARAMETERS]
     found = {str(symbol): f"found[{k}]" for k, symbol in enumerate(FOUND)}
     arrays = "x: Array, w: Array, p: Array"
     value = f"{arrays}, M: Array, right: Array, slip: Array"
@@ -314,5 +320,6 @@ def source() -> str:
     return "\n\n".join([
         HEAD,
         _kernel("motion", VALUE, value, _values(given, values)),
-        _kernel("motion_slopes", SLOPE, slope, _slopes(given | found, rows, columns)),
+        _kernel("motion_slopes", SLOPE, slope, _slopes(given | found, rows, moving)),
+        _kernel("parameter_slopes", PARAMETER_SLOPE, slope, _slopes(given | found, rows, constant)),
     ])  # fmt: skip

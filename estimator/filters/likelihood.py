@@ -30,7 +30,6 @@ from tilth.estimator.record.record import (
     R,
     Record,
 )
-from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
 
@@ -50,8 +49,6 @@ ARRIVED_STEP: Final = 0.3
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-_GAINS: Final = frozenset({*PARAMETERS, *NOISES})
-"""Unknowns that change the gains and variances of the filter. All others change them little or not at all."""
 TRUST: Final = (0.1, 0.6)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
 is nine tenths of the cost of a fit."""
@@ -78,6 +75,7 @@ LAGS: Final = 12  # bins over which scores may be correlated, by waves of the gr
 
 NOTHING: Final = np.zeros(0, dtype=np.int64)  # no unknowns
 NO_READINGS: Final = np.zeros((0, 0))
+NO_POINTS: Final = np.zeros((0, len(NAMES)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,22 +161,25 @@ def first_state(record: Record, setup: RigSetup) -> Array:
 
 def innovations(
     record: Record, setup: RigSetup, start: Array, point: Array, places: Places = NOTHING, *,
-    used: Array | None = None, closed: bool = True, driven: Array = NO_READINGS,
+    used: Array | None = None, closed: bool = True, driven: Array = NO_READINGS, nearby: Array = NO_POINTS,
 ) -> Innovations:  # fmt: skip
     """The filter over a record at a point, (n,), of the unknowns: `predictor.run_filter`.
 
     start: (26,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
-    out. closed: False for the open loop. driven: (m, a), changes of the readings.
+    out. closed: False for the open loop. driven: (m, a), changes of the readings. nearby: (q, n), points
+    that differ in noise levels, which are tried beside.
     """
     rows = np.ascontiguousarray(record.rows)
-    m = len(rows)
-    out = Innovations(np.zeros(m), np.ones(m), np.zeros((m, len(places))))
+    m, q = len(rows), len(nearby)
+    out = Innovations(
+        np.empty(m), np.empty(m), np.empty((m, len(places))), np.empty((m, q)), np.empty((m, q))
+    )
     measured = Measured(
         np.ascontiguousarray(record.ticks), rows, rows[:, VALUE].copy(),
         np.ones(m) if used is None else used, closed,
     )  # fmt: skip
     at = Point(point.copy(), np.exp(point[unknowns.SIX]), unknowns.geometry(setup.geometry, point))
-    run_filter(measured, start.copy(), at, setup, places, driven, out)
+    run_filter(measured, start.copy(), at, setup, places, driven, nearby, out)
     return out
 
 
@@ -189,10 +190,11 @@ def _run(
     *,
     closed: bool = True,
     driven: Array = NO_READINGS,
+    nearby: Array = NO_POINTS,
 ) -> Innovations:
     return innovations(
         search.record, search.setup, search.start, point, places, used=search.used, closed=closed,
-        driven=driven,
+        driven=driven, nearby=nearby,
     )  # fmt: skip
 
 
@@ -299,16 +301,18 @@ def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
 
 
 def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
-    """The derivatives at a point; of unknowns that change the gains by differences of filter runs."""
-    here = _run(search, point, search.active)
-    de, dS = np.ascontiguousarray(here.de.T), np.zeros((len(search.active), len(here.e)))
+    """The derivatives at a point; of unknowns that change the gains by differences."""
     steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
-    for k, (place, step) in enumerate(zip(search.active, steps, strict=True)):
-        if NAMES[place] in _GAINS:
-            nudged = point.copy()
-            nudged[place] += step
-            there = _run(search, nudged)
-            de[k], dS[k] = (there.e - here.e) / step, (there.S - here.S) / step
+    levels = np.flatnonzero([NAMES[k] in NOISES for k in search.active])
+    nearby = np.tile(point, (len(levels), 1))
+    nearby[np.arange(len(levels)), search.active[levels]] += steps[levels]
+    here = _run(search, point, search.active, nearby=nearby)
+    de, dS = np.ascontiguousarray(here.de.T), np.zeros((len(search.active), len(here.e)))
+    de[levels] = ((here.e_nearby - here.e[:, None]) / steps[levels]).T
+    dS[levels] = ((here.S_nearby - here.S[:, None]) / steps[levels]).T
+    for k in np.flatnonzero(search.active < 6):
+        there = _run(search, point + steps[k] * np.eye(len(point))[search.active[k]])
+        de[k], dS[k] = (there.e - here.e) / steps[k], (there.S - here.S) / steps[k]
     return ErrorJacobian(de, dS, point)
 
 

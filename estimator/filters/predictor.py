@@ -4,16 +4,23 @@ maximises.
 It is a Kalman filter over the states of states.py; propagation.py propagates them. Between two ticks the
 state is taken as linear in time. Measurements are scalar and are processed one by one, so the log-likelihood
 is log L = -1/2 sum (e^2 / S + log S), with innovation e and its variance S. The derivatives of e over the
-unknowns, with the gains held, are propagated beside the state by the same Jacobians.
+unknowns, with the gains held, are propagated beside the state by the same Jacobians, and so are companions
+with other noise levels (companions.py).
 """
 
-import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.companions import (
+    UNLIMITED,
+    advance,
+    companion,
+    set_noise,
+    take,
+)
 from tilth.estimator.filters.joint_update import JointState, UpdateWork, between, update
 from tilth.estimator.filters.measurement_model import (
     noise_factor,
@@ -23,11 +30,11 @@ from tilth.estimator.filters.measurement_model import (
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
-    GroundNoise,
     drive_at,
     empty_plant,
     empty_transition,
     first_covariance,
+    ground_at,
     linearise,
     propagate,
     propagate_covariance,
@@ -38,12 +45,9 @@ from tilth.estimator.filters.propagation import (
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, Places, Point
-from tilth.estimator.filters.unknowns import AT_MEMORY, AT_PUSH, AT_UNEVEN
 from tilth.estimator.record.record import SD, TICK, U
 
 Array = NDArray[np.float64]
-
-UNLIMITED: Final = 1e30  # sds: no innovation is an outlier here
 
 
 class Measured(NamedTuple):
@@ -62,25 +66,20 @@ class Innovations(NamedTuple):
     e: Array  # (m,), innovations (prediction errors)
     S: Array  # (m,), their variances
     de: Array  # (m, a), derivatives of e over the active unknowns, with the gains held
-
-
-@kernel
-def ground_at(unknowns: Array) -> GroundNoise:
-    """What the ground does, at a point of the unknowns."""
-    return GroundNoise(
-        np.exp(unknowns[AT_PUSH : AT_PUSH + 3]), math.exp(unknowns[AT_MEMORY]), math.exp(unknowns[AT_UNEVEN])
-    )
+    e_nearby: Array  # (m, q), innovations with other noise levels
+    S_nearby: Array  # (m, q), their variances
 
 
 @kernel
 def run_filter(
     measured: Measured, x: Array, point: Point, setup: RigSetup, places: Places, driven: Array,
-    out: Innovations,
+    nearby: Array, out: Innovations,
 ) -> None:  # fmt: skip
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
     x: (26,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
     driven: (m, a), changes of the readings, whose response of the innovations is then `de`; or (0, 0).
+    nearby: (q, n), points that differ in noise levels, which are tried beside; or (0, n).
     """
     ticks, rows, readings, used, closed = measured
     na, nothing = places.shape[0], places[:0]
@@ -91,25 +90,33 @@ def run_filter(
     set_plant(plant, point, setup, active)
     P = first_covariance(ticks[0, U], ground, setup)
     state = JointState(x, np.zeros(N_STATES), point.unknowns, nothing, np.zeros(N_STATES), P)
-    following, x_at = state.following, np.zeros(N_STATES)
+    companions = [companion(point.unknowns, ticks[0, U], setup, nothing, step)]
+    companions.clear()  # numba has its type now
+    for q in range(nearby.shape[0]):
+        companions.append(companion(nearby[q], ticks[0, U], setup, nothing, step))
+    following, x_at, middle = state.following, np.zeros(N_STATES), np.zeros(N_STATES)
     D, D_following = np.zeros((N_STATES, na)), np.zeros((N_STATES, na))
     h, H, d = np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na)
     work = UpdateWork(np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES))
+    moved = np.zeros((2, N_STATES))
     n, m, row = ticks.shape[0], rows.shape[0], 0
+    out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
     for k in range(n):
         drive = drive_at(ticks, k, point.unknowns)
         if k % EVERY == 0:
             set_processes(drive.u, ground, setup, step)
             set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-            linearise(x, ticks, k, point, plant, active, step)
+            linearise(x, ticks, k, point, plant, active, step, middle)
+            for near in companions:
+                set_noise(near, drive.u, point, setup)
         propagate(x, drive, plant, active, step, following)
+        for near in companions:
+            advance(near, x, step)
         if response:
             step.F_unknowns[:] = 0.0
         np.dot(step.F, D, D_following)
         D_following += step.F_unknowns
         while row < m and rows[row, TICK] <= k:
-            out.e[row], out.S[row] = 0.0, 1.0
-            out.de[row, :] = 0.0
             if used[row] == 0.0:
                 row += 1
                 continue
@@ -129,15 +136,19 @@ def run_filter(
                 noise_variance = (rows[row, SD] * noise_factor(obs.kind, point.unknowns)) ** 2
                 out.S[row] = update(error, noise_variance, H, state, step.F_T, UNLIMITED, work)
                 for i in range(N_STATES):
+                    moved[0, i], moved[1, i] = work.gain[i] * error, work.gain_after[i] * error
                     for j in range(na):
                         D[i, j] += work.gain[i] * d[j]
                         D_following[i, j] += work.gain_after[i] * d[j]
+                for q in range(len(companions)):
+                    out.e_nearby[row, q], out.S_nearby[row, q] = take(
+                        companions[q], error, rows[row, SD], obs, h, H, moved, work
+                    )
             row += 1
         if closed:
             propagate_covariance(P, step, x[X_PSI])
+            for near in companions:
+                propagate_covariance(near.state.P, near.step, x[X_PSI])
+                near.state.x[:] = near.state.following
         x[:] = following
         D[:] = D_following
-    while row < m:
-        out.e[row], out.S[row] = 0.0, 1.0
-        out.de[row, :] = 0.0
-        row += 1

@@ -45,22 +45,25 @@ from tilth.estimator.filters.unknowns import (
     AT_GEOMETRY,
     AT_HITCH,
     AT_LATENCY,
+    AT_MEMORY,
     AT_PIN,
+    AT_PUSH,
     AT_ROLL_MODES,
     AT_ROLLING,
     AT_SHRINK,
+    AT_UNEVEN,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
 )
 from tilth.estimator.models import rolling
 from tilth.estimator.models.rolling import (
     BY_INPUT,
-    BY_PARAMETER,
     N_INPUTS,
     N_PARAMETERS,
     MotionRates,
     empty_motion,
     rate_slopes,
+    rate_slopes_by_parameter,
     rates,
 )
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
@@ -94,7 +97,7 @@ P_CONSTANTS: Final = len(PARAMETERS)
 class Plant(NamedTuple):
     """The motion model at one point of the unknowns, and its work arrays."""
 
-    p: Array  # (36,), rolling.PARAMETERS and CONSTANTS
+    p: Array  # (36,), rolling_terms.PARAMETERS and CONSTANTS
     p_unknowns: Array  # (a, 30), derivatives of PARAMETERS by the active unknowns
     scale: float  # of all motions; as RigSetup.scale
     x: Array  # (12,), its state
@@ -144,6 +147,8 @@ class Transition(NamedTuple):
     F_T: Array  # (n, 26), both, transposed, over the joint state of the covariance
     F_P: Array  # (26, n), overwritten
     P: Array  # (26, 26), overwritten
+    square: Array  # (3, 12, 12), overwritten
+    change: Array  # (12, 21), overwritten
 
 
 # The inputs and the rates.
@@ -187,7 +192,7 @@ def empty_plant(setup: RigSetup, na: int) -> Plant:
 
 @kernel
 def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
-    """Fill p (36,), rolling.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
+    """Fill p (36,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
     rolling resistance, and its roll modes and heights are those of the setup."""
     rig, roll, unknowns = setup.rig, setup.roll, point.unknowns
     p[:6], p[P_GEOMETRY : P_GEOMETRY + 9] = point.theta, point.geometry
@@ -275,16 +280,16 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
 def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, out: Transition) -> None:
     """Fill the rates at x and their Jacobians. Those of psi_t, psi_i and of the leans are constant."""
     state_rates(x, drive, plant, out.rates)
-    motion = plant.motion
+    motion, na = plant.motion, active.places.shape[0]
     rate_slopes(plant.x, plant.w, plant.p, motion)
+    if na > 0:
+        rate_slopes_by_parameter(plant.x, plant.w, plant.p, motion)
+        out.rates_unknowns[:] = 0.0
     for k in range(8):
         i = k if k < X_ROLL else k + 2  # v, yaw rates, slip angles, rates of the leans
-        if k < X_ALPHA:
-            slopes = motion.right_slopes[1 + k]
-        elif k < X_ROLL:
-            slopes = motion.slip_slopes[k - X_ALPHA]
-        else:
-            slopes = motion.right_slopes[k - 2]
+        slips = X_ALPHA <= k < X_ROLL
+        row = k - X_ALPHA if slips else (1 + k if k < X_ALPHA else k - 2)
+        slopes = motion.slip_slopes[row] if slips else motion.right_slopes[row]
         for j in range(X_PSI + 1):
             out.rates_x[i, j] = slopes[j]
         out.rates_x[i, X_PSI + 1] = -slopes[X_PSI]
@@ -293,13 +298,15 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
             out.rates_x[i, X_SLOPE + body] = slopes[BY_INPUT + W_GRAVITY + body]
             out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
         out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
-        for j in range(active.places.shape[0]):
-            total = 0.0
-            for k in range(P_CONSTANTS):
-                part = plant.p_unknowns[j, k]
-                if part != 0.0:
-                    total += part * slopes[BY_PARAMETER + k]
-            out.rates_unknowns[i, j] = total / plant.scale
+    for j in range(na):
+        for k in range(P_CONSTANTS):
+            part = plant.p_unknowns[j, k] / plant.scale
+            if part != 0.0:
+                for i in range(3):
+                    out.rates_unknowns[i, j] += part * motion.right_by_parameter[1 + i, k]
+                    out.rates_unknowns[X_ALPHA + i, j] += part * motion.slip_by_parameter[i, k]
+                for i in range(2):
+                    out.rates_unknowns[X_ROLL + 2 + i, j] += part * motion.right_by_parameter[4 + i, k]
 
 
 @kernel
@@ -325,34 +332,37 @@ def set_geometry_slopes(point: Point, active: Active) -> None:
 
 
 @kernel
-def integrate_exponential(jacobian: Array, out: Array) -> None:
-    """Fill out (12, 12): the integral of the Jacobian's matrix exponential over DT, by a power series."""
-    A = jacobian[:, :X_PUSH].copy()
-    power, factor = np.eye(X_PUSH), DT
-    out[:] = DT * power
-    for order in range(2, 5):
-        power = power @ A
-        factor *= DT / order
-        out += factor * power
+def integrate_exponential(step: Transition) -> None:
+    """Fill step.held: the integral over DT of the matrix exponential of the rates' Jacobian, by a power
+    series."""
+    A, B, power, held = step.square[0], step.square[1], step.square[2], step.held
+    for i in range(X_PUSH):
+        for j in range(X_PUSH):
+            A[i, j] = B[i, j] = DT * step.rates_x[i, j]
+            held[i, j] = 0.5 * DT * A[i, j]
+        held[i, i] += DT
+    for order in range(3, 5):
+        np.dot(A, B, power)
+        B[:] = power
+        factor = DT / (order if order == 3 else order * 3) / 2.0
+        for i in range(X_PUSH):
+            for j in range(X_PUSH):
+                held[i, j] += factor * power[i, j]
 
 
 @kernel
 def joint_jacobian(step: Transition) -> None:
     """Fill step.F, step.F_unknowns and step.wheel, except for what `complete_jacobian` adds."""
     held, F, F_unknowns = step.held, step.F, step.F_unknowns
+    np.dot(held, step.rates_x, step.change)
+    np.dot(held, step.rates_wheel, step.wheel)
     F[:, :] = 0.0
-    F_unknowns[:, :] = 0.0
     for i in range(X_PUSH):
-        F[i, i] = 1.0
-        step.wheel[i] = 0.0
-        for k in range(X_PUSH):
-            part = held[i, k]
-            if part != 0.0:
-                step.wheel[i] += part * step.rates_wheel[k]
-                for j in range(X_POSITION):
-                    F[i, j] += part * step.rates_x[k, j]
-                for j in range(F_unknowns.shape[1]):
-                    F_unknowns[i, j] += part * step.rates_unknowns[k, j]
+        for j in range(X_POSITION):
+            F[i, j] = step.change[i, j]
+        F[i, i] += 1.0
+    if F_unknowns.shape[1] > 0:
+        np.dot(held, step.rates_unknowns, F_unknowns[:X_PUSH])
     for i in range(X_PUSH, N_STATES):
         F[i, i] = step.decay[i]
     for k in range(4):
@@ -362,27 +372,33 @@ def joint_jacobian(step: Transition) -> None:
 
 
 @kernel
+def set_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition) -> None:
+    """Fill step's Jacobians about x, except for what `complete_jacobian` adds."""
+    rate_jacobians(x, drive, plant, active, step)
+    integrate_exponential(step)
+    joint_jacobian(step)
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            step.F_T[j, i] = step.F[i, j]
+        for j in range(step.F_T.shape[0] - N_STATES):
+            step.F_T[N_STATES + j, i] = step.F_unknowns[i, j]
+
+
+@kernel
 def linearise(
-    x: Array,
-    ticks: Array,
-    k: int,
-    point: Point,
-    plant: Plant,
-    active: Active,
-    step: Transition,
-) -> None:
-    """Renew step's Jacobians for EVERY ticks from tick k on, about x in the middle of them, roughly.
+    x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition,
+    middle: Array,
+) -> None:  # fmt: skip
+    """Renew step's Jacobians for EVERY ticks from tick k on, about `middle`: (26,), filled with x in the
+    middle of them, roughly.
 
     At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
     """
-    middle = x.copy()
-    for j in range(EVERY):
-        state_rates(middle, drive_at(ticks, k + j // 2, point.unknowns), plant, step.rates)
-        for i in range(X_PUSH):
-            middle[i] += 0.5 * DT * step.rates[i]
-    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
-    integrate_exponential(step.rates_x, step.held)
-    joint_jacobian(step)
+    middle[:] = x
+    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
+    for i in range(X_PUSH):
+        middle[i] += 0.5 * EVERY * DT * step.rates[i]
+    set_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
 
 
 @kernel
@@ -420,14 +436,13 @@ def complete_jacobian(
                 factor = -drive.wheel
             for i in range(X_PUSH):
                 F_unknowns[i, j] = factor * step.wheel[i]
+            if N_STATES + j < F_T.shape[0]:
+                F_T[N_STATES + j, :X_PUSH] = F_unknowns[:X_PUSH, j]
     psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
     position_jacobian(drive, psi, v, step)
-    for i in range(N_STATES):
-        for j in range(N_STATES):
-            F_T[j, i] = F[i, j]
-    for j in range(N_STATES, F_T.shape[0]):
-        for i in range(N_STATES):
-            F_T[j, i] = F_unknowns[i, j - N_STATES]
+    for i in (X_POSITION, X_POSITION + 1):
+        F_T[:N_STATES, i] = F[i]
+        F_T[N_STATES:, i] = F_unknowns[i, : F_T.shape[0] - N_STATES]
 
 
 # One tick.
@@ -500,6 +515,14 @@ def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
 
 
 @kernel
+def ground_at(unknowns: Array) -> GroundNoise:
+    """What the ground does, at a point of the unknowns."""
+    return GroundNoise(
+        np.exp(unknowns[AT_PUSH : AT_PUSH + 3]), math.exp(unknowns[AT_MEMORY]), math.exp(unknowns[AT_UNEVEN])
+    )
+
+
+@kernel
 def stationary(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
     """Stationary variances of the states from X_PUSH on, shape (26,), 0 before and for the position. u:
     m/s."""
@@ -539,6 +562,7 @@ def empty_transition(na: int, rows: int) -> Transition:
         np.zeros((2, 3)),
         np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, na)), np.zeros((n, N_STATES)),
         np.zeros((N_STATES, n)), np.zeros((N_STATES, N_STATES)),
+        np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
     )  # fmt: skip
 
 

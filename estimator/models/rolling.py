@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.estimator.models.rolling_kernels import motion, motion_slopes
+from tilth.estimator.models.rolling_kernels import motion, motion_slopes, parameter_slopes
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
 Array = NDArray[np.float64]
@@ -25,9 +25,8 @@ Array = NDArray[np.float64]
 N_STATES: Final = len(STATES)
 N_INPUTS: Final = len(INPUTS)
 N_PARAMETERS: Final = len(PARAMETERS) + len(CONSTANTS)
-BY_INPUT: Final = N_STATES - 1  # columns of derivatives: states but psi_i, inputs but u and u', parameters
-BY_PARAMETER: Final = BY_INPUT + N_INPUTS - 2
-N_COLUMNS: Final = BY_PARAMETER + len(PARAMETERS)
+BY_INPUT: Final = N_STATES - 1  # columns of derivatives: states but psi_i, then inputs but u and u'
+N_COLUMNS: Final = BY_INPUT + N_INPUTS - 2
 
 
 class MotionRates(NamedTuple):
@@ -36,16 +35,18 @@ class MotionRates(NamedTuple):
     M: Array  # (6, 6), mass matrix, then its factors
     right: Array  # (6, 1), then drive's force (N), v', r_t', r_i', p_t', p_i'
     slip: Array  # (3,), alpha'
-    right_slopes: Array  # (6, n), derivatives of the same by the columns
-    slip_slopes: Array  # (3, n)
+    right_slopes: Array  # (6, 16), derivatives of the same by states but psi_i and inputs but u and u'
+    slip_slopes: Array  # (3, 16)
+    right_by_parameter: Array  # (6, 30), by PARAMETERS
+    slip_by_parameter: Array  # (3, 30)
 
 
 @kernel
 def empty_motion() -> MotionRates:
-    """Arrays for `rates` and `rate_slopes`."""
+    """Arrays for `rates` and its derivatives."""
     return MotionRates(
         np.zeros((SPEEDS, SPEEDS)), np.zeros((SPEEDS, 1)), np.zeros(3), np.zeros((SPEEDS, N_COLUMNS)),
-        np.zeros((3, N_COLUMNS)),
+        np.zeros((3, N_COLUMNS)), np.zeros((SPEEDS, len(PARAMETERS))), np.zeros((3, len(PARAMETERS))),
     )  # fmt: skip
 
 
@@ -92,7 +93,15 @@ def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
 
 @kernel
 def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
-    """Fill the derivatives in `at`, whose other arrays `rates` has filled at the same state."""
+    """Fill right_slopes and slip_slopes of `at`; `rates` has filled its first three at the same state."""
     at.right_slopes[:] = 0.0
     motion_slopes(x, w, p, at.right[:, 0], at.right_slopes, at.slip_slopes)
     solve(at.M, at.right_slopes)
+
+
+@kernel
+def rate_slopes_by_parameter(x: Array, w: Array, p: Array, at: MotionRates) -> None:
+    """Fill right_by_parameter and slip_by_parameter, as `rate_slopes` its own."""
+    at.right_by_parameter[:] = 0.0
+    parameter_slopes(x, w, p, at.right[:, 0], at.right_by_parameter, at.slip_by_parameter)
+    solve(at.M, at.right_by_parameter)

@@ -161,7 +161,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     ticks[:, 1] = SPEED
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
-    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
+    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step, np.zeros(N_STATES))
     return step
 
 
