@@ -120,7 +120,7 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
 
     The speed is held: u' is known, and the force of the driven wheels is what that takes.
     """
-    u, v, r_t, r_i, p_t, p_i = W["u"], X["v"], X["r_t"], X["r_i"], X["p_t"], X["p_i"]
+    u, v, r_t, r_i = W["u"], X["v"], X["r_t"], X["r_i"]
     m_t, m_i, z = P["m_t"], P["m_i"], P["h_h"]
     s, c = sp.sin(X["psi_t"] - X["psi_i"]), sp.cos(X["psi_t"] - X["psi_i"])
     # Velocities of both CGs along and across the tractor; what they change by when speeds do not.
@@ -216,8 +216,8 @@ Array = NDArray[np.float64]
 
 
 VALUE: Final = "Fill M (6, 6), right (6, 1) and slip (3,), alpha'. p: PARAMETERS and CONSTANTS."
-SLOPE: Final = "Fill right (6, n), derivatives of right - M found by states and inputs, and slip; zeros stay."
-PARAMETER_SLOPE: Final = "Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip; zeros stay."
+SLOPE: Final = "Fill right (6, n), derivatives of right - M found by states and inputs, and slip (3, n)."
+PARAMETER_SLOPE: Final = "Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip (3, n)."
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]

@@ -115,7 +115,7 @@ def advised(text: str) -> str:
             return "Drive on: no steering at this speed would tell much more."
     if advice.manoeuvre is None:
         return ""
-    what = f"{advice.manoeuvre.driven} for {advice.seconds} s, wheels to about {advice.degrees}°"
+    what = advice.manoeuvre.driven.format(seconds=advice.seconds, degrees=advice.degrees)
     groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in advice.parameters]
     return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
 

@@ -135,10 +135,9 @@ class Iterate:
     converged: bool = False
 
 
-def model_sd(ticks: Array) -> Array:
-    """Sds of the six logarithms, (6,), from errors of the model in what was driven. ticks: as
-    record.Record."""
-    return TIGHT_SD if float(np.abs(ticks[:, WHEEL_ANGLE]).max()) > TIGHT else MODEL_SD
+def model_sd(wheel_angle: float) -> Array:
+    """Sds of the six logarithms, (6,), from errors of the model where wheels are turned so far, rad."""
+    return TIGHT_SD if wheel_angle > TIGHT else MODEL_SD
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
@@ -375,7 +374,7 @@ def _covariance(search: Search, scores: Array, covariance: Array, autocorrelatio
     whole *= np.outer(factors, factors)
     if search.setup.scale == 1.0:
         open_ = search.active[search.active < 6]
-        whole[open_, open_] += model_sd(search.record.ticks)[open_] ** 2
+        whole[open_, open_] += model_sd(float(np.abs(search.record.ticks[:, WHEEL_ANGLE]).max()))[open_] ** 2
     return (whole + whole.T) / 2
 
 

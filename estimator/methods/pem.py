@@ -22,10 +22,11 @@ from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
-from tilth.estimator.record.record import Record, Segment
+from tilth.estimator.record.record import Record, Segment, U
 from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
 from tilth.estimator.record.windows import OPEN, close_window, collect, describe_late, refuse
 from tilth.estimator.results import advice
+from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.reporting import (
     LARGEST_DEVIATION,
     PUBLISH_NS,
@@ -79,7 +80,6 @@ class Fit:
     iterations: int
     rows: int
     changed: bool  # the window contradicted what was known
-    advice: str
     refused: str  # why it must not be used, or ""
 
 
@@ -108,6 +108,7 @@ class PemState:
     refused: dict[str, int] = field(default_factory=dict)
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     last: Fit | None = None
+    advisor: Advisor = field(default_factory=Advisor)
     reason: str = ""
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
@@ -127,6 +128,9 @@ def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None)
         state.sound_ns = pose.t_ns
     if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING, _wheel_zero(state)):
         return None
+    if state.fits:
+        speed = abs(pose.tractor.forward_velocity or 0.0)
+        advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns)
     return estimate(state, machine, pose.t_ns)
 
 
@@ -183,11 +187,9 @@ def fit(machine: Machine, job: Job) -> Fit:
         gain = found.gain
         found = _posterior(job.record, setup, mean, covariance)
         found = likelihood.with_gain(found, gain)
-    speed = float(np.mean(job.record.ticks[:, 1]))
     return Fit(
         found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
-        found.iterations, found.rows, changed, advice.advise(machine, found.mean, found.covariance, speed),
-        _refusal(found, prior_mean, prior_sd),
+        found.iterations, found.rows, changed, _refusal(found, prior_mean, prior_sd),
     )  # fmt: skip
 
 
@@ -265,6 +267,8 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     state.informed_ns = job.closed_ns
     state.window_s += len(job.record.ticks) * 0.02
     state.fits += 1
+    speed, state.advisor.renewed_ns = float(np.mean(job.record.ticks[:, U])), 0  # what it said is past
+    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, t_ns)
     return estimate(state, machine, t_ns)
 
 
@@ -301,7 +305,7 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
         excitation["late_s"] = state.late_ns * 1e-9
     return six_parameter_estimate(
         state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], NOTHING, excitation,
-        last.advice if last else "", _stale(state, t_ns),
+        state.advisor.text, _stale(state, t_ns),
     )  # fmt: skip
 
 

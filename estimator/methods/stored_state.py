@@ -185,6 +185,7 @@ def pem_json(state: PemState) -> Json:
         "refused": dict(state.refused),
         "supported": to_json_data(state.has_number),
         "last": to_json_data(state.last),
+        "advisor": to_json_data(state.advisor),
         "reason": state.reason,
         "events": to_json_data(state.events),
     }
@@ -215,6 +216,7 @@ def pem_of(raw: Any) -> PemState:
         refused=stored.value(dict[str, int], "refused"),
         has_number=stored.value(list[bool], "supported"),
         last=stored.optional(pem.Fit, "last"),
+        advisor=stored.value(Advisor, "advisor"),
         reason=stored.value(str, "reason"),
         events=stored.value(list[tuple[str, str]], "events"),
     )

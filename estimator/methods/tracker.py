@@ -136,7 +136,7 @@ def prepare(machine: Machine) -> None:
     rows = np.array([[k, 0.0, 0.0, k % 2, 0.0, 0.01] for k in range(10)], dtype=np.float64)
     state = initial(machine)
     _learn(state, machine, Record(0, ticks, rows), None)
-    advice.renew(state.advisor, machine, state.mean, state.covariance, 4.0, 0)
+    advice.renew(state.advisor, machine, state.mean, state.covariance, 4.0, 0, False)
 
 
 def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
@@ -148,7 +148,7 @@ def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | N
         return None
     state.published_ns = pose.t_ns
     speed = abs(pose.tractor.forward_velocity or 0.0)
-    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns)
+    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns, False)
     return estimate(state, machine, pose.t_ns)
 
 

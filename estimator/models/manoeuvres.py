@@ -16,7 +16,8 @@ class Manoeuvre(NamedTuple):
     """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0.
 
     Only for manoeuvres that can be advised: called, its name with a place for the amplitude in degrees;
-    driven, the instruction to a driver.
+    driven, the instruction to a driver, with
+    places for seconds and degrees.
     """
 
     name: str
@@ -28,6 +29,10 @@ class Manoeuvre(NamedTuple):
 
 def step(time: Array, amplitude: float, rng: Generator) -> Array:
     return np.where(time >= START_S, amplitude, 0.0)
+
+
+def turn(time: Array, amplitude: float, rng: Generator) -> Array:
+    return amplitude * np.clip((time - START_S) / 2.0, 0.0, 1.0)
 
 
 def steps(time: Array, amplitude: float, rng: Generator) -> Array:
@@ -58,16 +63,22 @@ def row_following(time: Array, amplitude: float, rng: Generator) -> Array:
 MANOEUVRES = (
     Manoeuvre(
         "step", "the wheels turned at once and held", step,
-        "a turn held at {:g}°", "hold a turn",
+        "a turn held at {:g}°", "hold a turn for {seconds} s, wheels to about {degrees}°",
     ),
     Manoeuvre(
         "steps", "to one side and the other, three seconds each", steps,
         "turns of {:g}° to one side and the other",
-        "turn to one side and the other, three seconds each,",
+        "turn to one side and the other, three seconds each, for {seconds} s, wheels to about {degrees}°",
     ),
     Manoeuvre(
         "chirp", "swinging from 0.05 to 1 Hz", chirp,
-        "a chirp of {:g}°", "weave the steering gently left and right, slow then quick,",
+        "a chirp of {:g}°",
+        "weave the steering gently left and right, slow then quick, for {seconds} s, "
+        "wheels to about {degrees}°",
+    ),
+    Manoeuvre(
+        "turn", "the wheels turned within two seconds, as into a headland turn, and held", turn,
+        "a headland turn at {:g}° or more", "turn at the headland with the wheels at {degrees}° or more",
     ),
     Manoeuvre("random", "random levels, held for 0.3 to 2 s", random_levels),
     Manoeuvre("row", "small corrections on a straight row", row_following),

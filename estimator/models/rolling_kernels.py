@@ -256,7 +256,7 @@ def motion(x: Array, w: Array, p: Array, M: Array, right: Array, slip: Array) ->
 
 @kernel
 def motion_slopes(x: Array, w: Array, p: Array, found: Array, right: Array, slip: Array) -> None:
-    """Fill right (6, n), derivatives of right - M found by states and inputs, and slip; zeros stay."""
+    """Fill right (6, n), derivatives of right - M found by states and inputs, and slip (3, n)."""
     v = x[0]
     r_t = x[1]
     r_i = x[2]
@@ -820,7 +820,7 @@ def motion_slopes(x: Array, w: Array, p: Array, found: Array, right: Array, slip
 
 @kernel
 def parameter_slopes(x: Array, w: Array, p: Array, found: Array, right: Array, slip: Array) -> None:
-    """Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip; zeros stay."""
+    """Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip (3, n)."""
     v = x[0]
     r_t = x[1]
     r_i = x[2]

@@ -62,9 +62,13 @@ class Candidate(NamedTuple):
     degrees: float  # of the wheels
 
 
-CANDIDATES: Final = tuple(
-    Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")
+TURN: Final = Candidate("turn", 25.0)
+CANDIDATES: Final = (
+    TURN,  # is driven anyway
+    *(Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")),
 )
+TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
+NO_ERROR: Final = np.zeros(len(PARAMETERS))
 # the candidates draw no random numbers: a driver could not follow those
 NO_DRAW: Final = cast(Generator, None)
 
@@ -191,6 +195,7 @@ def information(
     point: (n,), where it is linearised. speed: m/s. hertz: rate of each receiver, in the order of flow.Mount.
     linear: as rig_setup.
     """
+    speed = _speed_of(candidate, speed)
     record, setup = planned(machine, point, speed, candidate, hertz, linear), rig_setup(machine, linear)
     _, prior_sd = unknowns.prior(machine)
     active = np.array([k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop])
@@ -239,15 +244,21 @@ def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array
     return np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64)
 
 
-def predicted(covariance: Array, information: Array) -> Array:
-    """Sds of the six logarithms, (6,), after the information is added. Both arguments (n, n), over NAMES."""
+def predicted(covariance: Array, information: Array, model_sd: Array = NO_ERROR) -> Array:
+    """Sds of the six logarithms, (6,), after the information is added. Both arguments (n, n), over NAMES.
+
+    model_sd: (6,), by which the model itself errs in what brings the information.
+    """
     known = np.flatnonzero((np.diag(covariance) > 0) & ~_is_noise())
     prior = covariance[np.ix_(known, known)]
     scale = np.sqrt(np.diag(prior))
     added = information[np.ix_(known, known)] * np.outer(scale, scale)
     total = np.linalg.inv(prior / np.outer(scale, scale)) + added
-    sd = np.sqrt(np.diag(np.linalg.inv((total + total.T) / 2))) * scale
-    return np.asarray(sd[: len(PARAMETERS)])
+    after = (np.linalg.inv((total + total.T) / 2) * np.outer(scale, scale))[SIX, SIX]
+    before = np.linalg.inv(prior[SIX, SIX])
+    brought = np.linalg.inv(after) - before  # on the six, with all else as uncertain as it then is
+    counted = np.linalg.solve(np.eye(len(PARAMETERS)) + brought * model_sd**2, brought)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(before + counted))))
 
 
 def _is_noise() -> NDArray[np.bool_]:
@@ -256,11 +267,23 @@ def _is_noise() -> NDArray[np.bool_]:
     return found
 
 
-def gentle(machine: Machine, speed: float) -> tuple[Candidate, ...]:
-    """The candidates within LARGEST_ACCELERATION at a speed, m/s, mildest first."""
+def _speed_of(candidate: Candidate, speed: float) -> float:
+    return min(speed, TURN_SPEED) if candidate == TURN else speed
+
+
+def _effort(candidate: Candidate) -> float:
+    return 0.0 if candidate == TURN else candidate.degrees
+
+
+def gentle(machine: Machine, speed: float, turns: bool = True) -> tuple[Candidate, ...]:
+    """The candidates within LARGEST_ACCELERATION at a speed, m/s, mildest first. turns: with TURN."""
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
-    limit = math.degrees(LARGEST_ACCELERATION * wheelbase / max(speed, 0.1) ** 2)
-    return tuple(c for c in CANDIDATES if c.degrees <= limit)
+    limit = LARGEST_ACCELERATION * wheelbase
+    return tuple(
+        c
+        for c in CANDIDATES
+        if (turns or c != TURN) and math.radians(c.degrees) * max(_speed_of(c, speed), 0.1) ** 2 <= limit
+    )
 
 
 def advise(
@@ -291,7 +314,10 @@ def advise(
     else:
         state = "is known least" if known else f"{'is' if len(undetermined) == 1 else 'are'} not determined"
         start = f"{names} {state}: {share(*now[undetermined])}"
-    after = {c: predicted(covariance, brought)[undetermined] for c, brought in table.items()}
+    after = {
+        c: predicted(covariance, brought, likelihood.model_sd(math.radians(c.degrees)))[undetermined]
+        for c, brought in table.items()
+    }
     chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
@@ -310,8 +336,8 @@ def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
     if not worth:
         return None
     enough = max(TARGET, 1.1 * min(worth.values()))
-    mildest = min(c.degrees for c, worst in worth.items() if worst <= enough)
-    return min((c for c in worth if c.degrees == mildest), key=lambda c: worth[c])
+    mildest = min(_effort(c) for c, worst in worth.items() if worst <= enough)
+    return min((c for c in worth if _effort(c) == mildest), key=lambda c: worth[c])
 
 
 def _join_names(names: Sequence[str]) -> str:
@@ -329,9 +355,12 @@ class Advisor:
     table: list[Array] = field(default_factory=list)  # informations of `gentle`, reversed, as far as computed
 
 
-def renew(state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int) -> str:
-    """The present advice; each EVERY_NS it is renewed with one more candidate. Other arguments as
-    `advise`."""
+def renew(
+    state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int,
+    turns: bool = True,
+) -> str:  # fmt: skip
+    """The present advice; each EVERY_NS it is renewed with one more candidate. turns: whether the estimator
+    learns tyres from headland turns. Other arguments as `advise`."""
     if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + EVERY_NS:
         return state.text
     state.renewed_ns = t_ns
@@ -343,7 +372,7 @@ def renew(state: Advisor, machine: Machine, mean: Array, covariance: Array, spee
     )
     if not state.table or far:
         state.point, state.speed, state.table = mean.copy(), speed, []
-    candidates = gentle(machine, state.speed)[::-1]  # the most informative first
+    candidates = gentle(machine, state.speed, turns)[::-1]  # the most informative first
     if len(state.table) < len(candidates):
         state.table.append(information(machine, state.point, state.speed, candidates[len(state.table)]))
     table = dict(zip(candidates, state.table, strict=False))

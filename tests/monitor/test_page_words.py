@@ -26,9 +26,10 @@ MACHINE = demo_machine()
 MEAN, SD = unknowns.prior(MACHINE)
 SPEED = 4.5
 DRIVEN = {
-    "step": "hold a turn for 10 s",
-    "steps": "turn to one side and the other, three seconds each, for 10 s",
-    "chirp": "weave the steering gently left and right, slow then quick, for 10 s",
+    "turn": "turn at the headland with the wheels at 25° or more",
+    "step": "hold a turn for 10 s, wheels to about {:g}°",
+    "steps": "turn to one side and the other, three seconds each, for 10 s, wheels to about {:g}°",
+    "chirp": "weave the steering gently left and right, slow then quick, for 10 s, wheels to about {:g}°",
 }
 TELLING = np.zeros((len(NAMES), len(NAMES)))  # information of a drive that tells much of all six
 TELLING[SIX, SIX] = np.eye(6) * 1e3
@@ -50,7 +51,7 @@ def test_every_manoeuvre_that_is_ever_advised_is_told_to_a_driver(candidate: adv
     text = advice.advise(MACHINE, MEAN, covariance, SPEED, {candidate: TELLING})
     assert f"{candidate.degrees:g}°" in text and "sigma_r is not determined" in text  # the engineer's
     assert words.advised(text) == (
-        f"Where there is room, {DRIVEN[candidate.manoeuvre]}, wheels to about {candidate.degrees:g}°: "
+        f"Where there is room, {DRIVEN[candidate.manoeuvre].format(candidate.degrees)}: "
         "it would tell more of the rear tyres."
     )
 

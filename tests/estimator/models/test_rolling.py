@@ -6,7 +6,14 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import TABLE_5_1, Rig, static_loads
-from tilth.estimator.models.rolling import BY_INPUT, BY_PARAMETER, empty_motion, rate_slopes, rates
+from tilth.estimator.models.rolling import (
+    BY_INPUT,
+    N_COLUMNS,
+    empty_motion,
+    rate_slopes,
+    rate_slopes_by_parameter,
+    rates,
+)
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 
 Array = NDArray[np.float64]
@@ -18,6 +25,7 @@ MODES = {
 }  # fmt: skip
 RNG = np.random.default_rng(5)
 _rates, _slopes, _empty = rates.interpreted(), rate_slopes.interpreted(), empty_motion.interpreted()
+_by_parameter = rate_slopes_by_parameter.interpreted()
 
 
 def parameters(rig: Rig, **changes: float) -> Array:
@@ -112,15 +120,18 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
 
     def at(z: Array) -> Array:
         out = np.zeros(len(STATES))
-        here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:BY_PARAMETER], w[5:])
-        _rates(*here, np.append(z[BY_PARAMETER:], p[len(PARAMETERS) :]), _empty(), out)
+        here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:N_COLUMNS], w[5:])
+        _rates(*here, np.append(z[N_COLUMNS:], p[len(PARAMETERS) :]), _empty(), out)
         return out[[0, 1, 2, 3, 4, 5, 8, 9]]
 
     motion, out = _empty(), np.zeros(len(STATES))
     for _ in range(2):  # the second time the arrays are not empty
         _rates(x, w, p, motion, out)
         _slopes(x, w, p, motion)
-    found = np.vstack([motion.right_slopes[1:4], motion.slip_slopes, motion.right_slopes[4:6]])
+        _by_parameter(x, w, p, motion)
+    right = np.hstack([motion.right_slopes, motion.right_by_parameter])
+    slip = np.hstack([motion.slip_slopes, motion.slip_by_parameter])
+    found = np.vstack([right[1:4], slip, right[4:6]])
     z = np.concatenate([x[:BY_INPUT], w[:5], p[: len(PARAMETERS)]])
     for j, value in enumerate(z):
         step = 1e-5 * max(abs(value), 0.01) * np.eye(len(z))[j]
