@@ -311,7 +311,7 @@ def source() -> str:
     values |= {f"slip[{i}]": slips[i] for i in range(3)}
     residual = right - M * sp.Matrix(FOUND)
     rows = {f"right[{i}]": residual[i] for i in range(SPEEDS)} | {f"slip[{i}]": slips[i] for i in range(3)}
-    moving = [X[name] for name in STATES if name != "psi_i"] + [W[name] for name in INPUTS[:5]]
+    moving = [X[name] for name in STATES if name != "psi_i"] + [W[name] for name in INPUTS[:6]]
     constant = [P[name] for name in PARAMETERS]
     found = {str(symbol): f"found[{k}]" for k, symbol in enumerate(FOUND)}
     arrays = "x: Array, w: Array, p: Array"

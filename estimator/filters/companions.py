@@ -60,7 +60,7 @@ def set_noise(near: Companion, u: float, point: Point, setup: RigSetup) -> None:
 
 @kernel
 def advance(near: Companion, x: Array, run: Transition) -> None:
-    """Propagate the deviation over a tick. x: (26,), the run's state."""
+    """Propagate the deviation over a tick. x: (27,), the run's state."""
     following = near.state.following
     np.dot(run.F, near.state.x, following)
     for i in range(X_PUSH, X_PUSH + 3):  # their memory moves the mean, too
@@ -80,8 +80,8 @@ def take(
 ) -> tuple[float, float]:
     """Update with one measurement; (innovation, its variance).
 
-    error: the run's innovation. sd: stated one of the measurement. h, H: (26,), its Jacobians at its instant
-    and at the tick. moved: (2, 26), what the run's state and its following one have moved by.
+    error: the run's innovation. sd: stated one of the measurement. h, H: (27,), its Jacobians at its instant
+    and at the tick. moved: (2, 27), what the run's state and its following one have moved by.
     """
     x, following = near.state.x, near.state.following
     for i in range(N_STATES):

@@ -15,20 +15,20 @@ Array = NDArray[np.float64]
 class JointState(NamedTuple):
     """The joint state during a run."""
 
-    x: Array  # (26,)
-    following: Array  # (26,), x one tick later
+    x: Array  # (27,)
+    following: Array  # (27,), x one tick later
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     places: Places  # (a,), of the active ones among them
-    considered: Array  # (26 + a,), 1.0 for what may not be learned
-    P: Array  # (26 + a, 26 + a)
+    considered: Array  # (27 + a,), 1.0 for what may not be learned
+    P: Array  # (27 + a, 26 + a)
 
 
 class UpdateWork(NamedTuple):
     """Work arrays of an update."""
 
-    P_H: Array  # (26 + a,)
-    gain: Array  # (26 + a,)
-    gain_after: Array  # (26,), of the state one tick later
+    P_H: Array  # (27 + a,)
+    gain: Array  # (27 + a,)
+    gain_after: Array  # (27,), of the state one tick later
 
 
 @kernel
@@ -52,7 +52,7 @@ def update(
 ) -> float:
     """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
 
-    error: the innovation. variance: of the measurement's noise. H: (26 + a,), Jacobian over the joint state
+    error: the innovation. variance: of the measurement's noise. H: (27 + a,), Jacobian over the joint state
     at the tick. Returns the variance of the innovation; negative if the error is beyond
     `gate` sds of it and nothing was updated.
     """

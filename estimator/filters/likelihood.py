@@ -100,7 +100,7 @@ class Search:
 
     record: Record
     setup: RigSetup
-    start: Array  # (26,), first state of the filter
+    start: Array  # (27,), first state of the filter
     used: Array  # (m,), 0.0 for a row that is left out
     prior_mean: Array  # [n]
     prior_information: Array  # (a, a), of the active ones
@@ -141,7 +141,7 @@ def model_sd(wheel_angle: float) -> Array:
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
-    """First state of the filter, (26,): headings and yaw rates of the first tick, and the first position."""
+    """First state of the filter, (27,): headings and yaw rates of the first tick, and the first position."""
     x = np.zeros(N_STATES)
     first = record.ticks[0]
     x[X_PSI : X_PSI + 2], x[X_R : X_R + 2] = first[PSI : PSI + 2], first[R : R + 2]
@@ -164,7 +164,7 @@ def innovations(
 ) -> Innovations:  # fmt: skip
     """The filter over a record at a point, (n,), of the unknowns: `predictor.run_filter`.
 
-    start: (26,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
+    start: (27,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
     out. closed: False for the open loop. driven: (m, a), changes of the readings. nearby: (q, n), points
     that differ in noise levels, which are tried beside.
     """

@@ -20,6 +20,7 @@ from tilth.estimator.filters.states import (
     X_ROLL,
     X_SLOPE,
     X_SLOPE_RATE,
+    X_SPEED,
     X_V,
     Point,
 )
@@ -82,7 +83,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 @kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
-    """Predicted measurement at state x, (26,); fills h, (26,) or longer, with its Jacobian."""
+    """Predicted measurement at state x, (27,); fills h, (27,) or longer, with its Jacobian."""
     h[:] = 0.0
     if obs.kind == YAW_RATE:
         h[X_R + obs.place] = 1.0
@@ -118,13 +119,13 @@ def lever_ahead(obs: Observation, body: int, point: Point, setup: RigSetup) -> f
 @kernel
 def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
     """Of a receiver, to the right of psi_ref, m/s; fills h."""
-    u, c, d, height = obs.u, point.geometry[2], point.geometry[3], setup.heights[obs.place]
+    u, c, d, height = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3], setup.heights[obs.place]
     lever, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
     angle = x[X_PSI] - obs.psi_ref
     sine, cosine = math.sin(angle), math.cos(angle)
     rate_t = x[X_ROLL + 2] + x[X_SLOPE_RATE] / GRAVITY
     rate_i = x[X_ROLL + 3] + x[X_SLOPE_RATE + 1] / GRAVITY
-    h[X_V] = cosine
+    h[X_V], h[X_SPEED] = cosine, sine
     up, ahead = (height, lever) if body == 0 else (drawbar, -c)
     across = x[X_V] + ahead * x[X_R] + up * rate_t
     h[X_R], h[X_ROLL + 2], h[X_SLOPE_RATE] = ahead * cosine, up * cosine, up * cosine / GRAVITY
@@ -205,7 +206,7 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
-    """Predicted measurement at x, (26,); fills h, (26 + a,), with its Jacobian over the joint state."""
+    """Predicted measurement at x, (27,); fills h, (27 + a,), with its Jacobian over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
     if obs.kind == YAW_RATE or obs.kind == HEADING:
         return value

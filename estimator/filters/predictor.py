@@ -77,7 +77,7 @@ def run_filter(
 ) -> None:  # fmt: skip
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
-    x: (26,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
+    x: (27,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
     driven: (m, a), changes of the readings, whose response of the innovations is then `de`; or (0, 0).
     nearby: (q, n), points that differ in noise levels, which are tried beside; or (0, n).
     """

@@ -2,7 +2,7 @@
 
 The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few
 ticks; with them the mean takes one step per tick (exponential integrator), which is exact for a linear model.
-The states x, shape (26,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+The states x, shape (27,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
 constant, they are the joint state, shape (n,).
 """
 
@@ -21,6 +21,7 @@ from tilth.estimator.filters.states import (
     N_STATES,
     PAIR_DECAY,
     SLOPE_LENGTH,
+    SPEED_MEMORY_S,
     START,
     START_PLACE,
     UNEVEN_LENGTH,
@@ -33,6 +34,7 @@ from tilth.estimator.filters.states import (
     X_ROLL,
     X_SLOPE,
     X_SLOPE_RATE,
+    X_SPEED,
     X_UNEVEN,
     X_V,
     Places,
@@ -133,22 +135,22 @@ class GroundNoise(NamedTuple):
 class Transition(NamedTuple):
     """Transition of x over one tick, linearised, and work arrays."""
 
-    rates_x: Array  # (12, 21), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
+    rates_x: Array  # (12, 22), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
     rates_wheel: Array  # (12,), over the true wheel angle
     rates_unknowns: Array  # (12, a), over the active unknowns
     rates: Array  # (12,), the rates themselves
     held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
-    decay: Array  # (26,), factor on the states from X_PUSH on
-    q: Array  # (26,), variances of the process noise, without that of the position
+    decay: Array  # (27,), factor on the states from X_PUSH on
+    q: Array  # (27,), variances of the process noise, without that of the position
     slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
-    F: Array  # (26, 26), Jacobian of x one tick later over x
-    F_unknowns: Array  # (26, a), the same over the active unknowns
-    F_T: Array  # (n, 26), both, transposed, over the joint state of the covariance
-    F_P: Array  # (26, n), overwritten
-    P: Array  # (26, 26), overwritten
+    F: Array  # (27, 27), Jacobian of x one tick later over x
+    F_unknowns: Array  # (27, a), the same over the active unknowns
+    F_T: Array  # (n, 27), both, transposed, over the joint state of the covariance
+    F_P: Array  # (27, n), overwritten
+    P: Array  # (27, 27), overwritten
     square: Array  # (3, 12, 12), overwritten
-    change: Array  # (12, 21), overwritten
+    change: Array  # (12, 22), overwritten
 
 
 # The inputs and the rates.
@@ -262,7 +264,7 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     state, w, scale = plant.x, plant.w, plant.scale
     for i in range(X_PUSH):
         state[i] = scale * x[i]
-    w[W_DELTA], w[W_U] = scale * drive.wheel, drive.u
+    w[W_DELTA], w[W_U] = scale * drive.wheel, drive.u + x[X_SPEED]
     w[W_U_RATE] = drive.u_rate if scale == 1.0 else 0.0
     for body in range(2):
         w[W_GRAVITY + body] = scale * (x[X_PUSH + body] + x[X_SLOPE + body])
@@ -297,6 +299,7 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
             out.rates_x[i, X_PUSH + body] = slopes[BY_INPUT + W_GRAVITY + body]
             out.rates_x[i, X_SLOPE + body] = slopes[BY_INPUT + W_GRAVITY + body]
             out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
+        out.rates_x[i, X_SPEED] = slopes[BY_INPUT + W_U] / plant.scale
         out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
     for j in range(na):
         for k in range(P_CONSTANTS):
@@ -389,7 +392,7 @@ def linearise(
     x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition,
     middle: Array,
 ) -> None:  # fmt: skip
-    """Renew step's Jacobians for EVERY ticks from tick k on, about `middle`: (26,), filled with x in the
+    """Renew step's Jacobians for EVERY ticks from tick k on, about `middle`: (27,), filled with x in the
     middle of them, roughly.
 
     At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
@@ -402,17 +405,19 @@ def linearise(
 
 
 @kernel
-def position_jacobian(drive: DriveInputs, psi: float, v: float, step: Transition) -> None:
-    """Fill the position's rows of the Jacobians from their rows of v and psi_t."""
+def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
+    """Fill the position's rows of the Jacobians from their rows of v and psi_t. u: m/s, true speed."""
     sine, cosine = math.sin(psi), math.cos(psi)
-    north = -drive.u * sine - v * cosine
-    east = drive.u * cosine - v * sine
+    north = -u * sine - v * cosine
+    east = u * cosine - v * sine
     for jacobian, own in ((step.F, 1.0), (step.F_unknowns, 0.0)):
         for j in range(jacobian.shape[1]):
             half_v = 0.5 * DT * (jacobian[X_V, j] + (own if j == X_V else 0.0))
             half_psi = 0.5 * DT * (jacobian[X_PSI, j] + (own if j == X_PSI else 0.0))
             jacobian[X_POSITION, j] = -sine * half_v + north * half_psi
             jacobian[X_POSITION + 1, j] = cosine * half_v + east * half_psi
+    step.F[X_POSITION, X_SPEED] += DT * cosine
+    step.F[X_POSITION + 1, X_SPEED] += DT * sine
     step.F[X_POSITION, X_POSITION] = step.F[X_POSITION + 1, X_POSITION + 1] = 1.0
 
 
@@ -423,7 +428,7 @@ def complete_jacobian(
     """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency;
     fill step.F_T.
 
-    x, following: (26,), the state before and after the tick.
+    x, following: (27,), the state before and after the tick.
     """
     F, F_unknowns, F_T = step.F, step.F_unknowns, step.F_T
     for j in range(active.places.shape[0]):
@@ -439,7 +444,7 @@ def complete_jacobian(
             if N_STATES + j < F_T.shape[0]:
                 F_T[N_STATES + j, :X_PUSH] = F_unknowns[:X_PUSH, j]
     psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
-    position_jacobian(drive, psi, v, step)
+    position_jacobian(drive.u + x[X_SPEED], psi, v, step)
     for i in (X_POSITION, X_POSITION + 1):
         F_T[:N_STATES, i] = F[i]
         F_T[N_STATES:, i] = F_unknowns[i, : F_T.shape[0] - N_STATES]
@@ -450,7 +455,7 @@ def complete_jacobian(
 
 @kernel
 def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
-    """Fill out (26,), the state one tick later, with step.rates."""
+    """Fill out (27,), the state one tick later, with step.rates. u: the measured speed, m/s."""
     for i in range(X_PUSH):
         total = x[i]
         for j in range(X_PUSH):
@@ -463,7 +468,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
         out[X_SLOPE + body] = step.slope[0, 0] * slope + step.slope[0, 1] * rate
         out[X_SLOPE_RATE + body] = step.slope[1, 0] * slope + step.slope[1, 1] * rate
     psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
-    sine, cosine = math.sin(psi), math.cos(psi)
+    u, sine, cosine = u + x[X_SPEED], math.sin(psi), math.cos(psi)
     out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
     out[X_POSITION + 1] = x[X_POSITION + 1] + DT * (u * sine + v * cosine)
 
@@ -472,7 +477,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
 def propagate(
     x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
 ) -> None:
-    """Fill following (26,), x one tick later, and step's Jacobians of this tick."""
+    """Fill following (27,), x one tick later, and step's Jacobians of this tick."""
     state_rates(x, drive, plant, step.rates)
     propagate_mean(x, drive.u, step, following)
     complete_jacobian(x, following, drive, active, step)
@@ -524,7 +529,7 @@ def ground_at(unknowns: Array) -> GroundNoise:
 
 @kernel
 def stationary(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (26,), 0 before and for the position. u:
+    """Stationary variances of the states from X_PUSH on, shape (27,), 0 before and for the position. u:
     m/s."""
     sds, rate = setup.sds, max(u, SLOWEST) / SLOPE_LENGTH
     out = np.zeros(N_STATES)
@@ -535,12 +540,13 @@ def stationary(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
             out[X_SLOPE + i] = setup.slope_sd * setup.slope_sd
             out[X_SLOPE_RATE + i] = rate * rate * out[X_SLOPE + i]
             out[X_UNEVEN + i] = ground.uneven * ground.uneven
+    out[X_SPEED] = setup.speed_sd * setup.speed_sd
     return out
 
 
 @kernel
 def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
-    """Covariance of the first state of a run at speed u, m/s, shape (26, 26)."""
+    """Covariance of the first state of a run at speed u, m/s, shape (27, 27)."""
     variances = stationary(u, ground, setup)
     for i in range(X_PUSH):
         variances[i] = START[i] * START[i]
@@ -574,6 +580,7 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
         decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
         if i < 2:
             decay[X_UNEVEN + i] = math.exp(-DT * speed / UNEVEN_LENGTH)
+    decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
     variances = stationary(u, ground, setup)
     for i in range(X_PUSH, N_STATES):
         step.q[i] = (1.0 - decay[i] * decay[i]) * variances[i]

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is independent between receivers
 
 
+SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: two receivers, between fixes
+
 DEFLECTION: Final = 0.045  # m, of tyres under their static load
 PIN: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
@@ -47,6 +49,7 @@ class RigSetup(NamedTuple):
     rig: Rig
     roll: RollModes
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
+    speed_sd: float  # m/s, of the measured speed
     slope_sd: float = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
     scale: float = 1.0  # of all motions, which makes the model linear where it is small
 
@@ -89,9 +92,9 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
     setup = RigSetup(
         unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
-        _heights(machine),
+        _heights(machine), SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
     )  # fmt: skip
     if not linear:
         return setup
     low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
-    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), slope_sd=0.0, scale=SMALL)
+    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), speed_sd=0.0, slope_sd=0.0, scale=SMALL)

@@ -1,11 +1,12 @@
-"""Layout of the filters' state vector x, shape (26,), and the length of a tick.
+"""Layout of the filters' state vector x, shape (27,), and the length of a tick.
 
 v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.rolling); lean of tractor and implement (rad) and their
 rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does: sideways forces at both CGs over mass,
 as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), first-order Gauss-Markov processes
 with one time constant; gravity along the cross slope under either body (m/s^2), and how far unevenness turns
 the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
-(m/s^3), with which they are critically damped processes over distance. North and east of the tractor's CG
+(m/s^3), with which they are critically damped processes over distance. What the measured speed lacks (m/s), a
+first-order process. North and east of the tractor's CG
 (m). Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the
 implement's antennas relative to the tractor's (m)."""
 
@@ -27,13 +28,16 @@ X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vert
 X_SLOPE: Final = 15
 X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
 X_SLOPE_RATE: Final = 19  # of X_SLOPE
-X_POSITION: Final = 21  # north, east
-X_PAIR: Final = 23
-X_ASIDE: Final = 25
-N_STATES: Final = 26
+X_SPEED: Final = 21  # m/s, true speed less the measured one
+X_POSITION: Final = 22  # north, east
+X_PAIR: Final = 24
+X_ASIDE: Final = 26
+N_STATES: Final = 27
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
+SPEED_MEMORY_S: Final = 1.0
+"""Noise of a speed lasts a quarter of a second, what a turn adds to it as long as the turn: between."""
 PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
 ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
 ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share

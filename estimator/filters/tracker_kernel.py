@@ -58,10 +58,10 @@ class SegmentArrays(NamedTuple):
 class JointEstimate(NamedTuple):
     """Mean and covariance of the joint state, prior before the run, posterior after it."""
 
-    x: Array  # (26,)
+    x: Array  # (27,)
     unknowns: Array  # (n,), in the order of unknowns.NAMES
-    P_xx: Array  # (26, 26)
-    P_xtheta: Array  # (26, n), of x with the unknowns
+    P_xx: Array  # (27, 27)
+    P_xtheta: Array  # (27, n), of x with the unknowns
     P_theta: Array  # (n, n)
 
 
@@ -77,7 +77,7 @@ class RowTally(NamedTuple):
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (26 + a, 26 + a)."""
+    """The joint covariance of x and the active unknowns, shape (27 + a, 26 + a)."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
@@ -138,7 +138,7 @@ def track_segment(
 ) -> None:  # fmt: skip
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
-    places: (a,), indices of the active ones of unknowns.NAMES. considered: (26 + a,), 1.0 for what may not be
+    places: (a,), indices of the active ones of unknowns.NAMES. considered: (27 + a,), 1.0 for what may not be
     learned.
     """
     ticks, first, length, rows = segment

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 N_STATES: Final = len(STATES)
 N_INPUTS: Final = len(INPUTS)
 N_PARAMETERS: Final = len(PARAMETERS) + len(CONSTANTS)
-BY_INPUT: Final = N_STATES - 1  # columns of derivatives: states but psi_i, then inputs but u and u'
-N_COLUMNS: Final = BY_INPUT + N_INPUTS - 2
+BY_INPUT: Final = N_STATES - 1  # columns of derivatives: states but psi_i, then inputs but u'
+N_COLUMNS: Final = BY_INPUT + N_INPUTS - 1
 
 
 class MotionRates(NamedTuple):
@@ -35,8 +35,8 @@ class MotionRates(NamedTuple):
     M: Array  # (6, 6), mass matrix, then its factors
     right: Array  # (6, 1), then drive's force (N), v', r_t', r_i', p_t', p_i'
     slip: Array  # (3,), alpha'
-    right_slopes: Array  # (6, 16), derivatives of the same by states but psi_i and inputs but u and u'
-    slip_slopes: Array  # (3, 16)
+    right_slopes: Array  # (6, 17), derivatives of the same by states but psi_i and inputs but u'
+    slip_slopes: Array  # (3, 17)
     right_by_parameter: Array  # (6, 30), by PARAMETERS
     slip_by_parameter: Array  # (3, 30)
 

@@ -120,7 +120,7 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
 
     def at(z: Array) -> Array:
         out = np.zeros(len(STATES))
-        here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:N_COLUMNS], w[5:])
+        here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:N_COLUMNS], w[6:])
         _rates(*here, np.append(z[N_COLUMNS:], p[len(PARAMETERS) :]), _empty(), out)
         return out[[0, 1, 2, 3, 4, 5, 8, 9]]
 
@@ -132,7 +132,7 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
     right = np.hstack([motion.right_slopes, motion.right_by_parameter])
     slip = np.hstack([motion.slip_slopes, motion.slip_by_parameter])
     found = np.vstack([right[1:4], slip, right[4:6]])
-    z = np.concatenate([x[:BY_INPUT], w[:5], p[: len(PARAMETERS)]])
+    z = np.concatenate([x[:BY_INPUT], w[:6], p[: len(PARAMETERS)]])
     for j, value in enumerate(z):
         step = 1e-5 * max(abs(value), 0.01) * np.eye(len(z))[j]
         wanted = (at(z + step) - at(z - step)) / (2.0 * step[j])
