@@ -56,7 +56,7 @@ COLOUR_FACTOR: Final = 1.0
 """The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
 that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
 innovations."""
-MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.05])
+MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.08])
 """Sds of the six logarithms from errors of the model, which more data do not reduce: tyre curves and load
 transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo
 on the spatial plant with drawn rigs, tyres and ground."""

@@ -18,7 +18,7 @@ from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES
+from tilth.estimator.filters.states import DT, N_STATES, X_ROLL, X_SLOPE
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -34,10 +34,11 @@ from tilth.estimator.filters.unknowns import AT, AT_ROLL_MODES, N_ROLL_MODES, NA
 from tilth.estimator.record.record import PSI, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
-from tilth.estimator.results.recommend import SINCE_CHANGE
+from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
 from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -355,6 +356,10 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
         "push_i": push_i,
         "push_yaw": push_yaw,
     }
+    if state.running:
+        slope = math.asin(max(-1.0, min(1.0, float(state.x[X_SLOPE]) / GRAVITY)))
+        leans = (float(state.x[X_ROLL]), float(state.x[X_ROLL + 1]), slope)
+        excitation |= {name: math.degrees(angle) for name, angle in zip(LEANS, leans, strict=True)}
     if state.changed_ns:
         excitation[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
     return excitation

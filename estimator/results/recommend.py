@@ -16,6 +16,9 @@ PREFERRED: Final = ("pem", "tracker", "steady_state")
 from which neither can learn. No other method is recommended."""
 FRESH_S: Final = 120.0  # if pem's window is older, tracker is better
 SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
+LEANS: Final = ("lean_tractor_deg", "lean_implement_deg", "cross_slope_deg")
+"""Keys in tracker's `excitation`: how far the bodies lean on their tyres, and the ground under the tractor,
+right side down; the recommended estimate has them whichever method it is of."""
 
 DISAGREE_ABOVE: Final = {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5}
 """Chi-square of so many parameters, 0.1 %."""
@@ -35,13 +38,13 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
             estimates[m] for m in PREFERRED if m in estimates and not (m == "pem" and _outdated(estimates))
         ]
         first = (preferred or [e for m, e in estimates.items() if m != RECOMMENDED])[0]
-        return _copy_as_recommended(first, t_ns, "no method gives an estimate")
+        return _copy_as_recommended(first, estimates, t_ns, "no method gives an estimate")
     best, rule = usable[0]
     if disagree:
         candidates = {e.method: e for e, _ in usable if _usable_parameters(e)}
         best = max(candidates.values(), key=lambda e: _variance(e, candidates))
         rule = f"{best.method}: the methods disagree, and it claims less than {_others(best, candidates)}"
-    return _copy_as_recommended(best, t_ns, rule)
+    return _copy_as_recommended(best, estimates, t_ns, rule)
 
 
 def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
@@ -109,11 +112,17 @@ def _others(best: Estimate, candidates: Mapping[str, Estimate]) -> str:
     return " and ".join(method for method in candidates if method != best.method) or "any other"
 
 
-def _copy_as_recommended(estimate: Estimate, t_ns: int, rule: str) -> Estimate:
+def _copy_as_recommended(
+    estimate: Estimate, estimates: Mapping[str, Estimate], t_ns: int, rule: str
+) -> Estimate:
     parameters = tuple(
         replace(p, value=None, sd=None) if p.status is Status.INVALID else p for p in estimate.parameters
     )
-    return replace(estimate, method=RECOMMENDED, t_ns=t_ns, rule=rule, parameters=parameters)
+    known = estimates["tracker"].excitation if "tracker" in estimates else {}
+    excitation = estimate.excitation | {name: known[name] for name in LEANS if name in known}
+    return replace(
+        estimate, method=RECOMMENDED, t_ns=t_ns, rule=rule, parameters=parameters, excitation=excitation
+    )
 
 
 def _usable_parameters(estimate: Estimate, status: Status | None = None) -> set[int]:

@@ -140,8 +140,18 @@ function showPose(pose) {
   const words = [`${pose.receivers} of 4 receivers`];
   if (known(pose.articulation)) words.push(`hitch ${degrees(pose.articulation)}`);
   if (known(pose.wheel_angle)) words.push(`wheels ${degrees(pose.wheel_angle)}`);
+  words.push(...leans());
   if (pose.flags.length) words.push(pose.flags.map(flagged).join(", "));
   put(byId("map-words"), words.join(" · "));
+}
+
+// How the bodies lean on their tyres, and the slope under the tractor, as far as the estimator knows.
+function leans() {
+  if (!live("soil_tire")) return [];
+  const told = Object.fromEntries((heard.soil_tire.excitation ?? []).map(({ name, value }) => [name, value]));
+  const side = (angle) => `${Math.abs(angle).toFixed(1)}°${Math.abs(angle) < 0.05 ? "" : angle > 0 ? " right" : " left"}`;
+  const named = { lean_tractor_deg: "tractor leans", lean_implement_deg: "implement leans", cross_slope_deg: "slope down" };
+  return Object.entries(named).filter(([name]) => known(told[name])).map(([name, word]) => `${word} ${side(told[name])}`);
 }
 
 function showKnown() {

@@ -143,6 +143,8 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         for name in MOUNTS:
             expect(state_of(page, name)).to_have_attribute("data-state", "good", timeout=SOON_MS)
         expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
+        expect(page.locator("#map-words")).to_contain_text("tractor leans", timeout=SOON_MS)
+        expect(page.locator("#map-words")).to_contain_text("slope down", timeout=SOON_MS)
         assert not faults.told
 
         rig.unplug("implement_rear")

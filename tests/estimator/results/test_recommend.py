@@ -152,3 +152,9 @@ def test_only_what_is_estimated_now_can_disagree() -> None:
 def test_covariances_that_cannot_be_compared_are_no_agreement() -> None:
     none = replace(estimate("steady_state", THREE), log_covariance=(0.0,) * 36)
     assert disagreement(by_method(replace(estimate("pem"), log_covariance=(0.0,) * 36), none), False)
+
+
+def test_leans_and_slope_are_those_of_the_tracker_whichever_method_is_recommended() -> None:
+    leaning = replace(estimate("tracker"), excitation={"lean_tractor_deg": 0.6, "rows": 4.0})
+    result = recommend({"tracker": leaning, "pem": estimate("pem")}, 9)
+    assert result.rule.startswith("pem") and result.excitation == {"lean_tractor_deg": 0.6}
