@@ -5,9 +5,9 @@
 Run k of a row has seed k, on whatever number of processes; a row alone takes a few minutes on two cores.
 Six numbers in a row are those of C_af, C_ar, C_ai, sigma_f, sigma_r, sigma_i. `coverage` is the share of the
 95 % intervals that hold the truth, with the 95 % interval of that share (Wilson); a bias is the mean error
-over the published sd, and an sd is one of a natural logarithm. The plants are in replay/studies: in
-linear_plant.py the estimators' own model, in estimation_study.py the nonlinear one with frames, latency and
-coloured noise.
+over the published sd, and an sd is one of a natural logarithm. The plants: in linear_plant.py the estimators'
+own model, in estimation_study.py the nonlinear one with frames, latency and coloured noise, and for rows that
+begin with spatial_ that of simulator/spatial/, by the logs of spatial_logs.py.
 """
 
 import argparse
