@@ -1,6 +1,6 @@
 """What comes of each effect that an estimator does not know: `pem` on the spatial plant, a part left out.
 
-    python bench/left_out.py [--logs DIR] [--runs 12] [--processes 2]
+    python bench/left_out.py [--logs DIR] [--runs 12] [--processes 2] [--picture FILE.svg]
 
 The logs are those of `bench/estimation.py spatial_random`: rigs, tyres, soil and sensors drawn anew for each
 run, ground of 1 cm rms, 120 s of random steering of 6°. The product's own estimator runs on them, with the
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from unittest import mock
 
 import numpy as np
@@ -59,6 +59,10 @@ def level(setup: RigSetup) -> RigSetup:
     return setup._replace(slope_sd=1e-4)
 
 
+def exact_speed(setup: RigSetup) -> RigSetup:
+    return setup._replace(speed_sd=1e-4)
+
+
 EFFECTS: Final = {
     "nothing": Effect({}),
     "bodies roll on their tyres": Effect(dict.fromkeys((*ROLL_MODES, "camber"), 0.0), stiff),
@@ -71,6 +75,7 @@ EFFECTS: Final = {
     "rolling resistance": Effect({"rolling": 0.0}),
     "zero of the wheel angle": Effect({"wheel_zero": 0.0}),
     "gain of the wheel angle": Effect({"wheel_gain": 0.0}),
+    "error of the measured speed": Effect({}, exact_speed),
     "latency of receivers": Effect({"latency": 0.0}),
     "yaw of antenna pairs": Effect({"pair_t": 0.0, "pair_i": 0.0}),
     "masses as told": Effect(dict.fromkeys((NAMES[k] for k in MASSES), 0.0)),
@@ -133,26 +138,63 @@ def one(logs: Path, seed: int) -> dict[str, tuple[Array, Array]]:
     return out
 
 
+class Outcome(NamedTuple):
+    """Of one effect over all runs; arrays of the six."""
+
+    moved: Array  # median change of the logarithms
+    ratio: Array  # rms of error over sd
+    holds: float  # share of the 95 % intervals
+
+
+def outcomes(runs: list[dict[str, tuple[Array, Array]]]) -> dict[str, Outcome]:
+    whole, out = np.array([run["nothing"][0] for run in runs]), {}
+    for name in EFFECTS:
+        errors, sds = (np.array([run[name][k] for run in runs]) for k in range(2))
+        normal = errors / sds
+        out[name] = Outcome(
+            np.median(errors - whole, axis=0),
+            np.sqrt(np.mean(normal**2, axis=0)),
+            float(np.mean(np.abs(normal) < 1.96)),
+        )
+    return out
+
+
+def draw(found: dict[str, Outcome], runs: int, to: Path) -> None:
+    """A table in colours: effects by parameters, changes in per cent."""
+    from matplotlib.figure import Figure
+
+    rows = {name: outcome for name, outcome in found.items() if name != "nothing"}
+    table = 100.0 * np.array([outcome.moved for outcome in rows.values()])
+    figure = Figure(figsize=(7.2, 0.36 * len(rows) + 1.3), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(table, cmap="RdBu_r", vmin=-40.0, vmax=40.0, aspect="auto")
+    axes.set_xticks(range(len(PARAMETERS)), PARAMETERS)
+    axes.set_yticks(range(len(rows)), [f"without: {name}" for name in rows])
+    axes.tick_params(length=0, top=True, labeltop=True, bottom=False, labelbottom=False)
+    for (i, j), value in np.ndenumerate(table):
+        axes.text(
+            j, i, f"{value:+.0f}", ha="center", va="center", color="white" if abs(value) > 25 else "black"
+        )
+    axes.set_title(f"What each effect moves where it is not known, % (median of {runs} rigs)", fontsize=10)
+    figure.savefig(to, metadata={"Date": None})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--logs", type=Path, default=spatial_logs.CACHE)
     parser.add_argument("--runs", type=int, default=12)
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--picture", type=Path, help="an SVG of the table")
     options = parser.parse_args()
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
         runs = list(pool.map(partial(one, options.logs), range(options.runs)))
-    whole = np.array([run["nothing"][0] for run in runs])
+    found = outcomes(runs)
     print(f"{options.runs} runs. Left out: median change of {', '.join(PARAMETERS)}, %; rms of error over sd")
-    for name in EFFECTS:
-        errors = np.array([run[name][0] for run in runs])
-        sds = np.array([run[name][1] for run in runs])
-        change = 100.0 * np.median(errors - whole, axis=0)
-        ratio = np.sqrt(np.mean((errors / sds) ** 2, axis=0))
-        moved, missed = (" ".join(form.format(x) for x in values) for form, values in (
-            ("{:+6.1f}", change), ("{:5.2f}", ratio),
-        ))  # fmt: skip
-        holds = np.mean(np.abs(errors / sds) < 1.96)
-        print(f"{name:28} {moved}   {missed}   holds {100 * holds:.0f} %", flush=True)
+    for name, (moved, ratio, holds) in found.items():
+        changes = " ".join(f"{100.0 * value:+6.1f}" for value in moved)
+        print(f"{name:28} {changes}   {' '.join(f'{x:5.2f}' for x in ratio)}   holds {100 * holds:.0f} %")
+    if options.picture is not None:
+        draw(found, options.runs, options.picture)
     assert all(math.isfinite(value) for run in runs for value in run["nothing"][0])
 
 

@@ -119,7 +119,7 @@ def _copy_as_recommended(
         replace(p, value=None, sd=None) if p.status is Status.INVALID else p for p in estimate.parameters
     )
     known = estimates["tracker"].excitation if "tracker" in estimates else {}
-    excitation = estimate.excitation | {name: known[name] for name in LEANS if name in known}
+    excitation = {**estimate.excitation, **{name: known[name] for name in LEANS if name in known}}
     return replace(
         estimate, method=RECOMMENDED, t_ns=t_ns, rule=rule, parameters=parameters, excitation=excitation
     )
