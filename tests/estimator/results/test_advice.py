@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.likelihood import model_sd
 from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
-from tilth.estimator.filters.predictor import ground_at
 from tilth.estimator.filters.propagation import (
     Active,
     Transition,
     empty_plant,
     empty_transition,
+    ground_at,
     linearise,
     set_plant,
     set_processes,
