@@ -1,4 +1,5 @@
-"""Maximum a posteriori estimate of the unknowns over one record: Fisher scoring with damped steps.
+"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then
+by what the known steering explains.
 
 The cost is 1/2 sum(e^2/S + log S) over the record's innovations (predictor.py) plus 1/2 (p - p0)' P0^-1 (p -
 p0) of the prior. Derivatives of e come from the filter itself; for the unknowns that change its gains,
@@ -43,7 +44,7 @@ ROUGH_START: Final = 1.5
 does not end in a local minimum."""
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
 FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
-STEERING_STEPS: Final = 4
+STEERING_STEPS: Final = 8
 SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 # of a posterior sd: remaining step with which a search that has stopped counts as converged
 ARRIVED_STEP: Final = 0.3
@@ -239,8 +240,8 @@ def maximise_posterior(
     found = _minimise(search, point)
     gradient, information = gradient_and_information(search, found, scores_at(search, found))
     remaining = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
-    converged = found.converged or bool(np.max(remaining[search.active < 6], initial=0.0) < ARRIVED_STEP)
-    if setup.scale == 1.0:
+    found.converged |= bool(np.max(remaining[search.active < 6], initial=0.0) < ARRIVED_STEP)
+    if found.converged and setup.scale == 1.0:
         found = _by_steering(search, found)
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     scores = scores_at(search, found)
@@ -250,7 +251,7 @@ def maximise_posterior(
     return Posterior(
         found.point, _covariance(search, scores, _inverse(counted), autocorrelation), record_information,
         found.cost / max(len(record.rows), 1), gain, found.iterations, len(record.rows),
-        int(np.sum(search.used == 0.0)), autocorrelation, converged,
+        int(np.sum(search.used == 0.0)), autocorrelation, found.converged,
     )  # fmt: skip
 
 
@@ -290,30 +291,36 @@ def _minimise(search: Search, point: Array) -> Iterate:
 
 
 def _by_steering(search: Search, at: Iterate) -> Iterate:
-    """Where what the known wheel angles explain is uncorrelated with the innovations, noise levels as they are.
+    """Where what the known wheel angles explain is uncorrelated with the innovations; noise levels stay.
 
     The likelihood's own maximum is drawn to what the ground's forces seem to say, which is as wrong as the
     model of those forces: at 3 m/s it put C_af 8 % low and C_ar 7 % high. These equations are right with any
-    spectrum of the ground (refined instrumental variables: Young 2011, Recursive Estimation and Time-Series
-    Analysis, chapter 8).
+    spectrum of the ground (refined instrumental variables: Young, Recursive Estimation and Time-Series
+    Analysis, 2011).
     """
     of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
     limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)[of_motion]
-    for _ in range(STEERING_STEPS):
-        at.jacobian = _steering_jacobian(search, at)
-        gradient, information = gradient_and_information(search, at, scores_at(search, at))
+    found = replace(at)
+    for k in range(STEERING_STEPS):
+        found.jacobian = _steering_jacobian(search, found)
+        gradient, information = gradient_and_information(search, found, scores_at(search, found))
         step = -np.linalg.solve(information[np.ix_(of_motion, of_motion)], gradient[of_motion])
-        step = np.asarray(step / max(float(np.max(np.abs(step) / limits)), 1.0), np.float64)
-        trial = at.point.copy()
+        step *= min(1.0, 1.0 / float(np.max(np.abs(step) / limits))) * (
+            1.0 if k < STEERING_STEPS // 2 else 0.5
+        )
+        trial = found.point.copy()
         trial[search.active[of_motion]] += step
         e, S = _errors_at(search, trial)
-        if not np.all(np.isfinite(e)):
+        found = replace(found, point=trial, e=e, S=S, cost=_cost(search, trial, e, S))
+        size = np.max(
+            (np.abs(step) / _sds(information)[of_motion])[search.active[of_motion] < 6], initial=0.0
+        )
+        if size < SETTLED_STEP or not np.all(np.isfinite(e)):
             break
-        at = replace(at, point=trial, e=e, S=S, cost=_cost(search, trial, e, S))
-        if np.max(np.abs(step[:6]) / _sds(information)[of_motion][:6]) < SETTLED_STEP:
-            break
-    at.jacobian = _steering_jacobian(search, at)
-    return at
+    if not (np.all(np.isfinite(e)) and size < ARRIVED_STEP):
+        found = at  # nothing better than the likelihood's maximum is known
+    found.jacobian = _steering_jacobian(search, found)
+    return found
 
 
 def iterate_at(search: Search, point: Array) -> Iterate:
