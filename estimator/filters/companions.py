@@ -2,10 +2,11 @@
 
 What noise levels do to the prediction errors, by way of the gains, has no closed form. A companion has the
 covariance of another noise level and shares all Jacobians with the run. Its state is kept as the deviation
-from the run's, which moves by these Jacobians: it needs no motion model of its own.
+from the run's, which moves by these Jacobians: it needs no motion model of its own. So the memory of the
+pushes, which changes the Jacobians, is no noise level here.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,11 @@ from tilth.estimator.filters.propagation import (
     set_wheel_noise,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_PUSH, Places, Point
+from tilth.estimator.filters.states import N_STATES, Places, Point
 
 Array = NDArray[np.float64]
 
-UNLIMITED: float = 1e30  # sds: no innovation is an outlier here
+UNLIMITED: Final = 1e30  # sds: no innovation is an outlier here
 
 
 class Companion(NamedTuple):
@@ -59,12 +60,9 @@ def set_noise(near: Companion, u: float, point: Point, setup: RigSetup) -> None:
 
 
 @kernel
-def advance(near: Companion, x: Array, run: Transition) -> None:
-    """Propagate the deviation over a tick. x: (27,), the run's state."""
-    following = near.state.following
-    np.dot(run.F, near.state.x, following)
-    for i in range(X_PUSH, X_PUSH + 3):  # their memory moves the mean, too
-        following[i] += (near.step.decay[i] - run.decay[i]) * (x[i] + near.state.x[i])
+def advance(near: Companion, run: Transition) -> None:
+    """Propagate the deviation over a tick."""
+    np.dot(run.F, near.state.x, near.state.following)
 
 
 @kernel

@@ -71,6 +71,7 @@ SETTLING_TICKS: Final = 50
 """Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
 by 0.2 sd per window."""
+MEMORY: Final = "memory"  # of the pushes: it changes the Jacobians, too
 BIN_S: Final = 0.1
 LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
 
@@ -337,14 +338,14 @@ def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
 def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
     """The derivatives at a point; of unknowns that change the gains by differences."""
     steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
-    levels = np.flatnonzero([NAMES[k] in NOISES for k in search.active])
+    levels = np.flatnonzero([NAMES[k] in NOISES and NAMES[k] != MEMORY for k in search.active])
     nearby = np.tile(point, (len(levels), 1))
     nearby[np.arange(len(levels)), search.active[levels]] += steps[levels]
     here = _run(search, point, search.active, nearby=nearby)
     de, dS = np.ascontiguousarray(here.de.T), np.zeros((len(search.active), len(here.e)))
     de[levels] = ((here.e_nearby - here.e[:, None]) / steps[levels]).T
     dS[levels] = ((here.S_nearby - here.S[:, None]) / steps[levels]).T
-    for k in np.flatnonzero(search.active < 6):
+    for k in np.flatnonzero((search.active < 6) | (search.active == AT[MEMORY])):
         there = _run(search, point + steps[k] * np.eye(len(point))[search.active[k]])
         de[k], dS[k] = (there.e - here.e) / steps[k], (there.S - here.S) / steps[k]
     return ErrorJacobian(de, dS, point)

@@ -111,7 +111,7 @@ def run_filter(
                 set_noise(near, drive.u, point, setup)
         propagate(x, drive, plant, active, step, following)
         for near in companions:
-            advance(near, x, step)
+            advance(near, step)
         if response:
             step.F_unknowns[:] = 0.0
         np.dot(step.F, D, D_following)

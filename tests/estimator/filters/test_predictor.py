@@ -178,3 +178,28 @@ def test_a_mirrored_record_gives_mirrored_innovations() -> None:
     expected = there.de * of_rows[:, None] * sign[ALL]
     scale = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(back.de / scale, expected / scale, atol=5e-3)
+
+
+@pytest.mark.parametrize("name", [name for name in NOISES if name != likelihood.MEMORY])
+def test_a_companion_is_the_filter_at_its_own_noise_level(name: str) -> None:
+    """With a linear model, whose Jacobians are the same wherever the rig goes."""
+    record, setup, step = turning(noise=1.0), rig_setup(MACHINE, linear=True), 1e-3
+    nearby = MEAN + step * np.eye(len(NAMES))[AT[name]]
+    here = likelihood.innovations(record, setup, START, MEAN, nearby=nearby[None])
+    there = likelihood.innovations(record, setup, START, nearby)
+    in_sds = 1.0 / np.sqrt(here.S)
+    for found, expected, unit in (
+        (here.e_nearby[:, 0] - here.e, there.e - here.e, in_sds),
+        (here.S_nearby[:, 0] - here.S, there.S - here.S, in_sds**2),
+    ):
+        size = float(np.linalg.norm(expected * unit))
+        assert float(np.linalg.norm((found - expected) * unit)) < 0.03 * size + 1e-9
+
+
+def test_a_run_is_the_same_with_companions_and_without() -> None:
+    nearby = np.tile(MEAN, (2, 1))
+    nearby[:, AT["push_t"]] += (0.5, -0.5)
+    alone = run(turning(1.0), MEAN, places=ALL)
+    beside = likelihood.innovations(turning(1.0), SETUP, START, MEAN, ALL, nearby=nearby)
+    for one, other in ((alone.e, beside.e), (alone.S, beside.S), (alone.de, beside.de)):
+        np.testing.assert_array_equal(one, other)
