@@ -301,7 +301,7 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
     """
     of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
     limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)[of_motion]
-    found = replace(at)
+    found, size = replace(at), math.inf
     for k in range(STEERING_STEPS):
         found.jacobian = _steering_jacobian(search, found)
         gradient, information = gradient_and_information(search, found, scores_at(search, found))
@@ -316,9 +316,9 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
         size = np.max(
             (np.abs(step) / _sds(information)[of_motion])[search.active[of_motion] < 6], initial=0.0
         )
-        if size < SETTLED_STEP or not np.all(np.isfinite(e)):
+        if size < SETTLED_STEP or not math.isfinite(found.cost):
             break
-    if not (np.all(np.isfinite(e)) and size < ARRIVED_STEP):
+    if not (math.isfinite(found.cost) and size < ARRIVED_STEP):
         found = at  # nothing better than the likelihood's maximum is known
     found.jacobian = _steering_jacobian(search, found)
     return found
