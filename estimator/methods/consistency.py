@@ -351,7 +351,10 @@ def _update_findings(
             del state.findings[key]
             if finding.active:
                 events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
-                state.must_forget |= finding.active_poses - POSES_TO_END >= POSES_TO_FORGET
+                must_forget = finding.active_poses - POSES_TO_END >= POSES_TO_FORGET
+                state.must_forget |= must_forget
+                if must_forget and key not in _KEYS.values():
+                    state.open, state.rows = open_tracker.initial(machine), []  # it has learned of it as well
     if not any(f.active for f in state.findings.values()):
         _update_confirmation(state, machine)
     return events

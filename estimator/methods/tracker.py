@@ -112,7 +112,6 @@ class TrackerState:
     refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    setup: RigSetup | None = None  # of the machine; made when it is first needed, and not stored
     reason: str = ""  # why soil and tyres were not learned from the latest segment
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
     considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
@@ -183,9 +182,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         _refuse(state, "inputs are no numbers")
         state.running = False
         return
-    if state.setup is None:
-        state.setup = rig_setup(machine)
-    setup = state.setup
+    setup = rig_setup(machine)
     sds = np.sqrt(state.push)
     ground = GroundNoise(sds[:3], PUSH_MEMORY_S, float(sds[3]))
     if not state.running:
