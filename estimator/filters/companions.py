@@ -60,9 +60,9 @@ def set_noise(near: Companion, u: float, point: Point, setup: RigSetup) -> None:
 
 
 @kernel
-def advance(near: Companion, run: Transition) -> None:
+def advance(near: Companion) -> None:
     """Propagate the deviation over a tick."""
-    np.dot(run.F, near.state.x, near.state.following)
+    np.dot(near.step.F, near.state.x, near.state.following)
 
 
 @kernel

@@ -20,7 +20,7 @@ class JointState(NamedTuple):
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     places: Places  # (a,), of the active ones among them
     considered: Array  # (27 + a,), 1.0 for what may not be learned
-    P: Array  # (27 + a, 26 + a)
+    P: Array  # (27 + a, 27 + a)
 
 
 class UpdateWork(NamedTuple):

@@ -44,7 +44,7 @@ ROUGH_START: Final = 1.5
 does not end in a local minimum."""
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
 FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
-STEERING_STEPS: Final = 8
+STEERING_STEPS: Final = 8  # at most, of `_by_steering`; the later ones are halved, for it has no cost to fall
 SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 # of a posterior sd: remaining step with which a search that has stopped counts as converged
 ARRIVED_STEP: Final = 0.3
@@ -53,7 +53,7 @@ LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 TRUST: Final = (0.1, 0.6)
 """How far any of the six logarithms, and any noise level, may move before the derivatives are renewed, which
-is nine tenths of the cost of a fit."""
+is most of the cost of a fit."""
 COLOUR_FACTOR: Final = 1.0
 """The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
 that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
@@ -300,15 +300,13 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
     Analysis, 2011).
     """
     of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
-    limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)[of_motion]
+    limits = _step_limits(search)
     found, size = replace(at), math.inf
     for k in range(STEERING_STEPS):
         found.jacobian = _steering_jacobian(search, found)
         gradient, information = gradient_and_information(search, found, scores_at(search, found))
         step = -np.linalg.solve(information[np.ix_(of_motion, of_motion)], gradient[of_motion])
-        step *= min(1.0, 1.0 / float(np.max(np.abs(step) / limits))) * (
-            1.0 if k < STEERING_STEPS // 2 else 0.5
-        )
+        step = _limited(step, limits[of_motion]) * (1.0 if k < STEERING_STEPS // 2 else 0.5)
         trial = found.point.copy()
         trial[search.active[of_motion]] += step
         e, S = _errors_at(search, trial)
@@ -440,11 +438,10 @@ def _step(
 ) -> tuple[Array, int, tuple[Array, Array] | None]:
     """(step, tries, (innovations, variances) after it); None in the third place if no step lowers the
     cost."""
-    limits = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+    limits = _step_limits(search)
     for tried in range(1, 8):
         damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
-        step: Array = -np.asarray(np.linalg.solve(damped, gradient), np.float64)
-        step = step / max(float(np.max(np.abs(step) / limits, initial=0.0)), 1.0)
+        step = _limited(-np.linalg.solve(damped, gradient), limits)
         trial = at.point.copy()
         trial[search.active] += step
         predicted = _errors_at(search, trial)
@@ -452,6 +449,16 @@ def _step(
         if np.isfinite(after) and after <= at.cost + SLACK:
             return step, tried, predicted
     return np.zeros(len(search.active)), 8, None
+
+
+def _step_limits(search: Search) -> Array:
+    """How far one step may go, (a,)."""
+    return np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+
+
+def _limited(step: Array, limits: Array) -> Array:
+    """The step, shortened to its limits."""
+    return np.asarray(step / max(float(np.max(np.abs(step) / limits, initial=0.0)), 1.0), np.float64)
 
 
 def whiteness(rows: Array, used: Array, e: Array, S: Array) -> float:

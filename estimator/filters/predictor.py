@@ -94,7 +94,7 @@ def run_filter(
     companions.clear()  # numba has its type now
     for q in range(nearby.shape[0]):
         companions.append(companion(nearby[q], ticks[0, U], setup, nothing, step))
-    following, x_at, middle = state.following, np.zeros(N_STATES), np.zeros(N_STATES)
+    following, x_at = state.following, np.zeros(N_STATES)
     D, D_following = np.zeros((N_STATES, na)), np.zeros((N_STATES, na))
     h, H, d = np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na)
     work = UpdateWork(np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES))
@@ -106,12 +106,12 @@ def run_filter(
         if k % EVERY == 0:
             set_processes(drive.u, ground, setup, step)
             set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-            linearise(x, ticks, k, point, plant, active, step, middle)
+            linearise(x, ticks, k, point, plant, active, step)
             for near in companions:
                 set_noise(near, drive.u, point, setup)
         propagate(x, drive, plant, active, step, following)
         for near in companions:
-            advance(near, step)
+            advance(near)
         if response:
             step.F_unknowns[:] = 0.0
         np.dot(step.F, D, D_following)

@@ -375,9 +375,19 @@ def joint_jacobian(step: Transition) -> None:
 
 
 @kernel
-def set_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition) -> None:
-    """Fill step's Jacobians about x, except for what `complete_jacobian` adds."""
-    rate_jacobians(x, drive, plant, active, step)
+def linearise(
+    x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
+) -> None:
+    """Renew step's Jacobians, except for what `complete_jacobian` adds, for EVERY ticks from tick k on, about
+    x in the middle of them, roughly.
+
+    At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
+    """
+    middle = x.copy()
+    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
+    for i in range(X_PUSH):
+        middle[i] += 0.5 * EVERY * DT * step.rates[i]
+    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
     integrate_exponential(step)
     joint_jacobian(step)
     for i in range(N_STATES):
@@ -385,23 +395,6 @@ def set_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, st
             step.F_T[j, i] = step.F[i, j]
         for j in range(step.F_T.shape[0] - N_STATES):
             step.F_T[N_STATES + j, i] = step.F_unknowns[i, j]
-
-
-@kernel
-def linearise(
-    x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition,
-    middle: Array,
-) -> None:  # fmt: skip
-    """Renew step's Jacobians for EVERY ticks from tick k on, about `middle`: (27,), filled with x in the
-    middle of them, roughly.
-
-    At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
-    """
-    middle[:] = x
-    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
-    for i in range(X_PUSH):
-        middle[i] += 0.5 * EVERY * DT * step.rates[i]
-    set_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
 
 
 @kernel

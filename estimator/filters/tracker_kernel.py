@@ -77,7 +77,7 @@ class RowTally(NamedTuple):
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (27 + a, 26 + a)."""
+    """The joint covariance of x and the active unknowns, shape (27 + a, 27 + a)."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
@@ -150,7 +150,7 @@ def track_segment(
     plant = empty_plant(setup, na)
     set_geometry_slopes(point, active)
     state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
-    following, x_at, middle = state.following, np.zeros(N_STATES), np.zeros(N_STATES)
+    following, x_at = state.following, np.zeros(N_STATES)
     h, H = np.zeros(n), np.zeros(n)
     work = UpdateWork(np.zeros(n), np.zeros(n), np.zeros(N_STATES))
     row, m = 0, rows.shape[0]
@@ -162,7 +162,7 @@ def track_segment(
             point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
             set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step)
-            linearise(x, ticks, k, point, plant, active, step, middle)
+            linearise(x, ticks, k, point, plant, active, step)
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
             obs = observation(ticks, rows[row], k, drive.u)

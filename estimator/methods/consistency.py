@@ -179,7 +179,7 @@ def soil_changed(state: Consistency, machine: Machine) -> None:
 
 def discard_findings(state: Consistency, machine: Machine) -> None:
     """Discard all that was found with wrong measurements, such as smoothed turn rates."""
-    state.open, state.rows = open_tracker.initial(machine), []
+    _begin_open_tracker(state, machine)
     state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
     state.methods, state.confirmed = {}, False
 
@@ -354,17 +354,21 @@ def _update_findings(
                 must_forget = finding.active_poses - POSES_TO_END >= POSES_TO_FORGET
                 state.must_forget |= must_forget
                 if must_forget and key not in _KEYS.values():
-                    state.open, state.rows = open_tracker.initial(machine), []  # it has learned of it as well
+                    _begin_open_tracker(state, machine)  # it has learned of it as well
     if not any(f.active for f in state.findings.values()):
         _update_confirmation(state, machine)
     return events
+
+
+def _begin_open_tracker(state: Consistency, machine: Machine) -> None:
+    state.open, state.rows = open_tracker.initial(machine), []
 
 
 def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
     """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
     twice."""
     state.open_restarted = True
-    state.open, state.rows = open_tracker.initial(machine), []
+    _begin_open_tracker(state, machine)
     del state.findings[key]
 
 

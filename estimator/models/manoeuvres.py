@@ -16,8 +16,7 @@ class Manoeuvre(NamedTuple):
     """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0.
 
     Only for manoeuvres that can be advised: called, its name with a place for the amplitude in degrees;
-    driven, the instruction to a driver, with
-    places for seconds and degrees.
+    driven, the instruction to a driver, with places for seconds and degrees.
     """
 
     name: str

@@ -291,18 +291,15 @@ def advise(
     mean: Array,
     covariance: Array,
     speed: float,
-    table: Mapping[Candidate, Array] | None = None,
-    hertz: Sequence[float] = (HERTZ,) * 4,
+    table: Mapping[Candidate, Array],
 ) -> str:
     """One sentence: what is not determined, and which manoeuvre would help most, by how much.
 
     mean (n,), covariance (n, n): over unknowns.NAMES. table: candidate -> its `information`, as far as
-    computed; None: all are computed here, which takes some 0.2 s.
+    computed.
     """
     if speed < SLOWEST:
         return f"nothing can be learned below {SLOWEST:g} m/s"
-    if table is None:
-        table = {c: information(machine, mean, speed, c, hertz) for c in gentle(machine, speed)}
     now, prior_sd = np.sqrt(np.diag(covariance)[SIX]), unknowns.prior(machine)[1][SIX]
     undetermined = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
     known = not undetermined

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 import pytest
@@ -162,7 +163,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     ticks[:, 1] = SPEED
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
-    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step, np.zeros(N_STATES))
+    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
     return step
 
 
@@ -234,7 +235,7 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
     return step[:6], np.asarray(np.sqrt(np.diag(np.linalg.inv(total)))[:6], np.float64)
 
 
-@pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (8.0, 1.12)])
+@pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
 def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     """Ten seconds on a linear plant with the model's own noise, all nuisances unknown. 40 runs put ±0.13
     on the mean square."""
@@ -257,32 +258,35 @@ def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     assert 0.75 < float(np.mean(normal**2)) < 1.25  # what is called achieved is what errors show
 
 
+@cache
+def everything() -> dict[Candidate, Array]:
+    """What each gentle manoeuvre would bring."""
+    return {c: advice.information(MACHINE, MEAN, SPEED, c) for c in advice.gentle(MACHINE, SPEED)}
+
+
 def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag(np.array([0.05, 0.05, 0.45, 0.05, 0.05, 0.1]) ** 2)
-    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED, everything())
     start, _, offer = advice_text.partition("; ")
     assert start == "C_ai is not determined: -59 … +142 % (95 %)"
     assert offer.startswith("10 s of ") and offer.endswith(" % (95 %)")
     brought = re.search(r"would bring it to ±(\d+) %", offer)
     assert brought is not None
     after = int(brought[1]) / 1.96
-    best = min(
-        advice.predicted(covariance, advice.information(MACHINE, MEAN, SPEED, c))[2]
-        for c in advice.gentle(MACHINE, SPEED)
-    )
+    best = min(advice.predicted(covariance, brought)[2] for brought in everything().values())
     assert 95 * best < after < 25
 
 
 def test_if_all_is_determined_the_least_known_is_named_without_a_manoeuvre() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2
-    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED)
+    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED, everything())
     assert (
         advice_text == "C_af is known least: ±2.0 % (95 %); no 10 s of steering at this speed would help much"
     )
-    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5) == "nothing can be learned below 1.5 m/s"
-    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED).startswith(
+    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5, {}) == "nothing can be learned below 1.5 m/s"
+    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED, everything()).startswith(
         "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "
     )
 
@@ -298,7 +302,7 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     """It is driven anyway, slowly; what the model errs by in sharp turns is not promised."""
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag(np.array([0.3, 0.05, 0.05, 0.3, 0.5, 0.05]) ** 2)
-    table = {c: advice.information(MACHINE, MEAN, SPEED, c) for c in (advice.TURN, Candidate("step", 3.0))}
+    table = {c: everything()[c] for c in (advice.TURN, Candidate("step", 3.0))}
     text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
     assert "10 s of a headland turn at 25° or more would bring" in text
     exact = advice.predicted(covariance, table[advice.TURN])
