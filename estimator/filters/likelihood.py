@@ -453,7 +453,8 @@ def _step(
 
 def _step_limits(search: Search) -> Array:
     """How far one step may go, (a,)."""
-    return np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+    limits: Array = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+    return limits
 
 
 def _limited(step: Array, limits: Array) -> Array:
