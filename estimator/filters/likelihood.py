@@ -440,7 +440,7 @@ def _step(
     cost."""
     limits = _step_limits(search)
     for tried in range(1, 8):
-        damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
+        damped: Array = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
         step = _limited(-np.linalg.solve(damped, gradient), limits)
         trial = at.point.copy()
         trial[search.active] += step
