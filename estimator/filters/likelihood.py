@@ -440,8 +440,8 @@ def _step(
     cost."""
     limits = _step_limits(search)
     for tried in range(1, 8):
-        damped: Array = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
-        step = _limited(-np.linalg.solve(damped, gradient), limits)
+        damped = information + damping * 10.0 ** (tried - 1) * np.diag(np.diag(information))
+        step = _limited(np.asarray(np.linalg.solve(damped, -gradient), np.float64), limits)
         trial = at.point.copy()
         trial[search.active] += step
         predicted = _errors_at(search, trial)
