@@ -305,8 +305,10 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
     for k in range(STEERING_STEPS):
         found.jacobian = _steering_jacobian(search, found)
         gradient, information = gradient_and_information(search, found, scores_at(search, found))
-        step = -np.linalg.solve(information[np.ix_(of_motion, of_motion)], gradient[of_motion])
-        step = _limited(step, limits[of_motion]) * (1.0 if k < STEERING_STEPS // 2 else 0.5)
+        newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
+        step = _limited(np.asarray(newton, np.float64), limits[of_motion]) * (
+            1.0 if k < STEERING_STEPS // 2 else 0.5
+        )
         trial = found.point.copy()
         trial[search.active[of_motion]] += step
         e, S = _errors_at(search, trial)
