@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.unknowns import ROUGH
+
 Array = NDArray[np.float64]
 
 DIRECTIONS: Final = np.array(
@@ -22,6 +24,10 @@ DIRECTIONS: Final = np.array(
 CHANGED: Final = 32.0
 """Twice the logarithm of the likelihood ratio: in 1.6 h of steering over uneven ground
 without a change the largest was 21."""
+ROUGH_SHARE: Final = 4.0
+"""On rough ground the limit rises by this factor times (uneven / unknowns.ROUGH)^4: the side forces wander
+with the loads of the wheels, by shares that go with the square of it. On ground of 3 cm rms the largest ratio
+without a change was 60, on 1 cm 28."""
 LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
 # largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
 KNOWN_SD: Final = 0.2
@@ -43,6 +49,11 @@ class Change:
 
     ratio: float  # twice the logarithm of its likelihood ratio
     logs: Array  # [6]
+
+
+def limit(uneven: float) -> float:
+    """The ratio above which the soil has changed. uneven: sd of how far the ground turns wheels, rad."""
+    return CHANGED * (1.0 + ROUGH_SHARE * (uneven / ROUGH) ** 4)
 
 
 def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Array) -> Change | None:

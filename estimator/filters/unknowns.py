@@ -99,6 +99,7 @@ DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth
 DISTURBANCE_LOG_SD: Final = 1.2
 MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
 UNEVEN: Final = 0.006  # rad
+ROUGH: Final = 0.01  # rad: such ground, about 3 cm rms, makes the loads of the wheels come and go
 UNEVEN_LOG_SD: Final = 1.2
 SENSOR_LOG_SD: Final = 0.5
 

@@ -70,6 +70,9 @@ slip angles would be taken for stiffness."""
 PUSH_MEMORY_S: Final = 0.25
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
+FIRST_PUSHES: Final = 15.0
+"""The memory for pushes that are larger than expected, after a start; it grows with the segments. Until rough
+ground is taken for what it is, its forces are learned as tyres."""
 PUSH_FORGETTING: Final = 1000.0  # segments over which these return to their prior
 LARGEST_PUSH: Final = 5.0  # largest ratio of observed to expected variance that one segment contributes
 LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
@@ -92,6 +95,7 @@ class TrackerState:
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
     push: Array = field(default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN]))
     """Variances of the ground's pushes and of its unevenness."""
+    segments_adapted: int = 0  # to which `push` has been adapted
     running: bool = False  # x is the state at the start of the next segment
     segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
@@ -277,8 +281,11 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
     ground = np.vstack([ground[:3], ground[3:].sum(axis=0)])  # both bodies' unevenness has one sd
     ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, LARGEST_PUSH)
+    state.segments_adapted += 1
+    short = min(max(float(state.segments_adapted), FIRST_PUSHES), PUSH_VARIANCE_MEMORY)
+    memory = np.where(ratio > 1.0, short, PUSH_VARIANCE_MEMORY)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
-    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / PUSH_VARIANCE_MEMORY
+    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / memory
     state.push = np.exp(
         logs + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs) / PUSH_FORGETTING
     )
@@ -287,7 +294,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
 def _detect_soil_change(state: TrackerState) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
-    if change is not None and change.ratio > soil_change.CHANGED:
+    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.push[3])):
         _forget_soil(state, change.logs)
         return
     state.segments_since_checkpoint += 1
@@ -330,8 +337,8 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    errors = likelihood.TIGHT_SD if tight else likelihood.MODEL_SD
-    return (covariance + covariance.T) / 2.0 + np.diag(np.square(errors))
+    errors = np.diag(likelihood.model_sd(tight, math.sqrt(state.push[3])) ** 2)
+    return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES
-from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
 from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
 from tilth.estimator.record.record import (
@@ -311,10 +311,11 @@ def advise(
     else:
         state = "is known least" if known else f"{'is' if len(undetermined) == 1 else 'are'} not determined"
         start = f"{names} {state}: {share(*now[undetermined])}"
-    after = {
-        c: predicted(covariance, brought, likelihood.model_sd(math.radians(c.degrees)))[undetermined]
-        for c, brought in table.items()
-    }
+    uneven = math.exp(mean[AT["uneven"]])
+    after = {}
+    for candidate, brought in table.items():
+        errors = likelihood.model_sd(math.radians(candidate.degrees) > likelihood.TIGHT, uneven)
+        after[candidate] = predicted(covariance, brought, errors)[undetermined]
     chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start

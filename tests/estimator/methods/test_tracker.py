@@ -376,6 +376,37 @@ def straight(seconds: float, seed: int) -> list[Segment]:
     return segments
 
 
+@pytest.mark.parametrize(
+    ("uneven", "least", "most"), [(0.003, 1.0, 1.05), (0.006, 1.4, 1.6), (0.01, 5.0, 5.0)]
+)
+def test_rough_ground_asks_for_a_larger_change_of_soil(uneven: float, least: float, most: float) -> None:
+    assert least <= soil_change.limit(uneven) / soil_change.CHANGED <= most
+
+
+def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -> None:
+    state = tracker.initial(MACHINE)
+    state.push[3] = 0.003**2
+    before = np.diag(tracker.reported_covariance(state))
+    state.push[3] = unknowns.ROUGH**2
+    wider = np.diag(tracker.reported_covariance(state)) - before
+    assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
+    assert wider[3:] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_rough_ground_is_believed_at_once_and_smooth_ground_slowly() -> None:
+    """Ten segments, 2 s, in which the pushes' variances are three times what is expected, or a third."""
+    changed = []
+    for ratio in (3.0, 1.0 / 3.0):
+        state = tracker.initial(MACHINE)
+        before = state.push.copy()
+        for _ in range(10):
+            tracker._adapt_noise(state, np.vstack([np.zeros((4, 2)), np.tile([ratio, 1.0], (5, 1))]))
+        changed.append(state.push / before)
+    assert (changed[0] > 1.8).all()
+    assert (changed[1] > 0.9).all()
+    assert (changed[1] < 1.0).all()
+
+
 def follow(state: TrackerState, segments: list[Segment]) -> None:
     for segment in segments:
         state.last_pose_ns = segment.record.end_ns

@@ -306,7 +306,7 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
     assert "10 s of a headland turn at 25° or more would bring" in text
     exact = advice.predicted(covariance, table[advice.TURN])
-    assert (advice.predicted(covariance, table[advice.TURN], model_sd(math.radians(25.0))) > exact).all()
+    assert (advice.predicted(covariance, table[advice.TURN], model_sd(True, 0.006)) > exact).all()
 
 
 def test_more_is_known_after_a_wilder_manoeuvre_and_never_less_than_before() -> None:
