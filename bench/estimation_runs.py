@@ -16,6 +16,7 @@ import estimation_study
 import held_out
 import linear_plant
 import numpy as np
+import plain_aeroid
 import plain_filterpy
 import plain_least_squares
 import plain_statsmodels
@@ -156,6 +157,7 @@ def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
     ways: dict[str, Callable[[], tuple[Array, Array]]] = {
         "tilth": own,
         "scipy least_squares, output error": lambda: plain_least_squares.fit(*data, mean[:7], sd[:7], sds),
+        "AeroID, output error": lambda: plain_aeroid.fit(*data, mean[:7], sd[:7], sds),
         "statsmodels MLEModel": lambda: plain_statsmodels.fit(
             *data, np.append(mean[:7], noise_mean), np.append(sd[:7], noise_sd)
         ),
