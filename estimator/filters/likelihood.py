@@ -77,9 +77,9 @@ SETTLING_TICKS: Final = 50
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
 by 0.2 sd per window."""
 OFFSETS: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i", *unknowns.ROLL_ZEROS)
-"""Constants whose derivatives are no response to the ground, so the filter's own are used for them. In the
-open loop a zero of the wheel angle is a heading that grows for the whole window, and what the filter leaves of
-that is its linearisation: the zero and the rolls' came out 10 to 30 sds off."""
+"""Constants: their derivatives are no response to the ground, so the filter's own are used for them. In the
+open loop a zero of the wheel angle is a heading that grows for the whole window. What the filter leaves of it
+is its linearisation, and the zeros of wheel and rolls came out 10 to 30 sds off."""
 MEMORY: Final = "memory"  # of the pushes: it changes the Jacobians, too
 BIN_S: Final = 0.1
 LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
