@@ -116,8 +116,9 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["latency"]] = _common_latency(machine)
     bodies: tuple[Tractor | Implement, ...] = (tractor, implement)
     for k, body in enumerate(bodies):
-        survey = _survey(machine, ("tractor", "implement")[k])
-        sd[AT["pair_t"] + k] = math.radians(body.pair_yaw_sd)
+        name = ("tractor", "implement")[k]
+        survey, turned = _survey(machine, name), _turned(machine, name)
+        sd[AT["pair_t"] + k] = math.hypot(math.radians(body.pair_yaw_sd), turned)
         sd[AT["lever_t"] + k] = survey
         sd[AT["cg_t"] + k] = body.cg_sd
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
@@ -179,6 +180,14 @@ def _survey(machine: Machine, body: str) -> float:
     """Sd of the middle of a body's receivers, m."""
     sds = [r.survey_sd for r in machine.receiver if r.mount.body == body]
     return math.hypot(*sds) / len(sds) if sds else 0.0
+
+
+def _turned(machine: Machine, body: str) -> float:
+    """Sd of the yaw of a body's two receivers, rad, by what is not known of their places to either side."""
+    pair = [r for r in machine.receiver if r.mount.body == body]
+    if len(pair) != 2:
+        return 0.0
+    return math.hypot(*(r.survey_sd for r in pair)) / math.dist(pair[0].position[:2], pair[1].position[:2])
 
 
 def _quantities(machine: Machine) -> tuple[Quantity, ...]:

@@ -123,12 +123,6 @@ def allowed(machine: Machine) -> Array:
         length = 1.0 if name == "e" else float(shape["abcde".index(name)])
         cg_sd = (machine.tractor, machine.implement)[body].cg_sd / length
         out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], cg_sd)
-    for name, which in (("pair_t", "tractor"), ("pair_i", "implement")):
-        pair = [r for r in machine.receiver if r.mount.body == which]
-        if len(pair) == 2:
-            length = math.dist(pair[0].position[:2], pair[1].position[:2])
-            k = NAMES.index(name)
-            out[k] = math.hypot(out[k], math.hypot(*(r.survey_sd for r in pair)) / length)
     return out
 
 

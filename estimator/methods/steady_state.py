@@ -36,6 +36,7 @@ from tilth.estimator.results.reporting import (
     PUBLISH_NS,
     WITHDRAWN,
     age_s,
+    nuisance_sd,
     parameter,
     per_mass,
     reason_without_data,
@@ -328,7 +329,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=per_mass(machine, parameters),
         nuisances={
-            name: (float(state.x[AT[name]]), math.sqrt(max(state.P[AT[name], AT[name]], 0.0)))
+            name: (float(state.x[AT[name]]), nuisance_sd(name, state.P[AT[name], AT[name]]))
             for name in PUBLISHED
         },
         rank=rank,

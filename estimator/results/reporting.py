@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.unknowns import NAMES, SIX
+from tilth.estimator.filters.unknowns import NAMES, ROLL_ZEROS, SIX
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import SUPPORTED
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
@@ -21,6 +21,13 @@ PUBLISH_NS: Final = 1_000_000_000
 STALE_S: Final = 300.0
 WITHDRAWN: Final = 0.6  # posterior over prior sd of a logarithm, above which a number is withdrawn
 LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean is no tyre's
+NUISANCE_MODEL_SD: Final[dict[str, float]] = {
+    "wheel_zero": 0.0015, "wheel_gain": 0.02, "latency": 0.01, "roll_late_t": 0.02, "roll_late_i": 0.02,
+    "pair_t": 0.002, "pair_i": 0.002, "lever_t": 0.01, "lever_i": 0.01,
+    **dict.fromkeys(ROLL_ZEROS, 0.01),
+}  # fmt: skip
+"""By how much errors of the model move an unknown that is no tyre's, in its unit; part of its published sd.
+On the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of them."""
 RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
 
 
@@ -88,6 +95,11 @@ def reason_without_data(what: str, reason: str) -> str:
     return f"{what} yet (now: {reason})" if reason else f"{what} yet"
 
 
+def nuisance_sd(name: str, variance: float) -> float:
+    """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave."""
+    return math.hypot(math.sqrt(max(variance, 0.0)), NUISANCE_MODEL_SD.get(name, 0.0))
+
+
 def six_parameter_estimate(
     state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, reason: str,
     excitation: dict[str, float], advice_text: str, stale: str | None = None,
@@ -118,7 +130,9 @@ def six_parameter_estimate(
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=per_mass(machine, parameters),
         nuisances={
-            NAMES[k]: (float(state.mean[k]), math.sqrt(state.covariance[k, k])) for k in active if k > 5
+            NAMES[k]: (float(state.mean[k]), nuisance_sd(NAMES[k], state.covariance[k, k]))
+            for k in active
+            if k > 5
         },
         rank=int(np.sum(eigenvalues > RANK_GAIN)),
         condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,

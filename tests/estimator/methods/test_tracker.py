@@ -61,6 +61,7 @@ from tilth.estimator.record.record import (
     Record,
     Segment,
 )
+from tilth.estimator.results import reporting
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.simulator import scenario
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
@@ -391,6 +392,27 @@ def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_what_is_said_of_other_unknowns_has_room_for_errors_of_the_model() -> None:
+    state = tracker.initial(MACHINE)
+    state.covariance[6:, 6:] *= 1e-6  # hours of rows
+    said = tracker.estimate(state, MACHINE, 1).nuisances
+    for name, least in reporting.NUISANCE_MODEL_SD.items():
+        assert least <= said[name][1] <= 1.1 * least, name
+
+
+def test_the_yaw_of_a_pair_is_as_unknown_as_the_survey_of_its_antennas() -> None:
+    loose = [receiver.model_copy(update={"survey_sd": 0.05}) for receiver in MACHINE.receiver]
+    machine = MACHINE.model_copy(update={"receiver": loose})
+    at = [AT["pair_t"], AT["pair_i"]]
+    known, unknown = (unknowns.prior(one)[1][at] for one in (MACHINE, machine))
+    assert (known >= math.radians(0.2)).all()
+    for sd, body in zip(unknown, ("tractor", "implement"), strict=True):
+        one, other = (r.position[:2] for r in loose if r.mount.body == body)
+        assert sd == pytest.approx(
+            math.hypot(math.radians(0.2), 0.05 * math.sqrt(2.0) / math.dist(one, other))
+        )
 
 
 def test_rough_ground_is_believed_at_once_and_smooth_ground_slowly() -> None:
