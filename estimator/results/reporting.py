@@ -96,8 +96,9 @@ def reason_without_data(what: str, reason: str) -> str:
 
 
 def nuisance_sd(name: str, variance: float) -> float:
-    """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave."""
-    return math.hypot(math.sqrt(max(variance, 0.0)), NUISANCE_MODEL_SD.get(name, 0.0))
+    """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave; without any the
+    machine file states the value as exact, and the sd is zero."""
+    return math.hypot(math.sqrt(variance), NUISANCE_MODEL_SD.get(name, 0.0)) if variance > 0.0 else 0.0
 
 
 def six_parameter_estimate(
