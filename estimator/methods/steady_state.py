@@ -319,7 +319,8 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
-    covariance = np.diag(unknowns.prior(machine)[1][unknowns.SIX] ** 2)
+    prior_sd = unknowns.prior(machine)[1]
+    covariance = np.diag(prior_sd[unknowns.SIX] ** 2)
     covariance[:3, :3] = state.log_covariance
     return Estimate(
         t_ns=t_ns,
@@ -329,7 +330,10 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=per_mass(machine, parameters),
         nuisances={
-            name: (float(state.x[AT[name]]), nuisance_sd(name, state.P[AT[name], AT[name]]))
+            name: (
+                float(state.x[AT[name]]),
+                nuisance_sd(name, state.P[AT[name], AT[name]], prior_sd[unknowns.AT[name]]),
+            )
             for name in PUBLISHED
         },
         rank=rank,

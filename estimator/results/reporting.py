@@ -95,10 +95,13 @@ def reason_without_data(what: str, reason: str) -> str:
     return f"{what} yet (now: {reason})" if reason else f"{what} yet"
 
 
-def nuisance_sd(name: str, variance: float) -> float:
+def nuisance_sd(name: str, variance: float, prior_sd: float) -> float:
     """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave; without any the
-    machine file states the value as exact, and the sd is zero."""
-    return math.hypot(math.sqrt(variance), NUISANCE_MODEL_SD.get(name, 0.0)) if variance > 0.0 else 0.0
+    machine file states the value as exact, and the sd is zero. It is never above the prior's."""
+    if variance <= 0.0:
+        return 0.0
+    sd = math.sqrt(variance)
+    return min(math.hypot(sd, NUISANCE_MODEL_SD.get(name, 0.0)), max(prior_sd, sd))
 
 
 def six_parameter_estimate(
@@ -131,7 +134,7 @@ def six_parameter_estimate(
         log_covariance=tuple(covariance.ravel().tolist()),
         per_mass=per_mass(machine, parameters),
         nuisances={
-            NAMES[k]: (float(state.mean[k]), nuisance_sd(NAMES[k], state.covariance[k, k]))
+            NAMES[k]: (float(state.mean[k]), nuisance_sd(NAMES[k], state.covariance[k, k], state.prior_sd[k]))
             for k in active
             if k > 5
         },

@@ -398,8 +398,9 @@ def test_what_is_said_of_other_unknowns_has_room_for_errors_of_the_model() -> No
     state = tracker.initial(MACHINE)
     state.covariance[6:, 6:] *= 1e-6  # hours of rows
     said = tracker.estimate(state, MACHINE, 1).nuisances
-    for name, least in reporting.NUISANCE_MODEL_SD.items():
-        assert least <= said[name][1] <= 1.1 * least, name
+    for name, room in reporting.NUISANCE_MODEL_SD.items():
+        least = min(room, state.prior_sd[AT[name]])
+        assert 0.999 * least <= said[name][1] <= 1.1 * least, name
 
 
 def test_the_yaw_of_a_pair_is_as_unknown_as_the_survey_of_its_antennas() -> None:
