@@ -1,4 +1,4 @@
-"""Machine files that are wrong in one number: what becomes of each, on three drives; right files for hours.
+"""Machine files that are wrong in one number: what becomes of each, on four drives; right files for hours.
 
     python bench/wrong_files.py changes [--drive NAME] [--every N] [--out FILE]
     python bench/wrong_files.py right --hours H [--out FILE]
@@ -43,7 +43,17 @@ from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError, parse_machine
-from tilth.simulator.scenario import DrivenManoeuvre, Ground, Parameter, Scenario, Soil, Turns, parse_scenario
+from tilth.simulator.scenario import (
+    DrivenManoeuvre,
+    Fieldwork,
+    Ground,
+    HeadlandTurn,
+    Parameter,
+    Scenario,
+    Soil,
+    Turns,
+    parse_scenario,
+)
 from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -61,6 +71,7 @@ SOFT: Final[Mapping[Parameter, float]] = {
     "sigma_i": 0.8,
 }
 SECONDS: Final = 100.0
+HEADLAND_TURNS: Final = (HeadlandTurn(18.0, 8.9), HeadlandTurn(6.1, 4.8))  # a U at 18 degrees, a loop at 32
 DRIVES: Final = {
     "slope": Scenario(
         speed=(PARKED, (30.0, 3.5), (70.0, 4.5)), steering=Turns(angle_deg=(4.0, 7.0)), soil=FIELD,
@@ -73,6 +84,10 @@ DRIVES: Final = {
     "soft": Scenario(
         speed=(PARKED, (30.0, 2.5), (70.0, 4.0)), steering=Turns(angle_deg=(6.0, 10.0), straight=(2.0, 5.0)),
         soil=replace(FIELD, parameters=SOFT), ground=UNEVEN, other_traffic=False, seed=3,
+    ),
+    "field": Scenario(
+        speed=(PARKED, (88.0, 3.0)), steering=Fieldwork(length=60.0, turns=HEADLAND_TURNS),
+        steering_limit_deg=32.5, soil=FIELD, ground=UNEVEN, other_traffic=False, seed=4,
     ),
 }  # fmt: skip
 """All begin parked, as a rig does, and change their speed."""

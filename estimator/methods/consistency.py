@@ -381,7 +381,7 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
         state.confirmed = state.agreed > -POSES_TO_DOUBT
         state.missing = _doubt_reason(misfit)
         return
-    unconfirmed_names = open_tracker.unconfirmed(misfit)
+    unconfirmed_names = open_tracker.unconfirmed(misfit, machine)
     decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
     long_enough = state.agreed >= POSES_TO_CONFIRM and len(state.rows) >= LEAST_SEGMENTS
     state.confirmed = not unconfirmed_names and long_enough and decided

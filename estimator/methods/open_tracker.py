@@ -42,9 +42,10 @@ CONFIRMING_SD: Final = {
     "I_t": 0.25,
 }  # fmt: skip
 """Largest sds with which a gross error would show; only then can the file be confirmed."""
-CONFIRMING_SD_ALONE: Final = {"a": 0.11, "I_t": 0.15}
-"""The same, if all other numbers are right: a metre on the wheelbase and twice the inertia have the same
-effect, and either changes the stiffnesses in proportion."""
+GROSS: Final = {"a": 1.0, "I_t": math.log(2.0)}
+"""Gross errors, m and a logarithm, that are told apart if all other numbers are right: a metre on the
+wheelbase and twice the inertia have the same effect, and either changes the stiffnesses in proportion."""
+CERTAIN: Final = 2.33  # sds by which the data must be off each of these: one gross error in a hundred passes
 NAMES: Final = tuple(OPEN_SD)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
@@ -126,11 +127,14 @@ def allowed(machine: Machine) -> Array:
     return out
 
 
-def unconfirmed(now: Misfit) -> list[str]:
+def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
     """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
     ratio = {name: float(now.sd[NAMES.index(name)]) / limit for name, limit in CONFIRMING_SD.items()}
-    for name, limit in CONFIRMING_SD_ALONE.items():
-        ratio[name] = max(ratio[name], float(now.alone[NAMES.index(name)]) / limit)
+    for name, gross in GROSS.items():
+        k = NAMES.index(name)
+        size = math.log1p(gross / machine.tractor.a.value) if name == "a" else gross
+        off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
+        ratio[name] = max(ratio[name], CERTAIN / max(off, 1e-3))
     return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])
 
 

@@ -1,6 +1,7 @@
 """A recording and its fold as the daemon has them, and a disk that fills."""
 
 import contextlib
+import queue
 import resource
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -48,6 +49,12 @@ class Recorder:
             assert time.monotonic() < deadline, self.recording.problem
             self.later()
             time.sleep(0.001)
+
+    def on_disk(self) -> bool:
+        """Whether all that was logged until now is on the disk, and what follows is written too."""
+        said: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self.recording.settle(said.put)
+        return said.get(timeout=PATIENCE_S) == "" and self.recording.recording
 
     def later(self) -> None:
         """A tick 0.4 s later, without a frame."""

@@ -272,10 +272,24 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     assert is_tyre or "no tyre" in checked.parameters[0].reason
 
 
+@pytest.mark.parametrize("name", open_tracker.GROSS)
+@pytest.mark.parametrize(("sds_off", "sds_to_gross", "known"), [(0.0, 2.5, True), (0.0, 2.2, False),
+    (1.0, 3.4, True), (1.0, 3.2, False), (3.0, 5.0, False)])  # fmt: skip
+def test_a_file_is_confirmed_when_its_gross_errors_can_be_ruled_out(
+    name: str, sds_off: float, sds_to_gross: float, known: bool
+) -> None:
+    machine, n = demo_machine(), len(open_tracker.NAMES)
+    size = math.log1p(1.0 / machine.tractor.a.value) if name == "a" else math.log(2.0)
+    k, alone, by_name = open_tracker.NAMES.index(name), np.full(n, 0.01), np.zeros(n)
+    alone[k], by_name[k] = size / sds_to_gross, sds_off**2
+    now = open_tracker.Misfit(0.0, by_name, np.zeros(n), np.full(n, 0.01), alone)
+    assert open_tracker.unconfirmed(now, machine) == ([] if known else [name])
+
+
 def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
     machine = demo_machine()
     state = open_tracker.initial(machine)
     now = open_tracker.misfit(state, machine)
     assert now.total == 0.0 and not now.by_name.any()
-    assert set(open_tracker.unconfirmed(now)) == set(open_tracker.CONFIRMING_SD)
+    assert set(open_tracker.unconfirmed(now, machine)) == set(open_tracker.CONFIRMING_SD)
     assert (open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))).all()
