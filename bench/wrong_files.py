@@ -543,8 +543,8 @@ def summary(path: Path) -> None:
     for line in lines:
         if line["outcome"] in ("wrong", "elsewhere", "beyond 1 sd", "fault") or line.get("early_s"):
             far = f"worst {line.get('worst', math.nan):.1f}, further {line.get('further', math.nan):.1f}"
-            line = line.get("reason", line.get("first", ""))[:90]
-            print(f"{line['outcome']:12} {line['id']}: {far}, early {line.get('early_s', 0):.0f} s; {line}")
+            said = line.get("reason", line.get("first", ""))[:90]
+            print(f"{line['outcome']:12} {line['id']}: {far}, early {line.get('early_s', 0):.0f} s; {said}")
 
 
 def summary_right(path: Path) -> None:
@@ -574,7 +574,7 @@ def main() -> None:
     )
     parser.add_argument("row", choices=("changes", "right"))
     parser.add_argument("--drive", choices=tuple(DRIVES), action="append")
-    parser.add_argument("--every", type=int, default=1, help="only each N-th change")
+    parser.add_argument("--every", type=int, default=1, help="only each N-th; an odd one, for all drives")
     parser.add_argument("--hours", type=float, default=20.0)
     parser.add_argument("--seconds", type=float, default=180.0, help="of each right drive")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)

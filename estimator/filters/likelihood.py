@@ -45,6 +45,10 @@ does not end in a local minimum."""
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
 FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
 STEERING_STEPS: Final = 8  # at most, of `_by_steering`; the later ones are halved, for it has no cost to fall
+FURTHEST: Final = 3.0
+"""Sds of any of the six by which `_by_steering` may leave the likelihood's maximum. Its equations can have
+another solution far away: on a side slope at 4 and more sds, with C_ar half too high. Right ones were within
+2.7."""
 SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 # of a posterior sd: remaining step with which a search that has stopped counts as converged
 ARRIVED_STEP: Final = 0.3
@@ -118,6 +122,11 @@ class Search:
     prior_information: Array  # (a, a), of the active ones
     prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
+
+    @property
+    def of_motion(self) -> NDArray[np.bool_]:
+        """(a,), whether an active unknown is no noise level."""
+        return np.array([NAMES[k] not in NOISES for k in self.active])
 
     @property
     def scored(self) -> Array:
@@ -312,26 +321,27 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
     spectrum of the ground (refined instrumental variables: Young, Recursive Estimation and Time-Series
     Analysis, 2011).
     """
-    of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
-    limits = _step_limits(search)
-    found, size = replace(at), math.inf
+    of_motion, limits = search.of_motion, _step_limits(search)[search.of_motion]
+    places = search.active[of_motion]
+    found, size, moved = replace(at), math.inf, 0.0
     for k in range(STEERING_STEPS):
         found.jacobian = _steering_jacobian(search, found)
         gradient, information = gradient_and_information(search, found, scores_at(search, found))
         newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
-        step = _limited(np.asarray(newton, np.float64), limits[of_motion]) * (
-            1.0 if k < STEERING_STEPS // 2 else 0.5
-        )
+        share = 1.0 if k < STEERING_STEPS // 2 else 0.5
+        step = share * _limited(np.asarray(newton, np.float64), limits)
         trial = found.point.copy()
-        trial[search.active[of_motion]] += step
+        trial[places] += step
         e, S = _errors_at(search, trial)
         found = replace(found, point=trial, e=e, S=S, cost=_cost(search, trial, e, S))
-        size = np.max(
-            (np.abs(step) / _sds(information)[of_motion])[search.active[of_motion] < 6], initial=0.0
+        sds = _sds(information)[of_motion]
+        size, moved = (
+            float(np.max((np.abs(change) / sds)[places < 6], initial=0.0))
+            for change in (step, (trial - at.point)[places])
         )
         if size < SETTLED_STEP or not math.isfinite(found.cost):
             break
-    if not (math.isfinite(found.cost) and size < ARRIVED_STEP):
+    if not (math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST):
         found = at  # nothing better than the likelihood's maximum is known
     found.jacobian = _steering_jacobian(search, found)
     return found
@@ -373,7 +383,7 @@ def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
     simple, so it does not count in the covariance: with it, intervals from three windows of steps at 5 Hz
     held the true value in 78 % of runs, without it in 88 %.
     """
-    of_motion = np.array([NAMES[k] not in NOISES for k in search.active])
+    of_motion = search.of_motion
     responding = of_motion & np.array([NAMES[k] not in OFFSETS for k in search.active])
     places = search.active[responding]
     driven = _run(search, at.point, places, closed=False).de
