@@ -20,7 +20,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 5
+VERSION: Final = 6
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

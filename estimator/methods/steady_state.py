@@ -5,9 +5,11 @@ determine two combinations of the three stiffnesses, at any speed: rank 2. With 
 tractor's CG as third output the rank is 3. The filter publishes the rank, and numbers only with rank 3.
 
 States: the constants that the outputs depend on and that are not known exactly, with the uncertainties of the
-machine file (`steady_outputs.CONSTANTS`); the data cannot separate most of them from stiffness. And the slow
-heading error of either antenna pair from multipath. Straight driving is a steady turn too: it shows the zero
-of the wheel angle and the misalignment of the pairs.
+machine file (`steady_outputs.CONSTANTS`); the data cannot separate most of them from stiffness. And the zero
+error of either body's measured roll, and the slow heading error of either antenna pair from multipath.
+Straight driving is a steady turn too: it shows the zero of the wheel angle and the misalignment of the pairs.
+
+What uneven ground does to the outputs is learned from straight driving, where it is all that is left.
 
 The outputs are nearly linear in compliance 1/C, but the prior is normal in the logarithm. So the filter's
 states are compliances, with a prior that is practically flat. The information of the data on them, a
@@ -22,11 +24,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import slow_pair_sd
 from tilth.estimator.filters.states import PAIR_MEMORY_S
-from tilth.estimator.filters.steady_outputs import CONSTANTS, largest_slip, linearised
+from tilth.estimator.filters.steady_outputs import CONSTANTS, INPUTS, largest_slip, linearised
 from tilth.estimator.pose.aligner import POSE_NS
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.steady_driving import BLOCK, Steadiness, SteadySample, observe
@@ -49,12 +51,15 @@ Array = NDArray[np.float64]
 
 METHOD = "steady_state"
 MODEL = "steady_turn"
-STATES = (*CONSTANTS, "slow_t", "slow_i")
-"""The first three as compliance over the prior mean's; the others as unknowns.NAMES; rad."""
+STATES = (*CONSTANTS, "roll_zero_t", "roll_zero_i", "slow_t", "slow_i")
+"""The first three as compliance over the prior mean's; the others as unknowns.NAMES, but the zero of roll is
+the mean of a body's receivers; rad."""
 AT = {name: k for k, name in enumerate(STATES)}
 PUBLISHED = ("wheel_zero", "wheel_gain", "pair_t", "pair_i", "rolling", "curvature")
 SOIL = [AT["rolling"], AT["curvature"]]  # they differ with the soil too
-STRAIGHT = [AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "slow_t", "slow_i")]
+STRAIGHT = [
+    AT[name] for name in ("wheel_zero", "pair_t", "pair_i", "roll_zero_t", "roll_zero_i", "slow_t", "slow_i")
+]
 """The states that are learned in straight driving."""
 SLOW = [AT["slow_t"], AT["slow_i"]]
 
@@ -68,6 +73,10 @@ GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
 NIS_MEMORY = 10.0  # samples (10 s) over which the normalised innovation squared (NIS) per output is averaged
 LARGEST_NIS = 6.0  # largest NIS of one sample in that mean
 NIS_LIMIT = 2.0  # of the mean: above, soil or rig have changed
+GROUND_SD = (0.004, 0.004, 0.02)
+"""Sds of what uneven ground does to a sample of the outputs (rad/s, rad, m/s), before any driving."""
+LARGEST_GROUND = 5.0  # sds of an innovation in that average
+GROUND_MEMORY = (10.0, 100.0)  # samples (s) over which it is averaged, at first and at most
 NEWTON_STEPS = 50
 LONGEST_STEP = 0.5  # of a logarithm
 
@@ -80,18 +89,22 @@ _RELAXATION = ParameterEstimate(
 class SteadyState:
     """State of the filter. Times ns. P: covariance of x."""
 
-    x: Array  # [21] in the order of STATES
-    P: Array  # [21, 21]
-    prior_sd: Array  # [21] sd; of the first three that of their logarithm
+    x: Array  # [n] in the order of STATES
+    P: Array  # [n, n]
+    prior_sd: Array  # [n] sd; of the first three that of their logarithm
     prior_logs: Array  # [3] prior mean
     logs: Array  # [3] natural logarithms of the stiffnesses, of data and prior
     log_covariance: Array  # [3, 3]
+    # covariance of what uneven ground does to a sample of the outputs, and samples that it is from
+    ground: Array = field(default_factory=lambda: np.diag(np.square(GROUND_SD)))
+    ground_samples: float = GROUND_MEMORY[0]
     steadiness: Steadiness = field(default_factory=Steadiness)
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
     steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
+    largest_angle: float = 0.0  # of the wheels, that stiffnesses were learned at, rad
     mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
     forgotten: int = 0  # times that the stiffnesses were reset
     refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
@@ -106,10 +119,18 @@ def initial(machine: Machine) -> SteadyState:
     chosen = [unknowns.AT[name] for name in CONSTANTS]
     pairs = [slow_pair_sd(machine, body) for body in ("tractor", "implement")]
     slow = [NO_PAIR_SD if sd is None else sd for sd in pairs]
-    prior_sd = np.concatenate([sd[chosen], slow])
-    x = np.concatenate([np.ones(3), mean[chosen][3:], [0.0, 0.0]])
+    prior_sd = np.concatenate(
+        [sd[chosen], [_roll_zero_sd(machine, b) for b in ("tractor", "implement")], slow]
+    )
+    x = np.concatenate([np.ones(3), mean[chosen][3:], np.zeros(4)])
     P = np.diag(np.concatenate([np.full(3, WIDE_SD), prior_sd[3:]]) ** 2)
     return SteadyState(x, P, prior_sd, mean[:3], mean[:3].copy(), np.diag(prior_sd[:3] ** 2))
+
+
+def _roll_zero_sd(machine: Machine, body: str) -> float:
+    """Sd of the mean zero error of the rolls that a body's receivers measure, rad."""
+    n = sum(r.mount.body == body for r in machine.receiver)
+    return unknowns.ROLL_ZERO_SD / math.sqrt(n) if n else 0.0
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:
@@ -160,10 +181,13 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
         return _refuse(state, "slip beyond the tyre model")
     try:
-        predicted, slope, input_noise = _linearise(state, machine, sample, informative)
+        predicted, slope, by_inputs = _linearise(state, machine, sample, informative)
     except np.linalg.LinAlgError:
         return _refuse(state, "no steady turn exists at these stiffnesses")
-    measured, noise = _measured(sample, input_noise)
+    measured, noise = _measured(sample, by_inputs)
+    if not informative and sample.v is not None:
+        _learn_ground(state, measured - predicted, slope @ state.P @ slope.T + noise)
+    noise = noise + state.ground
     rows = [0, 1] if sample.v is None else [0, 1, 2]
     innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
     S = slope @ state.P @ slope.T + noise
@@ -178,9 +202,22 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     state.x, state.P = kalman_update(state.x, state.P, innovation, slope, noise)
     _find_posterior(state)
     if informative:
+        state.largest_angle = max(state.largest_angle, abs(sample.wheel_angle - zero))
         state.steady_s += BLOCK * POSE_NS * 1e-9
         state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
     return informative
+
+
+def _learn_ground(state: SteadyState, innovation: Array, expected: Array) -> None:
+    """Straight driving: what innovations (3,) are beyond their expected covariance (3, 3) is the ground's."""
+    if not np.all(np.isfinite(innovation)):
+        return
+    limit = LARGEST_GROUND * np.sqrt(np.diag(expected + state.ground))
+    innovation = np.clip(innovation, -limit, limit)
+    state.ground_samples = min(state.ground_samples + 1.0, GROUND_MEMORY[1])
+    excess = np.outer(innovation, innovation) - expected
+    values, vectors = np.linalg.eigh(state.ground + (excess - state.ground) / state.ground_samples)
+    state.ground = np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
 
 
 def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> tuple[Array, Array]:
@@ -212,19 +249,19 @@ def _reset_stiffness(state: SteadyState) -> None:
     state.P[:, changed] = 0.0
     state.P[changed, changed] = np.concatenate([np.full(3, WIDE_SD), state.prior_sd[SOIL]]) ** 2
     state.mean_nis = 1.0
-    state.steady_s = state.sideslip_s = 0.0
+    state.steady_s = state.sideslip_s = state.largest_angle = 0.0
     state.forgotten += 1
 
 
 def _linearise(
     state: SteadyState, machine: Machine, sample: SteadySample, informative: bool
 ) -> tuple[Array, Array, Array]:
-    """(predicted outputs [3], Jacobian over STATES [3, 21], covariance from noisy inputs [3, 3]).
+    """(predicted outputs [3], Jacobian over STATES [3, n], and over steady_outputs.INPUTS [3, 5]).
 
     Linearised at the posterior logarithms, so that stiffnesses are positive.
     """
     n, x = len(CONSTANTS), state.x
-    predicted, jacobian, input_jacobian = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
+    predicted, jacobian, by_inputs = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
     compliance = np.exp(state.prior_logs - state.logs)
     slope = np.zeros((3, len(STATES)))
     slope[:, :n] = jacobian
@@ -237,21 +274,27 @@ def _linearise(
         slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # a heading that is too large: more λ, less sideslip
     for pair in ("pair_i", "slow_i"):
         slope[:, AT[pair]] = 0.0, -1.0, 0.0
-    pairs = [AT[name] for name in ("pair_t", "pair_i", "slow_t", "slow_i")]
-    predicted = predicted + slope[:, pairs] @ x[pairs]
-    sd = (sample.sd_velocity, sample.sd_wheel_angle, sample.sd_roll_t, sample.sd_roll_i)
-    scaled = input_jacobian * np.array(sd)
-    return predicted, slope, scaled @ scaled.T
+    for body in ("t", "i"):
+        slope[:, AT[f"roll_zero_{body}"]] = -by_inputs[:, INPUTS.index(f"roll_{body}")]
+    errors = [AT[f"{name}_{body}"] for name in ("pair", "slow", "roll_zero") for body in ("t", "i")]
+    return predicted + slope[:, errors] @ x[errors], slope, by_inputs
 
 
-def _measured(sample: SteadySample, input_noise: Array) -> tuple[Array, Array]:
-    """(measured [3], covariance of its white noise [3, 3]) in the order of steady_outputs.OUTPUTS."""
+def _measured(sample: SteadySample, by_inputs: Array) -> tuple[Array, Array]:
+    """(measured [3], covariance of the white noise of innovations [3, 3]) in the order of OUTPUTS."""
     measured = np.array([sample.yaw_rate, sample.articulation, sample.v or 0.0])
-    # The tractor's heading error acts on both articulation and lateral velocity.
-    mixing = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, -1.0, 0.0], [0.0, -sample.u, 0.0, 1.0]])
-    sd = (sample.sd_yaw_rate, sample.sd_heading_t, sample.sd_heading_i, sample.sd_velocity)
-    noise = mixing * np.array(sd)
-    return measured, noise @ noise.T + input_noise
+    by_u, by_wheel, by_roll_t, by_roll_i, by_folding = by_inputs.T
+    # The tractor's heading error acts on both articulation and lateral velocity, its yaw rate on the folding.
+    noise = np.column_stack([
+        (np.array([1.0, 0.0, 0.0]) - by_folding) * sample.sd_yaw_rate,
+        by_folding * sample.sd_yaw_rate_i,
+        np.array([0.0, 1.0, -sample.u]) * sample.sd_heading_t,
+        np.array([0.0, -1.0, 0.0]) * sample.sd_heading_i,
+        np.array([0.0, 0.0, 1.0]) * sample.sd_velocity,
+        by_u * sample.sd_velocity, by_wheel * sample.sd_wheel_angle,
+        by_roll_t * sample.sd_roll_t, by_roll_i * sample.sd_roll_i,
+    ])  # fmt: skip
+    return measured, noise @ noise.T
 
 
 def _data_information(state: SteadyState) -> tuple[Array, Array]:
@@ -288,7 +331,11 @@ def _find_posterior(state: SteadyState) -> None:
             break
     y = np.exp(state.prior_logs - at)
     state.logs = at
-    state.log_covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
+    covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
+    # Errors of the model, as far as anything was learned.
+    learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
+    room = likelihood.model_sd(state.largest_angle > likelihood.TIGHT, 0.0)[:3] ** 2
+    state.log_covariance = covariance + np.diag(learned * room)
 
 
 def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:
