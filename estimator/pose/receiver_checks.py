@@ -162,15 +162,22 @@ def clock_stepped(state: ReceiverChecks) -> None:
 def responses(state: ReceiverChecks) -> tuple[Array, Array]:
     """(c, its sd) of each receiver, shape (4,), as in flow.Mount; the sd is infinite without usable rolls."""
     prior = np.array([*[RESPONSE_PRIOR[1] ** -2] * 4, OFFSET_SD**-2])
-    values, vectors = np.linalg.eigh(state.information)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(prior)
-    covariance = np.linalg.inv(information)
-    mean = covariance @ (state.vector + prior * np.array([*[RESPONSE_PRIOR[0]] * 4, 0.0]))
+    information, vector = _informative(state)
+    covariance = np.linalg.inv(information + np.diag(prior))
+    mean = covariance @ (vector + prior * np.array([*[RESPONSE_PRIOR[0]] * 4, 0.0]))
     sds = np.sqrt(np.diag(covariance))[:4]
     for body in (0, 1):
         if not _roll_is_observable(state, body):
             sds[2 * body : 2 * body + 2] = math.inf
     return mean[:4], sds
+
+
+def _informative(state: ReceiverChecks) -> tuple[Array, Array]:
+    """(information (5, 5), vector (5,)) of the data, without directions in which rolls are no more than their
+    noise: less what that adds on average, information is below zero there."""
+    values, vectors = np.linalg.eigh(state.information)
+    kept = vectors[:, values > 0.0]
+    return (kept * values[values > 0.0]) @ kept.T, kept @ (kept.T @ state.vector)
 
 
 # The samples of one pose.
@@ -375,7 +382,8 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     for number, setting in enumerate(settings):
         for bit, k in enumerate(free):
             setting[k] = abs(declared[k] - (number >> bit & 1))  # number 0 is as declared
-    scores = np.array([_log_likelihood(state, setting) for setting in settings])
+    known = _informative(state)
+    scores = np.array([_log_likelihood(*known, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
     if scores[0] == scores.max():
         state.wrong, state.unclear = [None] * 4, False
@@ -386,11 +394,11 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
         state.unclear = not sure.any()
 
 
-def _log_likelihood(state: ReceiverChecks, setting: Array) -> float:
+def _log_likelihood(information: Array, vector: Array, setting: Array) -> float:
     """Log-likelihood of a setting of c, shape (4,), up to a constant, at the offset that fits best."""
-    free = state.vector[4] - state.information[4, :4] @ setting
-    total = state.information[4, 4] + OFFSET_SD**-2
-    fits = state.vector[:4] @ setting - setting @ state.information[:4, :4] @ setting / 2
+    free = vector[4] - information[4, :4] @ setting
+    total = information[4, 4] + OFFSET_SD**-2
+    fits = vector[:4] @ setting - setting @ information[:4, :4] @ setting / 2
     return float(fits + free**2 / total / 2)
 
 

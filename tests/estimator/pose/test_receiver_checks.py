@@ -226,6 +226,21 @@ def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_know
     assert receiver_checks.flags(state) == [Flag.parse("roll_correction:rig")]
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_directions_of_which_only_noise_is_known_accuse_nobody(seed: int) -> None:
+    """What noise adds to the squares of rolls is taken off, and may be more than there was."""
+    rng, machine, state = np.random.default_rng(seed), demo_machine(), ReceiverChecks()
+    state.rolls[:] = 1.0, 0.1  # said to be large
+    declared = np.array([*(0.0 if r.roll_corrected else 1.0 for r in machine.receiver), 0.0])
+    axes = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    known = np.array([0.0, 0.0, 2.0, 30.0, 100.0])
+    state.information = (axes * (known - [200.0, 5.0, 0.0, 0.0, 0.0])) @ axes.T
+    noise = axes @ (np.sqrt(known + [400.0, 20.0, 0.0, 0.0, 0.0]) * rng.normal(size=5))
+    state.vector = (axes * known) @ axes.T @ declared + noise
+    receiver_checks._judge_rolls(state, machine)
+    assert state.wrong == [None] * 4 and not state.unclear
+
+
 def test_on_even_ground_roll_correction_stays_unknown() -> None:
     state, found = drive(FLAT, 40.0, really=reversed_front_and_rear(IMPLEMENT))
     assert not found and not receiver_checks.flags(state)
