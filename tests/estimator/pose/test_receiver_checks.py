@@ -235,7 +235,7 @@ def test_directions_of_which_only_noise_is_known_accuse_nobody(seed: int) -> Non
     axes = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     known = np.array([0.0, 0.0, 2.0, 30.0, 100.0])
     state.information = (axes * (known - [200.0, 5.0, 0.0, 0.0, 0.0])) @ axes.T
-    noise = axes @ (np.sqrt(known + [400.0, 20.0, 0.0, 0.0, 0.0]) * rng.normal(size=5))
+    noise = axes @ (np.sqrt(np.add(known, [400.0, 20.0, 0.0, 0.0, 0.0])) * rng.normal(size=5))
     state.vector = (axes * known) @ axes.T @ declared + noise
     receiver_checks._judge_rolls(state, machine)
     assert state.wrong == [None] * 4 and not state.unclear
