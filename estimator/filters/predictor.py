@@ -70,6 +70,36 @@ class Innovations(NamedTuple):
     S_nearby: Array  # (m, q), their variances
 
 
+class Carried(NamedTuple):
+    """Derivatives of the state over the active unknowns, (27, a), with the gains held."""
+
+    D: Array  # at the tick
+    following: Array  # one tick later
+
+
+@kernel
+def row_slopes(h: Array, share: float, carried: Carried, own: Array, sign: float, d: Array) -> None:
+    """Fill d (a,), derivatives of an innovation. h: (27 + a,), of its prediction; own: (a,), of what else
+    changes with the unknowns, times sign; share: of the tick."""
+    for j in range(d.shape[0]):
+        d[j] = sign * own[j]
+    for i in range(N_STATES):
+        if h[i] != 0.0:
+            for j in range(d.shape[0]):
+                now = carried.D[i, j]
+                d[j] -= h[i] * (now + share * (carried.following[i, j] - now))
+
+
+@kernel
+def carry_update(work: UpdateWork, error: float, d: Array, carried: Carried, moved: Array) -> None:
+    """Add a measurement's part to the derivatives; fill moved (2, 27), the changes of the state."""
+    for i in range(N_STATES):
+        moved[0, i], moved[1, i] = work.gain[i] * error, work.gain_after[i] * error
+        for j in range(d.shape[0]):
+            carried.D[i, j] += work.gain[i] * d[j]
+            carried.following[i, j] += work.gain_after[i] * d[j]
+
+
 @kernel
 def run_filter(
     measured: Measured, x: Array, point: Point, setup: RigSetup, places: Places, driven: Array,
@@ -95,7 +125,7 @@ def run_filter(
     for q in range(nearby.shape[0]):
         companions.append(companion(nearby[q], ticks[0, U], setup, nothing, step))
     following, x_at = state.following, np.zeros(N_STATES)
-    D, D_following = np.zeros((N_STATES, na)), np.zeros((N_STATES, na))
+    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_STATES, na)))
     h, H, d = np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na)
     work = UpdateWork(np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES))
     moved = np.zeros((2, N_STATES))
@@ -114,8 +144,8 @@ def run_filter(
             advance(near)
         if response:
             step.F_unknowns[:] = 0.0
-        np.dot(step.F, D, D_following)
-        D_following += step.F_unknowns
+        np.dot(step.F, carried.D, carried.following)
+        carried.following[:] += step.F_unknowns
         while row < m and rows[row, TICK] <= k:
             if used[row] == 0.0:
                 row += 1
@@ -124,22 +154,16 @@ def run_filter(
             for i in range(N_STATES):
                 x_at[i] = x[i] + obs.share * (following[i] - x[i])
             error = readings[row] - predict_joint_measurement(x_at, obs, point, active, setup, h)
-            for j in range(na):
-                d[j] = driven[row, j] if response else -h[N_STATES + j]
-            for i in range(N_STATES):
-                if h[i] != 0.0:
-                    for j in range(na):
-                        d[j] -= h[i] * (D[i, j] + obs.share * (D_following[i, j] - D[i, j]))
+            if response:
+                row_slopes(h, obs.share, carried, driven[row], 1.0, d)
+            else:
+                row_slopes(h, obs.share, carried, h[N_STATES:], -1.0, d)
             out.e[row], out.de[row, :] = error, d
             if closed:
                 between(obs.share, h, step, H)
                 noise_variance = (rows[row, SD] * noise_factor(obs.kind, point.unknowns)) ** 2
                 out.S[row] = update(error, noise_variance, H, state, step.F_T, UNLIMITED, work)
-                for i in range(N_STATES):
-                    moved[0, i], moved[1, i] = work.gain[i] * error, work.gain_after[i] * error
-                    for j in range(na):
-                        D[i, j] += work.gain[i] * d[j]
-                        D_following[i, j] += work.gain_after[i] * d[j]
+                carry_update(work, error, d, carried, moved)
                 for q in range(len(companions)):
                     out.e_nearby[row, q], out.S_nearby[row, q] = take(
                         companions[q], error, rows[row, SD], obs, h, H, moved, work
@@ -151,4 +175,4 @@ def run_filter(
                 propagate_covariance(near.state.P, near.step, x[X_PSI])
                 near.state.x[:] = near.state.following
         x[:] = following
-        D[:] = D_following
+        carried.D[:] = carried.following
