@@ -1,7 +1,6 @@
 """One log of bench/spatial_logs.py through the product's estimators, and what is right of what they say.
 
-Each fit is made when it is due, as `tilth replay` does with a log that has no recorded fits. Of a method only
-what it publishes is used, so a change of its state changes nothing here.
+Each fit is made when it is due, as `tilth replay` does with a log that has no recorded fits.
 """
 
 import math
@@ -20,6 +19,8 @@ from spatial_logs import DROP, ROW, LogRow, Run
 
 from tilth.estimator import fold
 from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.methods import steady_state
+from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
@@ -67,6 +68,7 @@ class Heard:
         self.events: list[tuple[float, str, str]] = []
         self.segments: list[Segment] = []
         self.refused: dict[str, int] = {}
+        self.learned: dict[str, Any] = {}  # method -> its state at the end
 
     def take_all(self, with_segments: bool) -> None:
         state, recording = fold.initial(self.machine), record_builder.initial(self.machine)
@@ -85,7 +87,7 @@ class Heard:
         fold.request_fits(state, t_ns)
         for publication in last + fitted_at_once(state, t_ns + END_NS):
             self._take(publication)
-        self.refused = dict(state.record.refused)
+        self.refused, self.learned = dict(state.record.refused), state.estimators
 
     def _take(self, publication: Publication) -> None:
         value = publication.value
@@ -116,7 +118,7 @@ class Heard:
         return {
             "error": error.tolist(),
             "sd": sd.tolist(),
-            "per_mass": per_mass(self.machine, self.run, self.last[name], float(error[2]), float(sd[2])),
+            "per_mass": per_mass(self.machine, self.run, self.learned[name], float(error[2]), float(sd[2])),
             "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
             "first_s": first,
             "reasons": [p.reason for p in self.last[name].parameters],
@@ -140,17 +142,21 @@ def whole_near(series: Array, about_s: float) -> list[list[float]]:
 # What is true.
 
 
-def per_mass(machine: Machine, run: Run, said: Estimate, error: float, sd: float) -> list[float]:
+def per_mass(machine: Machine, run: Run, learned: Any, error: float, sd: float) -> list[float]:
     """(error, sd) of log C_ai over the implement's mass, from those of C_ai.
 
-    What is not known of the mass is in the sd of C_ai, and nothing on a bus tells it: it is taken out where
-    the method says that it is unknown.
+    What is not known of the mass is in the sd of C_ai, and nothing on a bus tells it. How much of the one
+    goes with the other is not published: it is taken from the method's state.
     """
-    told = machine.implement.mass.value
-    true = float(run.described["rig"]["m_i"]["value"])
-    mean_m, sd_m = said.nuisances.get("m_i", (0.0, 0.0))
-    variance = max(sd**2 - sd_m**2, (0.3 * sd) ** 2) if math.isfinite(sd) else math.nan
-    return [error - mean_m + math.log(true / told), math.sqrt(variance)]
+    true = float(run.described["rig"]["m_i"]["value"]) / machine.implement.mass.value
+    if isinstance(learned, SteadyState):
+        mean, covariance, (c, m) = learned.x, learned.P, (steady_state.AT["C_ai"], steady_state.AT["m_i"])
+        together = -covariance[c, m] * math.exp(learned.logs[2] - learned.prior_logs[2])  # of a compliance
+    else:
+        mean, covariance, (c, m) = learned.mean, learned.covariance, (AT["C_ai"], AT["m_i"])
+        together = covariance[c, m]
+    variance = sd**2 - 2.0 * together + covariance[m, m]
+    return [error - float(mean[m]) + math.log(true), math.sqrt(max(variance, 0.0))]
 
 
 def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:

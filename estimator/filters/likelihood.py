@@ -141,6 +141,7 @@ class ErrorJacobian:
     de: Array
     dS: Array
     point: Array  # [n], where they were taken
+    exact: bool  # whether every one has what the change of the gains does in it
 
 
 @dataclass(slots=True)
@@ -286,9 +287,10 @@ def _minimise(search: Search, point: Array) -> Iterate:
         gradient, information = gradient_and_information(search, at, scores_at(search, at))
         step, tried, predicted = _step(search, at, gradient, information, damping)
         if predicted is None:
-            if np.array_equal(at.point, at.jacobian.point):
+            renewed = np.array_equal(at.point, at.jacobian.point)
+            if renewed and at.jacobian.exact:
                 break
-            at.jacobian, damping = _error_jacobian(search, at.point), 1e-3  # renewed before it gives up
+            at.jacobian, damping = _error_jacobian(search, at.point, exact=renewed), 1e-3
             continue
         damping = max(damping * 0.2, 1e-6) if tried == 1 else damping * 10.0 ** (tried - 1)
         at.point = at.point.copy()
@@ -358,8 +360,8 @@ def _errors_at(search: Search, point: Array) -> tuple[Array, Array]:
     return found.e, found.S
 
 
-def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
-    """The derivatives at a point; of unknowns that change the gains by differences."""
+def _error_jacobian(search: Search, point: Array, exact: bool = False) -> ErrorJacobian:
+    """The derivatives at a point; by differences of those unknowns that change the gains much, or of all."""
     steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
     levels = np.flatnonzero([NAMES[k] in NOISES and NAMES[k] != MEMORY for k in search.active])
     nearby = np.tile(point, (len(levels), 1))
@@ -368,10 +370,11 @@ def _error_jacobian(search: Search, point: Array) -> ErrorJacobian:
     de, dS = np.ascontiguousarray(here.de.T), np.zeros((len(search.active), len(here.e)))
     de[levels] = ((here.e_nearby - here.e[:, None]) / steps[levels]).T
     dS[levels] = ((here.S_nearby - here.S[:, None]) / steps[levels]).T
-    for k in np.flatnonzero((search.active < 6) | (search.active == AT[MEMORY])):
+    by_differences = (search.active < 6) | (search.active == AT[MEMORY])
+    for k in np.flatnonzero(by_differences | (exact & search.of_motion)):
         there = _run(search, point + steps[k] * np.eye(len(point))[search.active[k]])
         de[k], dS[k] = (there.e - here.e) / steps[k], (there.S - here.S) / steps[k]
-    return ErrorJacobian(de, dS, point)
+    return ErrorJacobian(de, dS, point, exact)
 
 
 def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
@@ -389,7 +392,7 @@ def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
     driven = _run(search, at.point, places, closed=False).de
     de, dS = at.jacobian.de.copy(), at.jacobian.dS.copy()
     de[responding], dS[of_motion] = _run(search, at.point, places, driven=driven).de.T, 0.0
-    return ErrorJacobian(de, dS, at.point)
+    return ErrorJacobian(de, dS, at.point, at.jacobian.exact)
 
 
 def scores_at(search: Search, at: Iterate) -> Array:

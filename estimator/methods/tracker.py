@@ -67,7 +67,7 @@ SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_MEMORY_S: Final = 0.25
+PUSH_MEMORY_S: Final = 0.1
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
 FIRST_PUSHES: Final = 15.0

@@ -262,6 +262,34 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
     assert gradient @ np.linalg.solve(information, gradient) < 22.5
 
 
+def test_exact_derivatives_have_in_them_what_the_change_of_the_gains_does() -> None:
+    """Those with gains held do not have it: of the roll modes they may even have the wrong sign, and then no
+    step along them lowers the cost."""
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 8.0, 4.0))
+    mean, sd = unknowns.prior(MACHINE)
+    mean[AT["uneven"]] += 1.5
+    search = likelihood.search_of(record, rig_setup(MACHINE), mean, np.diag(sd**2))
+    at = likelihood.iterate_at(search, mean)
+    names = ("roll_k_t", "roll_k_i", "roll_d_t", "roll_d_i", "C_ar")
+    places = [int(np.flatnonzero(search.active == AT[name])[0]) for name in names]
+
+    def cost(k: int, step: float) -> float:
+        point = mean + step * np.eye(len(mean))[search.active[k]]
+        run = likelihood.innovations(record, search.setup, search.start, point, used=search.used)
+        return likelihood._cost(search, point, run.e, run.S)
+
+    wanted = [(cost(k, 1e-4) - cost(k, -1e-4)) / 2e-4 for k in places]
+    found = {}
+    for exact in (False, True):
+        at.jacobian = likelihood._error_jacobian(search, mean, exact)
+        found[exact] = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))[0]
+    assert found[True][places] == pytest.approx(wanted, rel=0.02, abs=0.05)
+    assert (
+        np.abs(found[False][places[:4]] - wanted[:4]).max()
+        > 10.0 * np.abs(found[True][places] - wanted).max()
+    )
+
+
 # Windows and the age of what was learned.
 
 PARKED = BodyPose(0.0, 0.0, 0.02, 0.0, 0.005, 0.0, 0.0, 0.03, 0.04, 0.0, 0.003, 0.0, 0.004)
