@@ -118,7 +118,7 @@ class Heard:
         return {
             "error": error.tolist(),
             "sd": sd.tolist(),
-            "per_mass": per_mass(self.machine, self.run, self.learned[name], float(error[2]), float(sd[2])),
+            "per_mass": self._per_mass(name, float(error[2]), float(sd[2])),
             "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
             "first_s": first,
             "reasons": [p.reason for p in self.last[name].parameters],
@@ -126,6 +126,11 @@ class Heard:
             "series": thinned(series).tolist(),
             "whole": whole_near(series, row.informed_s) if row.informed_s else [],
         }
+
+    def _per_mass(self, name: str, error: float, sd: float) -> list[float]:
+        if name not in self.learned:  # the recommended one is another's
+            return [math.nan, math.nan]
+        return per_mass(self.machine, self.run, self.learned[name], error, sd)
 
 
 def thinned(series: Array) -> Array:
