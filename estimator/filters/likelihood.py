@@ -165,6 +165,12 @@ def model_sd(tight: bool, uneven: float) -> Array:
     return sds
 
 
+def model_sd_of(record: Record, point: Array) -> Array:
+    """The same, of a record and what was found of it, (n,)."""
+    tight = float(np.abs(record.ticks[:, WHEEL_ANGLE]).max()) > TIGHT
+    return model_sd(tight, math.exp(point[AT["uneven"]]))
+
+
 def first_state(record: Record, setup: RigSetup) -> Array:
     """First state of the filter, (27,): headings and yaw rates of the first tick, and the first position."""
     x = np.zeros(N_STATES)
@@ -439,9 +445,7 @@ def _covariance(
     whole *= np.outer(factors, factors)
     if search.setup.scale == 1.0:
         open_ = search.active[search.active < 6]
-        tight = float(np.abs(search.record.ticks[:, WHEEL_ANGLE]).max()) > TIGHT
-        uneven = math.exp(point[AT["uneven"]])
-        whole[open_, open_] += model_sd(tight, uneven)[open_] ** 2
+        whole[open_, open_] += model_sd_of(search.record, point)[open_] ** 2
     return (whole + whole.T) / 2
 
 

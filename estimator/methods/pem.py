@@ -177,8 +177,10 @@ def fit(machine: Machine, job: Job) -> Fit:
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
     found = _posterior(job.record, setup, mean, covariance, prior_mean)
+    # What the model has wrong in this window changes the six as well.
+    before = covariance[SIX, SIX] + np.diag(likelihood.model_sd_of(job.record, found.mean) ** 2)
     change = found.mean[SIX] - mean[SIX]
-    changed = _contradiction(change, covariance[SIX, SIX], found.covariance[SIX, SIX]) > CHANGE_CHI_SQUARE
+    changed = _contradiction(change, before, found.covariance[SIX, SIX]) > CHANGE_CHI_SQUARE
     if changed:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
