@@ -290,6 +290,19 @@ def test_exact_derivatives_have_in_them_what_the_change_of_the_gains_does() -> N
     )
 
 
+def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
+    """Wide where the wheels were turned far, and for stiffnesses where the ground is rough."""
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
+    tight = replace(record, ticks=record.ticks * np.array([10.0, *[1.0] * 7]))
+    mean, _ = unknowns.prior(MACHINE)
+    rough = mean + np.eye(len(mean))[AT["uneven"]] * (math.log(0.02) - mean[AT["uneven"]])
+    plain, far, uneven = (
+        likelihood.model_sd_of(of, point) for of, point in ((record, mean), (tight, mean), (record, rough))
+    )
+    assert np.all(far > plain) and far[0] >= 0.25
+    assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
+
+
 # Windows and the age of what was learned.
 
 PARKED = BodyPose(0.0, 0.0, 0.02, 0.0, 0.005, 0.0, 0.0, 0.03, 0.04, 0.0, 0.003, 0.0, 0.004)
