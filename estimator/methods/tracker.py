@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
-from tilth.estimator.filters.propagation import GroundNoise, first_covariance
+from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_STATES, X_ROLL, X_SLOPE
@@ -62,12 +62,16 @@ TIGHT_SHARE: Final = 0.1
 """In tight turns (likelihood.TIGHT) the joint filter follows the motion, but learns no tyres: one
 linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
 that was their beginnings and ends, and errors of the model are as in them."""
+TIGHT_SD: Final = np.array([0.25, 0.20, 0.20, 0.25, 0.20, 0.20])
+"""Sds of the six logarithms from errors of the model in such driving: slow, with wheels that turn fast, and
+one linearisation at a time. In fields of the planar virtual tractor stiffnesses came out as much as half too
+low."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_MEMORY_S: Final = 0.1
+PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; the slower the rig, the longer
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
 FIRST_PUSHES: Final = 15.0
@@ -188,7 +192,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         return
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
-    ground = GroundNoise(sds[:3], PUSH_MEMORY_S, float(sds[3]))
+    speed = max(float(np.mean(np.abs(record.ticks[:, U]))), SLOWEST)
+    ground = GroundNoise(sds[:3], PUSH_LENGTH / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
@@ -337,7 +342,8 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    errors = np.diag(likelihood.model_sd(tight, math.sqrt(state.push[3])) ** 2)
+    sds = likelihood.model_sd(tight, math.sqrt(state.push[3]))
+    errors = np.diag(np.maximum(sds, TIGHT_SD if tight else 0.0) ** 2)
     return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
 
 
