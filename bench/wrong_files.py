@@ -574,7 +574,7 @@ def main() -> None:
     )
     parser.add_argument("row", choices=("changes", "right"))
     parser.add_argument("--drive", choices=tuple(DRIVES), action="append")
-    parser.add_argument("--every", type=int, default=1, help="only each N-th; an odd one, for all drives")
+    parser.add_argument("--every", type=int, default=1, help="only each N-th change, on all drives")
     parser.add_argument("--hours", type=float, default=20.0)
     parser.add_argument("--seconds", type=float, default=180.0, help="of each right drive")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
@@ -584,10 +584,12 @@ def main() -> None:
     path = args.out or Path(f"wrong_files_{args.row}.jsonl")
     if args.row == "changes":
         every = [
-            (name, k, f"{name} {c.name}") for k, c in enumerate(changes()) for name in args.drive or DRIVES
+            (name, k, f"{name} {c.name}")
+            for k, c in list(enumerate(changes()))[:: args.every]
+            for name in args.drive or DRIVES
         ]
         done = _known(path, "id")
-        jobs = [(name, k) for name, k, known in every[:: args.every] if known not in done]
+        jobs = [(name, k) for name, k, known in every if known not in done]
         if not args.summary:
             _all(jobs, _one, path, args.processes)
         summary(path)

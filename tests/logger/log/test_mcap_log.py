@@ -211,7 +211,9 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(tmp_path: 
             run.take(frame)
         run.until(lambda: "not recording" in run.recording.problem)
         assert "check disk and folder" in run.recording.problem
-    run.until(run.on_disk)  # what was begun before there was room may still fail
+    # What was begun before there was room may still fail.
+    run.until(lambda: run.on_disk() and run.recording.problem == "")
+    assert run.recording.recording
     for frame in frames[4000:]:
         run.take(frame)
     run.recording.close()
