@@ -86,6 +86,8 @@ class State:
     place: tuple[float, float, float, float] | None = None
     """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
     disagree: bool = False  # whether the methods disagree
+    segments: list[Segment | None] = field(default_factory=list)
+    """What each pose of the last frame completed; for who analyses a drive afterwards."""
     estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> latest estimate, as published
 
     @property
@@ -164,6 +166,7 @@ def estimates_now(state: State) -> dict[str, Estimate]:
 def step(state: State, frame: Frame) -> list[Publication]:
     """Take one frame: change the state in place and return the publications, in order."""
     out: list[Publication] = []
+    state.segments.clear()
     state.frames += 1
     jump_ns = log_time.take_stamp(state.time, frame)
     if jump_ns is None:  # a stray frame: only address claims are taken from it, no measurement
@@ -222,6 +225,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
+    state.segments.append(segment)
     if not state.ready:
         return
     doubtful = _check_consistency(state, t_ns, pose, segment, out)

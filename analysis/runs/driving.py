@@ -1,0 +1,111 @@
+"""A run's driving as the estimators take it: each pose with the raw measurements before it.
+
+Made by the same fold as live, without its estimators; kept, since fits ask for it again and again.
+"""
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import zstandard
+
+from tilth.analysis.runs.kept import Progress, cache_folder, key_of, no_progress
+from tilth.analysis.runs.run import Run
+from tilth.estimator import fold
+from tilth.estimator.record.record import Segment
+from tilth.estimator.snapshot import NotRestorable, restore_decoder
+from tilth.logger.log.mcap_log import machine_sha256
+from tilth.replay.readers.any_log import open_log
+from tilth.schemas.flow import Frame, Pose
+from tilth.schemas.proto.tilth_pb2 import Snapshot
+
+SHOWN_EVERY: Final = 8192  # frames between two looks at a progress bar
+_ENDS: Final = 1 << 20  # bytes at both ends of a file that tell it from another
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """A pose, and what was measured between the two poses before it; None before the third pose."""
+
+    pose: Pose
+    segment: Segment | None
+
+    @property
+    def t_ns(self) -> int:
+        return self.pose.t_ns
+
+
+def driving(run: Run, progress: Progress = no_progress, cache: Path | None = None) -> tuple[Driven, ...]:
+    """All of a run, in its order. Raises LogError, OSError.
+
+    progress: takes (done, all) of bytes.
+    """
+    files = [_identity(file.path) for file in run.files]
+    name = key_of(*files, machine_sha256(run.machine, run.machine_text))
+    kept = (cache or cache_folder()) / f"{name}.driving"
+    found = _load(kept)
+    if found is None:
+        found = tuple(_drive(run, progress))
+        _store(kept, found)
+    return found
+
+
+def _drive(run: Run, progress: Progress) -> list[Driven]:
+    state = fold.initial(run.machine)
+    state.ready = False  # no estimator
+    whole, before = sum(file.path.stat().st_size for file in run.files), 0
+    found: list[Driven] = []
+    for file in run.files:
+        log = open_log(file.path)
+        with log.file:
+            for record in log.records:
+                if isinstance(record, Frame):
+                    values = (publication.value for publication in fold.step(state, record))
+                    poses = [value for value in values if isinstance(value, Pose)]
+                    found += map(Driven, poses, state.segments)
+                    if state.frames % SHOWN_EVERY == 0:
+                        progress(before + log.position(), whole)
+                elif isinstance(record, Snapshot) and not state.frames:
+                    _take_addresses(run, state, record)
+        before += log.size
+    return found
+
+
+def _take_addresses(run: Run, state: fold.State, stored: Snapshot) -> None:
+    """Of the receivers, which claim them only at their start: of a run whose first part is missing."""
+    try:
+        state.decoder = restore_decoder(run.machine, stored.state_json)
+    except NotRestorable:
+        return
+
+
+def _identity(path: Path) -> str:
+    """Of a log: its size, and the bytes at its beginning and end, where the index has all checksums."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(_ENDS)
+        file.seek(max(0, size - _ENDS))
+        return key_of(size, head, file.read(_ENDS))
+
+
+def _load(kept: Path) -> tuple[Driven, ...] | None:
+    """What is kept; None where nothing is, or nothing that can be read."""
+    try:
+        with zstandard.open(kept, "rb") as file:
+            found = pickle.load(file)
+    except (OSError, EOFError, pickle.UnpicklingError, zstandard.ZstdError, AttributeError, ImportError):
+        return None
+    return found if isinstance(found, tuple) else None
+
+
+def _store(kept: Path, found: tuple[Driven, ...]) -> None:
+    """Raises nothing: a cache that cannot be written costs time, no result."""
+    unfinished = kept.with_suffix(".part")
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with zstandard.open(unfinished, "wb", zstandard.ZstdCompressor(level=1)) as file:
+            pickle.dump(found, file, pickle.HIGHEST_PROTOCOL)
+        unfinished.replace(kept)
+    except OSError:
+        unfinished.unlink(missing_ok=True)

@@ -1,0 +1,90 @@
+"""What is computed from a log and kept, so that it is computed once: its replay, where it holds no results.
+
+The name of what is kept tells of what it was made: the log's bytes, the machine file, the version.
+"""
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.replay.offline import ReplayOutputs, replay
+from tilth.replay.readers.any_log import open_log
+from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Machine
+
+Progress = Callable[[int, int], None]  # done, of all
+Say = Callable[[str], None]
+FORM: Final = 1  # of what is kept; grows when its meaning changes
+_BLOCK: Final = 1 << 20
+
+
+def no_progress(done: int, of: int) -> None:
+    """Shows nothing."""
+
+
+def silent(text: str) -> None:
+    """Says nothing."""
+
+
+def cache_folder() -> Path:
+    """Where things are kept unless a caller says otherwise."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "tilth" / "analysis"
+
+
+def sha256_of(path: Path) -> str:
+    """Of a file's bytes. Raises OSError."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def key_of(*parts: object) -> str:
+    """Name of what is kept of these parts."""
+    text = "\n".join(map(str, (FORM, software()["version"], *parts)))
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def replayed(
+    path: Path,
+    machine: Machine,
+    machine_text: str,
+    buses: Mapping[str, str],
+    progress: Progress,
+    say: Say,
+    cache: Path | None = None,
+) -> Path:
+    """The log as a replay gives it, with frames and results, made now unless it is kept.
+
+    Raises LogError, OSError. An interrupted replay leaves nothing under the final name.
+    """
+    folder = cache or cache_folder()
+    names = sorted(buses.items())
+    kept = folder / f"{key_of(sha256_of(path), machine_sha256(machine, machine_text), names)}.mcap"
+    if kept.exists():
+        return kept
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = kept.with_suffix(f".{os.getpid()}.part")
+    size = path.stat().st_size
+    writer = LogWriter(unfinished, machine, machine_text, RunPart(path.stem, 1, _first_ns(path)))
+    try:
+        with contextlib.closing(writer):
+            outputs = ReplayOutputs(writer, progress=lambda done: progress(done, size))
+            replay([path], machine, machine_text, buses=buses, outputs=outputs, say=say)
+        unfinished.replace(kept)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return kept
+
+
+def _first_ns(path: Path) -> int:
+    """t_ns of the first frame, 0 without any."""
+    log = open_log(path)
+    with log.file:
+        return next((record.t_ns for record in log.records if isinstance(record, Frame)), 0)

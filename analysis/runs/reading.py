@@ -1,0 +1,194 @@
+"""One channel of Tilth's own logs as tables, chunk by chunk: what is read and kept is what is asked for.
+
+A log that was cut off is read as far as it is whole; damaged chunks are left out. Both are counted.
+"""
+
+import io
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel
+from numpy.typing import NDArray
+
+from tilth.analysis.runs.layout import TableColumn, ChannelLayout, layout_of
+from tilth.analysis.runs.table import TEXTS, Table, Values, joined
+from tilth.estimator.compiled import kernel
+from tilth.logger.log.mcap_file import DAMAGE, HEAD, is_finished, unpacked
+from tilth.replay.readers.log import OpenLog
+from tilth.replay.readers.mcap_reader import framed
+from tilth.schemas import message_columns as wire
+from tilth.schemas.message_columns import WireColumns
+
+_definitions_of = kernel(wire.definitions_of)
+_messages_of = kernel(wire.messages_of)
+_fill = kernel(wire.fill)
+_NAN_BITS: Final = np.array([np.nan]).view(np.int64)[0]
+
+
+@dataclass(slots=True)
+class RunClock:
+    """How log times become seconds and UTC."""
+
+    start_ns: int  # t_ns of the run's first record
+    utc_minus_ns: int | None = None  # added to a t_ns gives UTC; None: not known
+
+
+@dataclass(slots=True)
+class ChannelReader:
+    """Reads the files of a run. `skipped`: what could not be read -> count, of all that was read so far."""
+
+    paths: Sequence[Path]
+    clock: RunClock
+    skipped: Counter[str] = field(default_factory=Counter)
+
+    def table(self, topic: str) -> Table:
+        """All of a topic. Raises OSError."""
+        parts = list(self.batches(topic))
+        return joined(parts) if parts else self._table(topic, b"", np.zeros((0, 4), np.int64))
+
+    def batches(self, topic: str) -> Iterator[Table]:
+        """The same, a table for each chunk of a file that has any of it."""
+        for data, places in self._messages(topic):
+            yield self._table(topic, data, places)
+
+    def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """(t_ns of the record, Protobuf bytes) of a topic."""
+        for data, places in self._messages(topic):
+            for _, t_ns, start, stop in places.tolist():
+                yield t_ns, data[start:stop]
+
+    def _messages(self, topic: str) -> Iterator[tuple[bytes, NDArray[np.int64]]]:
+        """(records of a chunk, places [n, 4] as wire.messages_of fills them) where there are any."""
+        for path in self.paths:
+            topics = topics_of(path)
+            for data in chunks(path, self.skipped):
+                numbers = np.frombuffer(data, np.uint8)
+                places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
+                defined = places[: _definitions_of(numbers, places)]
+                for start, stop in defined[:, 2:].tolist():
+                    channel = Channel.read(ReadDataStream(io.BytesIO(data[start:stop])))
+                    topics[channel.id] = channel.topic
+                wanted = np.zeros(max(topics, default=0) + 1, np.bool_)
+                wanted[[channel for channel, its in topics.items() if its == topic]] = True
+                count, cut = _messages_of(numbers, wanted, places)
+                self.skipped["damaged_chunk"] += cut
+                if count:
+                    yield data, places[:count]
+
+    def _table(self, topic: str, data: bytes, places: NDArray[np.int64]) -> Table:
+        layout = layout_of(topic)
+        n = len(places)
+        columns = WireColumns(
+            np.full((n, layout.counts[wire.DOUBLE]), _NAN_BITS, np.int64),
+            np.zeros((n, layout.counts[wire.INTEGER]), np.int64),
+            np.zeros((n, layout.counts[wire.INTEGER]), np.bool_),
+            np.zeros((n, layout.counts[wire.HASHED]), np.int64),
+        )
+        self.skipped["damaged_message"] += _fill(np.frombuffer(data, np.uint8), places, layout.wire, columns)
+        return self._named(layout, columns, data, places)
+
+    def _named(
+        self, layout: ChannelLayout, columns: WireColumns, data: bytes, places: NDArray[np.int64]
+    ) -> Table:
+        named: dict[str, Values] = {}
+        units: dict[str, str] = {}
+        missing: dict[str, NDArray[np.bool_]] = {}
+        logged_ns = places[:, 1]
+        for column in layout.columns:
+            values = _values(layout, column, columns, data, places)
+            name = column.name
+            if name in ("t_ns", "rx_ns", "timestamp"):
+                stem = "t" if name == "t_ns" else "rx"
+                times_ns = values if name != "timestamp" else logged_ns
+                self._add_times(stem, np.where(times_ns > 0, times_ns, logged_ns), named, units)
+                continue
+            named[name] = values
+            if column.unit:
+                units[name] = column.unit
+            if column.kind == wire.INTEGER and column.optional:
+                missing[name] = ~columns.present[:, column.number]
+        if "t_s" not in named:
+            times: dict[str, Values] = {}
+            self._add_times("t", logged_ns, times, units)
+            named = times | named
+        return Table(named, units, missing)
+
+    def _add_times(
+        self, stem: str, times_ns: NDArray[np.int64], named: dict[str, Values], units: dict[str, str]
+    ) -> None:
+        """Seconds since the run began and, of t, UTC in seconds since 1970."""
+        named[f"{stem}_s"] = (times_ns - self.clock.start_ns) * 1e-9
+        units[f"{stem}_s"] = "s"
+        if stem == "t":
+            ahead = self.clock.utc_minus_ns
+            named["utc_s"] = np.full(len(times_ns), np.nan) if ahead is None else (times_ns + ahead) * 1e-9
+            units["utc_s"] = "s"
+
+
+def _values(
+    layout: ChannelLayout, column: TableColumn, columns: WireColumns, data: bytes, places: NDArray[np.int64]
+) -> Values:
+    at = column.number
+    if column.kind == wire.HASHED:
+        return _texts(layout, column, columns.hashes[:, at], data, places)
+    if column.kind == wire.INTEGER:
+        return columns.integers[:, at].astype(column.type)
+    bits = columns.doubles[:, at : at + column.width].copy()
+    if not column.optional:  # Protobuf leaves out a zero
+        bits[bits == _NAN_BITS] = 0
+    doubles = bits.view(np.float64)
+    return doubles if column.width > 1 else doubles[:, 0]
+
+
+def _texts(
+    layout: ChannelLayout,
+    column: TableColumn,
+    hashes: NDArray[np.int64],
+    data: bytes,
+    places: NDArray[np.int64],
+) -> Values:
+    """Texts of a column: of each that occurs one message is parsed."""
+    assert column.read is not None
+    found, first, codes = np.unique(hashes, return_index=True, return_inverse=True)
+    texts = np.empty(len(found), TEXTS)
+    for k, (value, row) in enumerate(zip(found, first, strict=True)):
+        texts[k] = ""
+        if value:
+            try:
+                texts[k] = column.read(layout.message.FromString(data[places[row, 2] : places[row, 3]]))
+            except DecodeError:  # counted already
+                continue
+    return texts[codes]
+
+
+def chunks(path: Path, skipped: Counter[str]) -> Iterator[bytes]:
+    """The records of each chunk of a file. Raises OSError."""
+    with path.open("rb") as file:
+        log = OpenLog(path, "MCAP", file, path.stat().st_size)
+        for opcode, body in framed(log):
+            try:
+                yield unpacked(body) if opcode == Opcode.CHUNK else HEAD.pack(opcode, len(body)) + body
+            except DAMAGE:
+                skipped["damaged_chunk"] += 1
+        skipped["cut"] += log.truncated
+
+
+def topics_of(path: Path) -> dict[int, str]:
+    """Channel -> topic, by the index of a finished file; {} of another."""
+    with path.open("rb") as file:
+        if not is_finished(file, path.stat().st_size):
+            return {}
+        file.seek(0)
+        try:
+            summary = make_reader(file).get_summary()
+        except DAMAGE:
+            return {}
+    return {} if summary is None else {id: channel.topic for id, channel in summary.channels.items()}
