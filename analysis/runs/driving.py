@@ -41,7 +41,7 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
 
     progress: takes (done, all) of bytes.
     """
-    files = [_identity(file.path) for file in run.files]
+    files = [identity(file.path) for file in run.files]
     name = key_of(*files, machine_sha256(run.machine, run.machine_text))
     kept = (cache or cache_folder()) / f"{name}.driving"
     found = _load(kept)
@@ -80,7 +80,7 @@ def _take_addresses(run: Run, state: fold.State, stored: Snapshot) -> None:
         return
 
 
-def _identity(path: Path) -> str:
+def identity(path: Path) -> str:
     """Of a log: its size, and the bytes at its beginning and end, where the index has all checksums."""
     size = path.stat().st_size
     with path.open("rb") as file:

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel
 from numpy.typing import NDArray
 
-from tilth.analysis.runs.layout import TableColumn, ChannelLayout, layout_of
+from tilth.analysis.runs.layout import ChannelLayout, TableColumn, layout_of
 from tilth.analysis.runs.table import TEXTS, Table, Values, joined
 from tilth.estimator.compiled import kernel
 from tilth.logger.log.mcap_file import DAMAGE, HEAD, is_finished, unpacked

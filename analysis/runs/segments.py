@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 STEP, STEADY_TURN, CHIRP, RANDOM, HEADLAND, TURN, ROW, MARKED, GIVEN = (
     "step", "steady_turn", "chirp", "random", "headland_turn", "turn", "row", "marked", "given",
 )  # fmt: skip
+KINDS: Final = (STEP, STEADY_TURN, CHIRP, RANDOM, HEADLAND, TURN, MARKED)  # that steer
 LEAD_S: Final = 2.0  # of straight driving that belong to a segment before the wheels turn
 QUIET_S: Final = 3.0  # and after; wheels that are straight for longer end it
 LONGEST_GAP_S: Final = 0.5  # between poses

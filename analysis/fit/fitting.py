@@ -1,0 +1,235 @@
+"""Fits the segments of runs side by side on all cores, keeps each result, and joins them.
+
+A segment that was fitted before, from the same log with the same machine file by the same version, is not
+fitted again: an interrupted fit goes on where it was.
+"""
+
+import multiprocessing
+import os
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from tilth.analysis.fit.joint import Joint, join
+from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
+from tilth.analysis.runs import segments
+from tilth.analysis.runs.driving import Driven, driving, identity
+from tilth.analysis.runs.kept import cache_folder, key_of
+from tilth.analysis.runs.run import Run
+from tilth.analysis.runs.segments import DrivenSegment
+from tilth.estimator.methods import pem
+from tilth.logger.log.mcap_log import machine_sha256
+from tilth.schemas.machine import Machine
+
+EARTH_M: Final = 6_371_000.0  # radius, for distances between runs
+Progress = Callable[[int, int], None]  # segments done, of all
+
+
+class CannotFit(Exception):
+    """One sentence that says what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A segment of a run. log: which of the logs given it is in, from 1."""
+
+    run: Run
+    log: int
+    segment: DrivenSegment
+
+    @property
+    def id(self) -> str:
+        """A name among all: run, kind or mark, time."""
+        what = self.segment.name or self.segment.kind
+        return f"{self.run.id} {what} {self.segment.start_s:.1f}-{self.segment.end_s:.1f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """All that was asked for."""
+
+    wanted: tuple[Wanted, ...]
+    fits: tuple[SegmentFit, ...]  # of each
+    joint: Joint | None  # None where no segment told anything
+
+
+def choose(
+    runs: Sequence[Run], given: Sequence[tuple[int, float, float]] = (), kinds: Sequence[str] = ()
+) -> tuple[Wanted, ...]:
+    """The segments to fit: those given, else those between marks, else all found with steering.
+
+    given: (log, from 1; start, end in s of that log's run). kinds: only these. Raises CannotFit.
+    """
+    if given:
+        found = [_given(runs, *row) for row in given]
+    else:
+        found = [Wanted(run, _number(runs, run), segment) for run in runs for segment in _of_run(run, kinds)]
+    if not found:
+        raise CannotFit(_nothing(runs, kinds))
+    found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
+    for one, other in zip(found, found[1:], strict=False):
+        if (
+            one.run is other.run
+            and other.segment.start_s < one.segment.end_s - segments.LEAD_S - segments.QUIET_S
+        ):
+            raise CannotFit(
+                f"the segments {one.segment.start_s:g}:{one.segment.end_s:g} and {other.segment.start_s:g}:"
+                f"{other.segment.end_s:g} overlap; what both hold would count twice"
+            )
+    return tuple(found)
+
+
+def _given(runs: Sequence[Run], log: int, start_s: float, end_s: float) -> Wanted:
+    if not 1 <= log <= len(runs):
+        raise CannotFit(f"--segment {log}:{start_s:g}:{end_s:g}: there are {len(runs)} runs")
+    run = runs[log - 1]
+    try:
+        return Wanted(run, log, segments.between(run.poses, start_s, end_s))
+    except ValueError as error:
+        raise CannotFit(f"--segment {start_s:g}:{end_s:g}: {error}") from None
+
+
+def _of_run(run: Run, kinds: Sequence[str]) -> list[DrivenSegment]:
+    found = list(segments.marked(run.poses, run.marks)) or [
+        segment for segment in segments.find(run.poses) if segment.steers
+    ]
+    return [segment for segment in found if not kinds or segment.kind in kinds]
+
+
+def _number(runs: Sequence[Run], run: Run) -> int:
+    return next(k for k, one in enumerate(runs, 1) if one is run)
+
+
+def _nothing(runs: Sequence[Run], kinds: Sequence[str]) -> str:
+    if not any(run.poses.rows for run in runs):
+        return "there are no poses in these logs: `tilth verify` says which sensors were silent"
+    what = f" of the kinds {', '.join(kinds)}" if kinds else ""
+    return (
+        f"no driving with steering{what} was found, of which something could be learned; "
+        "`--segment A:B` names a stretch, in seconds since the log began"
+    )
+
+
+def check_same_rig(runs: Sequence[Run]) -> None:
+    """Raises CannotFit where the runs are of different machine files."""
+    texts = {machine_sha256(run.machine, run.machine_text): run for run in runs}
+    if len(texts) > 1:
+        one, other, *_ = texts.values()
+        raise CannotFit(
+            f"{one.sources[0].name} ({one.machine.name}) and {other.sources[0].name} ({other.machine.name}) were "
+            "recorded with different machine files; fit them one by one, or give --machine M.toml for all"
+        )
+
+
+def fit_all(
+    wanted: Sequence[Wanted], *, two_step: bool = False, jobs: int | None = None, cache: Path | None = None,
+    progress: Progress = lambda done, of: None,
+) -> Fitted:  # fmt: skip
+    """Fit each and join them. jobs: processes, as many as there are cores if None. Raises LogError, OSError,
+    CannotFit."""
+    check_same_rig([one.run for one in wanted])
+    machine = wanted[0].run.machine
+    methods = (*METHODS, TWO_STEP) if two_step else METHODS
+    if two_step:
+        estimation = machine.estimation.model_copy(update={"two_step": True})
+        machine = machine.model_copy(update={"estimation": estimation})
+    folder = cache or cache_folder()
+    names = [_name(one, methods) for one in wanted]
+    found = {k: kept for k, name in enumerate(names) if (kept := _load(folder / name)) is not None}
+    progress(len(found), len(wanted))
+    open_ones = [k for k in range(len(wanted)) if k not in found]
+    for k, fit in _fit_these(machine, wanted, open_ones, methods, jobs, cache):
+        _store(folder / names[k], fit)
+        found[k] = fit
+        progress(len(found), len(wanted))
+    fits = tuple(found[k] for k in range(len(wanted)))
+    return Fitted(tuple(wanted), fits, _join(machine, wanted, fits))
+
+
+def _fit_these(
+    machine: Machine, wanted: Sequence[Wanted], which: Sequence[int], methods: Sequence[str],
+    jobs: int | None, cache: Path | None,
+) -> Iterator[tuple[int, SegmentFit]]:  # fmt: skip
+    """(which, its fit) as they are ready."""
+    count = min(len(which), jobs or os.cpu_count() or 1)
+    if count < 2:
+        for k in which:
+            yield k, fit_segment(machine, _driven(wanted[k], cache), methods)
+        return
+    # Forked, so that a process has all modules at once; it has one thread until the pool is there.
+    context = multiprocessing.get_context("fork")
+    with ExitStack() as stack:
+        pool = stack.enter_context(ProcessPoolExecutor(count, mp_context=context))
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
+        futures: Mapping[Future[SegmentFit], int] = {
+            pool.submit(fit_segment, machine, _driven(wanted[k], cache), methods): k for k in which
+        }
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+
+
+def _driven(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
+    """The driving of a segment. Raises CannotFit where there is none."""
+    start_ns = one.run.start_ns + round(one.segment.start_s * 1e9)
+    end_ns = one.run.start_ns + round(one.segment.end_s * 1e9)
+    found = tuple(at for at in driving(one.run, cache=cache) if start_ns <= at.t_ns <= end_ns)
+    if not found:
+        raise CannotFit(
+            f"no poses between {one.segment.start_s:g} and {one.segment.end_s:g} s of {one.run.id}"
+        )
+    return found
+
+
+def _join(machine: Machine, wanted: Sequence[Wanted], fits: Sequence[SegmentFit]) -> Joint | None:
+    told = [k for k, fit in enumerate(fits) if fit.seconds > 0.0]
+    if not told:
+        return None
+    between = [_distance(wanted[a], wanted[b]) for a, b in zip(told, told[1:], strict=False)]
+    return join(machine, [fits[k] for k in told], between)
+
+
+def _distance(one: Wanted, other: Wanted) -> float:
+    """m from the end of one segment to the end of the other: driven, or, between runs, as the crow flies."""
+    a, b = one.run.poses, other.run.poses
+    if one.run is other.run:
+        way = a.between(one.segment.end_s, other.segment.end_s)
+        steps = np.diff(way.t_s, prepend=way.t_s[:1])
+        speed = np.nan_to_num(np.abs(way["tractor_forward_velocity_mps"]))
+        return float(np.sum(speed * np.minimum(steps, segments.LONGEST_GAP_S)))
+    from_deg = np.radians([a["origin_latitude_deg"][-1], a["origin_longitude_deg"][-1]])
+    to_deg = np.radians([b["origin_latitude_deg"][-1], b["origin_longitude_deg"][-1]])
+    north, east = to_deg - from_deg
+    return EARTH_M * float(np.hypot(north, east * np.cos(from_deg[0])))
+
+
+def _name(one: Wanted, methods: Sequence[str]) -> str:
+    files = [identity(file.path) for file in one.run.files]
+    rig = machine_sha256(one.run.machine, one.run.machine_text)
+    times = f"{one.segment.start_s!r} {one.segment.end_s!r}"
+    return f"{key_of(*files, rig, times, *methods, pem.METHOD)}.fit"
+
+
+def _load(path: Path) -> SegmentFit | None:
+    try:
+        with path.open("rb") as file:
+            found = pickle.load(file)
+    except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
+        return None
+    return found if isinstance(found, SegmentFit) else None
+
+
+def _store(path: Path, fit: SegmentFit) -> None:
+    """Raises nothing: a cache that cannot be written costs time, no result."""
+    unfinished = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_bytes(pickle.dumps(fit))
+        unfinished.replace(path)
+    except OSError:
+        unfinished.unlink(missing_ok=True)

@@ -1,0 +1,92 @@
+"""What `tilth fit` gives, as one plain object that becomes JSON as it stands: SI, sd in the unit of the value."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.analysis.fit.fitting import Fitted, Wanted
+from tilth.analysis.fit.joint import Joint
+from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit
+from tilth.estimator.filters.unknowns import NAMES, NOISES, SIX
+from tilth.estimator.methods import pem
+from tilth.estimator.results.reporting import is_supported, nuisance_sd
+from tilth.replay.estimates_json import estimates_and_nuisances
+from tilth.schemas.flow import PARAMETERS, Status
+from tilth.schemas.spread import share
+
+Array = NDArray[np.float64]
+
+
+def as_json(fitted: Fitted) -> dict[str, Any]:
+    """{"runs": […], "joint": …, "agreement": …}; "joint" and "agreement" None where nothing was told."""
+    joint = fitted.joint
+    return {
+        "runs": [_run(one, fit) for one, fit in zip(fitted.wanted, fitted.fits, strict=True)],
+        "joint": None if joint is None else _joint(joint),
+        "agreement": None
+        if joint is None
+        else {
+            "chi2": joint.agreement.chi2, "dof": joint.agreement.dof, "p": joint.agreement.p,
+            "sentence": joint.agreement.sentence,
+        },
+    }  # fmt: skip
+
+
+def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
+    said = estimates_and_nuisances(fit.estimates)
+    estimates: Any = said["estimates"]
+    nuisances: Any = said["nuisances"]
+    best = fit.estimates[pem.METHOD]
+    answer = {
+        "id": one.id,
+        "log": one.log,
+        "kind": one.segment.kind,
+        "start_s": one.segment.start_s,
+        "end_s": one.segment.end_s,
+        "speed": one.segment.speed,
+        "largest_angle": one.segment.largest_angle,
+        "fitted_s": fit.seconds,
+        "parameters": estimates[pem.METHOD],
+        "log_covariance": np.array(best.log_covariance).reshape(6, 6).tolist()
+        if best.log_covariance
+        else None,
+        "determined": list(best.determined),
+        "nuisances": nuisances[pem.METHOD],
+        "filter": estimates[METHODS[1]],
+        "steady_state": estimates[METHODS[2]],
+        "refused": fit.refused,
+    }
+    if TWO_STEP in estimates:
+        answer["two_step"] = estimates[TWO_STEP]
+    return answer
+
+
+def _joint(joint: Joint) -> dict[str, Any]:
+    sds = np.sqrt(np.diag(joint.covariance))
+    return {
+        "parameters": {
+            name: _parameter(float(joint.mean[k]), float(sds[k]), float(joint.prior_sd[k]))
+            for k, name in enumerate(PARAMETERS)
+        },
+        "log_covariance": joint.covariance[SIX, SIX].tolist(),
+        "nuisances": {
+            name: {
+                "value": float(joint.mean[k]),
+                "sd": nuisance_sd(name, float(joint.covariance[k, k]), float(joint.prior_sd[k])),
+            }
+            for k, name in enumerate(NAMES)
+            if k > 5 and joint.prior_sd[k] > 0.0 and name not in NOISES
+        },
+        "fitted_s": joint.seconds,
+    }
+
+
+def _parameter(log: float, sd: float, prior_sd: float) -> dict[str, Any]:
+    """As of an estimate: without a number where the data leave too much."""
+    if not is_supported(False, sd, prior_sd):
+        reason = f"the data leave {share(sd)}: more steering is needed"
+        return {"value": None, "sd": None, "status": Status.UNESTIMATED.name.lower(), "reason": reason}
+    value = math.exp(log)
+    return {"value": value, "sd": value * sd, "status": Status.ESTIMATED.name.lower(), "reason": ""}

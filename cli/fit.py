@@ -1,0 +1,155 @@
+"""`tilth fit`: the six parameters of each run in logs, and of all together."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table as RichTable
+
+from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.fit.result import as_json
+from tilth.analysis.runs.run import open_runs
+from tilth.analysis.runs.segments import KINDS
+from tilth.cli import WrongUse, add_bus_names
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+from tilth.replay.readers.rig import bus_names
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.spread import of_logarithm
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser("fit", help="the parameters of each run in logs, and of all together")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
+    parser.add_argument(
+        "--segment",
+        action="append",
+        default=[],
+        type=segment,
+        metavar="[N:]A:B",
+        help="from A to B, seconds since the N-th run began (1); again for more; else marks, else found",
+    )
+    parser.add_argument(
+        "--kind",
+        action="append",
+        default=[],
+        choices=KINDS,
+        help="only segments of this kind; again for more",
+    )
+    parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
+    parser.add_argument("--jobs", type=_jobs, metavar="N", help="processes (as many as there are cores)")
+    add_bus_names(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+
+
+def segment(text: str) -> tuple[int, float, float]:
+    """(number of the run, start, end in s) of [N:]A:B."""
+    parts = text.split(":")
+    try:
+        number = int(parts[0]) if len(parts) == 3 else 1
+        start_s, end_s = (float(part) for part in parts[-2:])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: write A:B or N:A:B, in seconds") from None
+    if len(parts) not in (2, 3) or not 0.0 <= start_s < end_s < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: write A:B with A before B, in seconds")
+    return number, start_s, end_s
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where nothing could be fitted."""
+    try:
+        with ExitStack() as stack:
+            show = _progress(stack, args.json)
+            machine = read_machine(args.machine) if args.machine else None
+            buses = _buses(args.bus, machine)
+            runs = open_runs(
+                args.logs, machine=machine, buses=buses, say=_say,
+                progress=lambda done, of: show("reading", done, of),
+            )  # fmt: skip
+            wanted = choose(runs, args.segment, args.kind)
+            fitted = fit_all(
+                wanted, two_step=args.two_step, jobs=args.jobs,
+                progress=lambda done, of: show("fitting", done, of),
+            )  # fmt: skip
+    except CannotFit as error:
+        if args.segment or len(args.logs) > 1:
+            raise WrongUse(str(error)) from None
+        _say(str(error))
+        return 1
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except OSError as error:
+        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
+        return 1
+    answer = as_json(fitted)
+    if args.json:
+        print(json.dumps(answer))
+    else:
+        _show(answer)
+    return 0 if fitted.joint is not None else 1
+
+
+def _buses(pairs: Sequence[str], machine: Any) -> dict[str, str]:
+    try:
+        return bus_names(pairs, machine[0] if machine else None)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+
+
+def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, int, int], None]:
+    if not sys.stderr.isatty() or as_json:
+        return lambda what, done, of: None
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    tasks: dict[str, Any] = {}
+
+    def show(what: str, done: int, of: int) -> None:
+        if what not in tasks:
+            tasks[what] = bar.add_task(what, total=of)
+        bar.update(tasks[what], completed=done, total=of)
+
+    return show
+
+
+def _show(answer: dict[str, Any]) -> None:
+    console = Console()
+    for run in answer["runs"]:
+        told = ", ".join(run["determined"])
+        console.print(_table(run["id"], run["parameters"]))
+        if told:
+            console.print(f"determined: {told}")
+    if answer["joint"] is None:
+        console.print("No segment told anything; the reasons stand above.")
+        return
+    if len(answer["runs"]) > 1:
+        console.print(_table("all together", answer["joint"]["parameters"]))
+        console.print(answer["agreement"]["sentence"])
+
+
+def _table(title: str, parameters: dict[str, Any]) -> RichTable:
+    table = RichTable(title=title, title_justify="left")
+    for heading in ("", "estimate", "status", "reason"):
+        table.add_column(heading, overflow="fold")
+    for name in PARAMETERS:
+        row = parameters[name]
+        unit = "N/rad" if name.startswith("C_") else "m"
+        text = "-" if row["value"] is None else of_logarithm(row["value"], row["sd"], unit)
+        table.add_row(name, text, row["status"], row["reason"])
+    return table
+
+
+def _say(text: str) -> None:
+    print(f"tilth fit: {text}", file=sys.stderr)
