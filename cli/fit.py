@@ -41,7 +41,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         action="append",
         default=[],
         choices=KINDS,
-        help="only segments of this kind; again for more",
+        help="only such segments; again for more",
     )
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
     parser.add_argument("--jobs", type=_jobs, metavar="N", help="processes (as many as there are cores)")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -73,11 +74,9 @@ def choose(
     if not found:
         raise CannotFit(_nothing(runs, kinds))
     found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
-    for one, other in zip(found, found[1:], strict=False):
-        if (
-            one.run is other.run
-            and other.segment.start_s < one.segment.end_s - segments.LEAD_S - segments.QUIET_S
-        ):
+    for one, other in pairwise(found):
+        shared_s = one.segment.end_s - other.segment.start_s if one.run is other.run else 0.0
+        if shared_s > segments.LEAD_S + segments.QUIET_S:  # of straight driving that both may have
             raise CannotFit(
                 f"the segments {one.segment.start_s:g}:{one.segment.end_s:g} and {other.segment.start_s:g}:"
                 f"{other.segment.end_s:g} overlap; what both hold would count twice"
@@ -122,8 +121,8 @@ def check_same_rig(runs: Sequence[Run]) -> None:
     if len(texts) > 1:
         one, other, *_ = texts.values()
         raise CannotFit(
-            f"{one.sources[0].name} ({one.machine.name}) and {other.sources[0].name} ({other.machine.name}) were "
-            "recorded with different machine files; fit them one by one, or give --machine M.toml for all"
+            f"{one.sources[0].name} ({one.machine.name}) and {other.sources[0].name} ({other.machine.name}) "
+            "were recorded with different machine files; fit them one by one, or give --machine M.toml for all"
         )
 
 
@@ -190,7 +189,7 @@ def _join(machine: Machine, wanted: Sequence[Wanted], fits: Sequence[SegmentFit]
     told = [k for k, fit in enumerate(fits) if fit.seconds > 0.0]
     if not told:
         return None
-    between = [_distance(wanted[a], wanted[b]) for a, b in zip(told, told[1:], strict=False)]
+    between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
     return join(machine, [fits[k] for k in told], between)
 
 

@@ -1,8 +1,8 @@
 """Several segments as one: their information added up, the prior counted once; and whether they agree.
 
 Each segment has been fitted from the same prior N(p0, S0), with posterior N(p, C). So its data alone have the
-information D = C^-1 - S0^-1 about all unknowns that are no noise levels. Soil differs from place to place: the
-six drift over the distance between segments (filters/drift.py), as live; the machine's own unknowns do not.
+information D = C^-1 - S0^-1 about all unknowns that are no noise levels. Soil differs from place to place:
+the six drift over the distance between segments (filters/drift.py), as live; what is the machine's does not.
 """
 
 import math

@@ -1,6 +1,10 @@
-"""What `tilth fit` gives, as one plain object that becomes JSON as it stands: SI, sd in the unit of the value."""
+"""What `tilth fit` gives, as one plain object that becomes JSON as it stands.
+
+SI; an sd is in the unit of its value.
+"""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,9 +53,7 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
         "largest_angle": one.segment.largest_angle,
         "fitted_s": fit.seconds,
         "parameters": estimates[pem.METHOD],
-        "log_covariance": np.array(best.log_covariance).reshape(6, 6).tolist()
-        if best.log_covariance
-        else None,
+        "log_covariance": _square(best.log_covariance),
         "determined": list(best.determined),
         "nuisances": nuisances[pem.METHOD],
         "filter": estimates[METHODS[1]],
@@ -61,6 +63,10 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
     if TWO_STEP in estimates:
         answer["two_step"] = estimates[TWO_STEP]
     return answer
+
+
+def _square(numbers: Sequence[float]) -> list[list[float]] | None:
+    return np.array(numbers).reshape(6, 6).tolist() if numbers else None
 
 
 def _joint(joint: Joint) -> dict[str, Any]:

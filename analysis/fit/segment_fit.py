@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tilth.analysis.runs.driving import Driven
 from tilth.estimator.filters import likelihood
+from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW, Estimator
 from tilth.estimator.record.record import WHEEL_ANGLE
@@ -88,4 +89,4 @@ def _model_sd(driven: Sequence[Driven], mean: Array) -> Array:
     return likelihood.model_sd(tight, float(np.exp(mean[_UNEVEN])))
 
 
-_UNEVEN: Final = pem.NAMES.index("uneven")
+_UNEVEN: Final = AT["uneven"]
