@@ -4,6 +4,7 @@ A segment that was fitted before, from the same log with the same machine file b
 fitted again: an interrupted fit goes on where it was.
 """
 
+import contextlib
 import multiprocessing
 import os
 import pickle
@@ -122,7 +123,7 @@ def check_same_rig(runs: Sequence[Run]) -> None:
         one, other, *_ = texts.values()
         raise CannotFit(
             f"{one.sources[0].name} ({one.machine.name}) and {other.sources[0].name} ({other.machine.name}) "
-            "were recorded with different machine files; fit them one by one, or give --machine M.toml for all"
+            "are of different machine files; fit them one by one, or give --machine M.toml for all"
         )
 
 
@@ -231,4 +232,5 @@ def _store(path: Path, fit: SegmentFit) -> None:
         unfinished.write_bytes(pickle.dumps(fit))
         unfinished.replace(path)
     except OSError:
-        unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            unfinished.unlink(missing_ok=True)

@@ -26,8 +26,9 @@ Array = NDArray[np.float64]
 LEAST_SHARE: Final = 0.2
 """Of the prior's information: directions of which a segment tells less are left out of the test whether
 segments agree, since there only the prior's shape would be tested."""
+LEAST_DRIFT: Final = 0.01
+"""Smallest sd, over the prior's, by which the six of two segments may differ."""
 DISAGREE: Final = 0.01  # a smaller p says that the segments do not agree
-INFORMED: Final = 1e-6  # relative change of a variance: what a segment has learned of at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,8 @@ def join(machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float
             share = retained_share(between_m[k - 1])
             mean[SIX] = start[SIX] + share * (mean[SIX] - start[SIX])
             drift(covariance, np.arange(6), share, sd)
-        mean, covariance = _add(mean, covariance, *_data_of(fit, kept, start, sd))
+        information, pull = _data_of(fit, kept, start, sd)
+        mean, covariance = _add(mean, covariance, information, pull + information @ start)
     agreement = agree(machine, fits, between_m)
     model = np.max([fit.model_sd for fit in fits], axis=0)
     covariance[SIX, SIX] = agreement.widening * covariance[SIX, SIX] + np.diag(model**2)
@@ -86,27 +88,43 @@ def join(machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float
 def agree(machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float]) -> Agreement:
     """Test whether segments agree on the six: arguments as of `join`.
 
-    With D = V V', each segment says V^+ (D y) = V' p + white noise of sd 1, y its estimate without the prior;
-    the chi-square is what the best common p leaves of all these rows.
+    With D = V V' each segment says V' p = V^+ (D y) with white noise of sd 1, y its estimate without the
+    prior. What is the machine's is the same in all. The chi-square is what it costs that the six of a
+    segment are those of the one before, too, up to the drift.
     """
-    prior_mean, prior_sd = (row[SIX] for row in unknowns.prior(machine))
-    rows, values = [], []
-    places = np.concatenate([[0.0], np.cumsum(between_m)])
-    for fit, place in zip(fits, places, strict=True):
-        away = abs(place - float(np.median(places)))
-        covariance = fit.covariance[SIX, SIX].copy()
-        drift(covariance, np.arange(6), retained_share(away), prior_sd)
-        root, value = _rows_of(information_of(covariance, prior_sd), fit.mean[SIX], prior_mean, prior_sd)
-        rows.append(root)
-        values.append(value)
-    design, observed = np.vstack(rows), np.concatenate(values)
-    dof = len(observed) - int(np.linalg.matrix_rank(design)) if len(observed) else 0
+    prior_mean, prior_sd = unknowns.prior(machine)
+    kept = np.flatnonzero((prior_sd > 0.0) & ~_is_noise())
+    start, sd = prior_mean[kept], prior_sd[kept]
+    told = [_rows_of(*_data_of(fit, kept, start, sd), sd) for fit in fits]
+    values = np.concatenate([value for _, value in told])
+    count, own = len(fits), len(kept) - 6
+    free = np.zeros((len(values) + own, 6 * count + own))
+    free[len(values) :, 6 * count :] = np.eye(own)  # the machine's unknowns, by the prior
+    row = 0
+    for k, (rows, _) in enumerate(told):
+        at = slice(row, row + len(rows))
+        free[at, 6 * k : 6 * k + 6], free[at, 6 * count :] = rows[:, :6], rows[:, 6:]
+        row += len(rows)
+    links = np.zeros((6 * (count - 1), free.shape[1]))
+    for k, metres in enumerate(between_m):
+        share = retained_share(metres)
+        step = np.eye(6) / max(math.sqrt(1.0 - share**2), LEAST_DRIFT)
+        links[6 * k : 6 * k + 6, 6 * k : 6 * k + 12] = np.hstack([-share * step, step])
+    observed = np.concatenate([values, np.zeros(own)])
+    alone, rank = _left(free, observed)
+    linked, linked_rank = _left(np.vstack([free, links]), np.concatenate([observed, np.zeros(len(links))]))
+    dof = len(links) + rank - linked_rank
     if dof < 1:
         return Agreement(0.0, 0, 1.0, _TOO_FEW)
-    best = np.linalg.lstsq(design, observed, rcond=None)[0]
-    found = float(np.sum((observed - design @ best) ** 2))
+    found = max(linked - alone, 0.0)
     p = float(chi2.sf(found, dof))
-    return Agreement(found, dof, p, _sentence(len(fits), found, dof, p))
+    return Agreement(found, dof, p, _sentence(count, found, dof, p))
+
+
+def _left(design: Array, observed: Array) -> tuple[float, int]:
+    """Sum of squares that the best unknowns leave, and the rank."""
+    best, _, rank, _ = np.linalg.lstsq(design, observed, rcond=1e-9)
+    return float(np.sum((observed - design @ best) ** 2)), int(rank)
 
 
 _TOO_FEW: Final = "Nothing was told twice, so nothing can be said of whether the segments agree."
@@ -123,11 +141,12 @@ def _sentence(count: int, found: float, dof: int, p: float) -> str:
 
 
 def _data_of(fit: SegmentFit, kept: NDArray[np.intp], start: Array, sd: Array) -> tuple[Array, Array]:
-    """(D, D y) of a segment's data over the unknowns kept, without errors of the model."""
+    """(D, D (y - p0)) of a segment's data over the unknowns kept, without errors of the model."""
     covariance = fit.covariance[np.ix_(kept, kept)].copy()
     covariance[SIX, SIX] -= _shrunk(covariance[SIX, SIX], fit.model_sd)
     information = information_of(covariance, sd)
-    return information, information @ fit.mean[kept] + (fit.mean[kept] - start) / sd**2
+    change = fit.mean[kept] - start
+    return information, information @ change + change / sd**2
 
 
 def _shrunk(covariance: Array, model_sd: Array) -> Array:
@@ -149,15 +168,15 @@ def _add(mean: Array, covariance: Array, information: Array, pull: Array) -> tup
     return after @ (before @ mean + pull), after
 
 
-def _rows_of(information: Array, mean: Array, prior_mean: Array, prior_sd: Array) -> tuple[Array, Array]:
-    """(V', values): what a segment says of the directions of which it tells enough."""
-    scale = np.outer(prior_sd, prior_sd)
-    values, vectors = np.linalg.eigh(information * scale)
+def _rows_of(information: Array, pull: Array, prior_sd: Array) -> tuple[Array, Array]:
+    """(V', V^+ D (y - p0)) in prior sds: what a segment says of the directions of which it tells enough.
+
+    information: D, (n, n). pull: D (y - p0) as `_data_of` gives it.
+    """
+    values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
     told = values > LEAST_SHARE
-    root = np.sqrt(values[told])[:, None] * vectors[:, told].T / prior_sd
-    pull = information @ mean + (mean - prior_mean) / prior_sd**2  # D y
-    along = (vectors[:, told].T @ (pull * prior_sd)) / np.sqrt(values[told])
-    return root, along
+    roots = np.sqrt(values[told])
+    return roots[:, None] * vectors[:, told].T, vectors[:, told].T @ (pull * prior_sd) / roots
 
 
 def _is_noise() -> NDArray[np.bool_]:

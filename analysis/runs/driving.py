@@ -3,6 +3,7 @@
 Made by the same fold as live, without its estimators; kept, since fits ask for it again and again.
 """
 
+import contextlib
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,4 +109,5 @@ def _store(kept: Path, found: tuple[Driven, ...]) -> None:
             pickle.dump(found, file, pickle.HIGHEST_PROTOCOL)
         unfinished.replace(kept)
     except OSError:
-        unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            unfinished.unlink(missing_ok=True)

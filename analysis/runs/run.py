@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
 from tilth.analysis.runs.reading import ChannelReader, RunClock, topics_of
-from tilth.analysis.runs.table import Table
-from tilth.logger.log.mcap_file import DAMAGE, body_of, walk
+from tilth.analysis.runs.table import Table, joined
+from tilth.logger.log.mcap_file import DAMAGE, MAGIC, body_of, walk
 from tilth.replay.glance import FileState, glance
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog
@@ -84,6 +84,11 @@ class Run:
         return (self.files[-1].last_ns - self.start_ns) * 1e-9
 
     @property
+    def replayed(self) -> bool:
+        """Whether the results are not those that were recorded."""
+        return any(file.path not in self.sources for file in self.files)
+
+    @property
     def whole(self) -> bool:
         """Whether no file was cut off."""
         return all(file.whole for file in self.files)
@@ -101,12 +106,20 @@ class Run:
     @cached_property
     def events(self) -> Table:
         """What happened: `kind` and `text`, with the place where that matters."""
-        return self.table("/event")
+        found = self.table("/event")
+        if not self.replayed:
+            return found
+        both = joined([found, self.marks])
+        return both.where(np.argsort(both.t_s, kind="stable"))
 
     @cached_property
     def marks(self) -> Table:
-        """The events that an operator made."""
-        return self.events.where(self.events["kind"] == MARK)
+        """The events that an operator made; of a log that was replayed those in the log itself."""
+        found = self.table("/event")
+        if self.replayed:
+            own = [path for path in self.sources if is_mcap(path)]
+            found = ChannelReader(own, self.reader.clock).table("/event")
+        return found.where(found["kind"] == MARK)
 
     def measurements(self, kind: str) -> Table:
         """Of all sensors. kind: position, velocity, heading, yaw_rate, attitude, fix, time, wheel_angle,
@@ -214,6 +227,12 @@ def _file_of(
     if log.form == MCAP and not holds_poses(path):
         say(f"{path}: no poses were recorded in it; it is replayed, once")
     return _read_file(replayed(path, *rig, buses, progress, say, cache))
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether a log is one of Tilth's own, by its first bytes. Raises OSError."""
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def holds_poses(path: Path) -> bool:

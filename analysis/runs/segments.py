@@ -28,7 +28,8 @@ STEP, STEADY_TURN, CHIRP, RANDOM, HEADLAND, TURN, ROW, MARKED, GIVEN = (
 )  # fmt: skip
 KINDS: Final = (STEP, STEADY_TURN, CHIRP, RANDOM, HEADLAND, TURN, MARKED)  # that steer
 LEAD_S: Final = 2.0  # of straight driving that belong to a segment before the wheels turn
-QUIET_S: Final = 3.0  # and after; wheels that are straight for longer end it
+QUIET_S: Final = 3.0  # and after
+PAUSE_S: Final = 4.0  # wheels that are straight for less do not end a manoeuvre
 LONGEST_GAP_S: Final = 0.5  # between poses
 SLOWEST: Final = 1.0  # m/s
 SHORTEST_S: Final = 6.0
@@ -154,10 +155,10 @@ def _runs_of(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _active(t: Floats, turned: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last row of each stretch of steering: wheels straight for less than QUIET_S do not end it."""
+    """First and last row of each stretch of steering: wheels straight for less than PAUSE_S do not end it."""
     found: list[tuple[int, int]] = []
     for first, last in _runs_of(turned):
-        if found and t[first] - t[found[-1][1]] < QUIET_S:
+        if found and t[first] - t[found[-1][1]] < PAUSE_S:
             found[-1] = found[-1][0], last
         else:
             found.append((first, last))

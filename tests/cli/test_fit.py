@@ -1,0 +1,88 @@
+"""`tilth fit` as it is typed: its JSON and tables, and what it says when it cannot."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from logs import MACHINE_TEXT
+from recorded import cut, recorded, shared_cache
+
+from tilth.cli import main
+from tilth.schemas.flow import PARAMETERS
+
+Answer = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def fit(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Answer:
+    """(status, stdout, stderr) of `tilth fit …`."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(shared_cache()))
+
+    def call(*words: str | Path) -> tuple[int, str, str]:
+        try:
+            status = main(["fit", *map(str, words)])
+        except SystemExit as left:  # argparse
+            status = int(left.code or 0)
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_json_and_tables_say_the_same(fit: Answer) -> None:
+    log = recorded().parts[0]
+    status, out, _ = fit(log, "--segment", "4:27", "--json")
+    answer: dict[str, Any] = json.loads(out)
+    assert status == 0 and set(answer) == {"runs", "joint", "agreement"}
+    (run,) = answer["runs"]
+    assert (run["log"], run["start_s"], run["end_s"]) == (1, 4.0, 27.0) and run["kind"] == "given"
+    assert set(run["parameters"]) == set(PARAMETERS) == set(run["filter"])
+    assert all(set(row) == {"value", "sd", "status", "reason"} for row in run["parameters"].values())
+    status, out, _ = fit(log, "--segment", "4:27")
+    value = run["parameters"]["C_af"]["value"]
+    assert status == 0 and f"{value:.0f}"[:2] in out and "N/rad" in out and "all together" not in out
+
+
+def test_the_two_steps_stand_beside(fit: Answer) -> None:
+    status, out, _ = fit(recorded().parts[0], "--segment", "4:27", "--two-step", "--json")
+    (run,) = json.loads(out)["runs"]
+    assert status == 0 and set(run["two_step"]) == set(PARAMETERS)
+
+
+def test_a_cut_log_is_fitted_as_far_as_it_is_whole(fit: Answer) -> None:
+    status, out, _ = fit(cut(), "--json")
+    assert status == 0 and json.loads(out)["runs"][0]["kind"] == "step"
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        (("--segment", "90:120"), 2, "no poses between 90 and 120 s of the run"),
+        (("--segment", "20:10"), 2, "20:10: write A:B with A before B, in seconds"),
+        (("--segment", "a:b"), 2, "a:b: write A:B or N:A:B, in seconds"),
+        (("--segment", "2:1:20"), 2, "there are 1 runs"),
+        (("--segment", "2.5:5"), 1, ""),
+        (("--kind", "chirp"), 1, "no driving with steering of the kinds chirp was found"),
+        (("--kind", "dance"), 2, "invalid choice: 'dance'"),
+        (("--jobs", "0"), 2, "0: give a number of processes, from 1 up"),
+        (("--bus", "a=can0"), 2, "--bus LOG=MACHINE needs --machine"),
+    ],
+)
+def test_mistakes_are_said_in_a_sentence(fit: Answer, words: tuple[str, ...], status: int, says: str) -> None:
+    found, _, err = fit(recorded().parts[0], *words)
+    assert found == status and says in err and "Traceback" not in err
+
+
+def test_what_is_no_log(fit: Answer, tmp_path: Path) -> None:
+    missing, text, foreign = tmp_path / "no.mcap", tmp_path / "a.txt", tmp_path / "b.log"
+    text.write_text("hello\n")
+    foreign.write_text("(1700000000.000000) can0 18FEF300#0102030405060708\n")
+    assert fit(missing)[0] == 2 and "no such file" in fit(missing)[2]
+    assert fit(text)[0] == 2 and "not a log of CAN frames" in fit(text)[2]
+    status, _, err = fit(foreign)
+    assert status == 2 and "give --machine M.toml" in err
+    machine = tmp_path / "m.toml"
+    machine.write_text(MACHINE_TEXT)
+    status, _, err = fit(foreign, "--machine", machine)
+    assert status == 1 and "there are no poses in these logs" in err
