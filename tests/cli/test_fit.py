@@ -25,7 +25,8 @@ def fit(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
             status = main(["fit", *map(str, words)])
         except SystemExit as left:  # argparse
             status = int(left.code or 0)
-        return status, *capsys.readouterr()
+        out, err = capsys.readouterr()
+        return status, out, err
 
     return call
 

@@ -19,9 +19,9 @@ def table(*entries: tuple[int, int, int, int, int, int]) -> WireLayout:
     """entries: node, field, kind, column, stride, most."""
     kinds, columns, strides, most = (np.zeros((2, 20), np.int64) for _ in range(4))
     layout = WireLayout(kinds, columns, strides, most)
-    for node, field, kind, column, stride, most in entries:
+    for node, field, kind, column, stride, times in entries:
         layout.kind[node, field], layout.column[node, field] = kind, column
-        layout.stride[node, field], layout.most[node, field] = stride, most
+        layout.stride[node, field], layout.most[node, field] = stride, times
     return layout
 
 
@@ -69,7 +69,7 @@ def test_messages_within_go_to_columns_of_their_own() -> None:
 
 def test_lists_of_texts_have_one_hash() -> None:
     layout = table((0, 13, wire.HASHED, 0, 0, 1))
-    lists = (["a", "b"], ["b", "a"], ["ab"], ["a", "b", ""], [])
+    lists: tuple[list[str], ...] = (["a", "b"], ["b", "a"], ["ab"], ["a", "b", ""], [])
     hashes = [int(filled(pb.Pose(flags=texts).SerializeToString(), layout).hashes[0, 0]) for texts in lists]
     assert len(set(hashes)) == len(lists) and hashes[-1] == 0
     again = filled(pb.Pose(flags=["a", "b"], direction=1).SerializeToString(), layout)

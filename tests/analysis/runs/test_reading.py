@@ -26,19 +26,20 @@ def reader(*paths: Path) -> ChannelReader:
 def plain(message: Any, name: str) -> Any:
     """What stands in a message for a column of that name."""
     for part in ("tractor", "implement", "wheel_angle"):
-        field = name.removeprefix(f"{part}_")
-        if field != name and getattr(message, part, None) is not None and not isinstance(message, float):
-            inner = getattr(message, part)
+        within = name.removeprefix(f"{part}_")
+        if within != name and getattr(message, part, None) is not None:
+            inner: Any = getattr(message, part)
             if hasattr(inner, "DESCRIPTOR"):
-                return plain(inner, field)
+                return plain(inner, within)
+    parameter: Any
     for parameter in getattr(message, "parameters", ()):
         if name == parameter.name or name.startswith(f"{parameter.name}_"):
             return plain(parameter, name.removeprefix(parameter.name).strip("_") or "value")
-    fields = message.DESCRIPTOR.fields_by_name
+    fields: Any = message.DESCRIPTOR.fields_by_name
     if name not in fields:
         stems = [name.removesuffix(f"_{suffix}") for suffix in SUFFIXES.values()]
         name = next((stem for stem in stems if stem in fields), "value")
-    field = fields[name]
+    field: Any = fields[name]
     if field.has_presence and not message.HasField(name):
         return None
     value = getattr(message, name)

@@ -44,7 +44,7 @@ def within(seconds: float, angle: Floats) -> Floats:
 
 
 def of_manoeuvre(name: str, seconds: float, degrees: float) -> Floats:
-    time = np.arange(round(seconds / 0.02)) * 0.02
+    time = np.arange(round(seconds / 0.02), dtype=np.float64) * 0.02
     drawn = manoeuvre_named(name).wheel_angle(time, math.radians(degrees), np.random.default_rng(2))
     return np.asarray(np.degrees(within(seconds, drawn)), np.float64)
 
