@@ -16,7 +16,7 @@ ROOMS = {
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),
-    "analysis": ("runs", "validation", "response", "fit", "", "export", "report", "dissertation"),
+    "analysis": ("runs", "response", "fit", "validation", "", "export", "report", "dissertation"),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from tilth.analysis.fit.joint import Joint, join
+from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import Driven, driving, identity
@@ -58,7 +58,9 @@ class Fitted:
 
     wanted: tuple[Wanted, ...]
     fits: tuple[SegmentFit, ...]  # of each
-    joint: Joint | None  # None where no segment told anything
+    told: tuple[int, ...]  # the segments of which pem has fitted something
+    linearised: Linearised | None  # those; None where there is none
+    joint: Joint | None
 
 
 def choose(
@@ -149,7 +151,12 @@ def fit_all(
         found[k] = fit
         progress(len(found), len(wanted))
     fits = tuple(found[k] for k in range(len(wanted)))
-    return Fitted(tuple(wanted), fits, _join(machine, wanted, fits))
+    told = tuple(k for k, fit in enumerate(fits) if fit.windows)
+    if not told:
+        return Fitted(tuple(wanted), fits, (), None, None)
+    between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
+    linearised = linearise(machine, [fits[k] for k in told], between)
+    return Fitted(tuple(wanted), fits, told, linearised, join(machine, linearised))
 
 
 def _fit_these(
@@ -160,7 +167,7 @@ def _fit_these(
     count = min(len(which), jobs or os.cpu_count() or 1)
     if count < 2:
         for k in which:
-            yield k, fit_segment(machine, _driven(wanted[k], cache), methods)
+            yield k, fit_segment(machine, driven_of(wanted[k], cache), methods)
         return
     # Forked, so that a process has all modules at once; it has one thread until the pool is there.
     context = multiprocessing.get_context("fork")
@@ -168,13 +175,13 @@ def _fit_these(
         pool = stack.enter_context(ProcessPoolExecutor(count, mp_context=context))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         futures: Mapping[Future[SegmentFit], int] = {
-            pool.submit(fit_segment, machine, _driven(wanted[k], cache), methods): k for k in which
+            pool.submit(fit_segment, machine, driven_of(wanted[k], cache), methods): k for k in which
         }
         for future in as_completed(futures):
             yield futures[future], future.result()
 
 
-def _driven(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
+def driven_of(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
     """The driving of a segment. Raises CannotFit where there is none."""
     start_ns = one.run.start_ns + round(one.segment.start_s * 1e9)
     end_ns = one.run.start_ns + round(one.segment.end_s * 1e9)
@@ -184,14 +191,6 @@ def _driven(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
             f"no poses between {one.segment.start_s:g} and {one.segment.end_s:g} s of {one.run.id}"
         )
     return found
-
-
-def _join(machine: Machine, wanted: Sequence[Wanted], fits: Sequence[SegmentFit]) -> Joint | None:
-    told = [k for k, fit in enumerate(fits) if fit.seconds > 0.0]
-    if not told:
-        return None
-    between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
-    return join(machine, [fits[k] for k in told], between)
 
 
 def _distance(one: Wanted, other: Wanted) -> float:

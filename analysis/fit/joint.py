@@ -1,27 +1,31 @@
-"""Several segments as one: their information added up, the prior counted once; and whether they agree.
+"""Several segments as one: their windows around one point, the prior counted once; and whether they agree.
 
-Each segment has been fitted from the same prior N(p0, S0), with posterior N(p, C). So its data alone have the
-information D = C^-1 - S0^-1 about all unknowns that are no noise levels. Soil differs from place to place:
-the six drift over the distance between segments (filters/drift.py), as live; what is the machine's does not.
+Soil differs from place to place: the six drift over the distance between segments (filters/drift.py), as
+live; what is the machine's does not. A subset of the segments needs no new search: near the common point what
+each window says is linear (steering_terms.py).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import pairwise
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from tilth.analysis.fit.segment_fit import SegmentFit
-from tilth.estimator.filters import unknowns
+from tilth.analysis.fit.steering_terms import MOST_STEPS, SETTLED, Terms, newton, places, terms_at
+from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
-from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
-from tilth.estimator.results.advice import information_of
+from tilth.estimator.filters.unknowns import NAMES, SIX
+from tilth.estimator.methods import pem
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
+Told = tuple[Terms, ...]  # of the windows of one segment
+Map = Callable[..., Iterable[Any]]
 
 LEAST_SHARE: Final = 0.2
 """Of the prior's information: directions of which a segment tells less are left out of the test whether
@@ -52,7 +56,8 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """The posterior of all segments, at the place of the last one; of unknowns.NAMES without noise levels."""
+    """The posterior of several segments, at the place of the last one; of unknowns.NAMES. Noise levels are
+    each window's own: here they stand at the prior's mean, without variance."""
 
     mean: Array  # [n]
     covariance: Array  # [n, n]
@@ -61,56 +66,117 @@ class Joint:
     seconds: float  # of driving
 
 
-def join(machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float]) -> Joint:
-    """fits: in the order of driving, of which pem has fitted something. between_m: distance from each to the
-    one after it, m, one fewer. Raises ValueError without fits."""
-    if not fits:
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """All segments around their common point."""
+
+    point: Array  # [n]
+    told: tuple[Told, ...]  # of each segment
+    between_m: tuple[float, ...]  # from each segment to the next
+    seconds: tuple[float, ...]  # of driving, of each
+
+
+def linearise(
+    machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float], each: Map = map
+) -> Linearised:
+    """Find the common point. fits: in the order of driving, of which pem has fitted something. between_m:
+    distance from each to the one after it, m, one fewer. each: calls a function for several arguments, as
+    `map` does. Raises ValueError without fits."""
+    windows = [window for fit in fits for window in fit.windows]
+    if not windows:
         raise ValueError("no segment to join")
+    point = _start(machine, fits)
+    terms: list[Terms] = []
+    for _ in range(MOST_STEPS):
+        terms = list(each(terms_at, [machine] * len(windows), windows, [point] * len(windows)))
+        moved, size = newton(machine, terms, point)
+        if size < SETTLED:
+            break
+        point = moved
+    told, first = [], 0
+    for fit in fits:
+        told.append(tuple(terms[first : first + len(fit.windows)]))
+        first += len(fit.windows)
+    return Linearised(point, tuple(told), tuple(between_m), tuple(fit.seconds for fit in fits))
+
+
+def _start(machine: Machine, fits: Sequence[SegmentFit]) -> Array:
+    """The fits' means, each unknown weighted by its variance."""
+    mean = unknowns.prior(machine)[0].copy()
+    shared = places(machine)
+    weights = np.array([1.0 / np.diag(fit.covariance)[shared] for fit in fits])
+    mean[shared] = np.average([fit.mean[shared] for fit in fits], axis=0, weights=weights)
+    return mean
+
+
+def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = None) -> Joint:
+    """The posterior of the chosen segments, of all if None, in their order."""
+    rows = list(range(len(all_of.told)) if chosen is None else chosen)
+    told = [all_of.told[k] for k in rows]
+    between = [sum(all_of.between_m[a:b]) for a, b in pairwise(rows)]
     prior_mean, prior_sd = unknowns.prior(machine)
-    kept = np.flatnonzero((prior_sd > 0.0) & ~_is_noise())
-    start, sd = prior_mean[kept], prior_sd[kept]
-    mean, covariance = start.copy(), np.diag(sd**2)
-    for k, fit in enumerate(fits):
+    shared = places(machine)
+    sd, away = prior_sd[shared], (all_of.point - prior_mean)[shared]
+    mean, covariance = -away, np.diag(sd**2)  # of the change from the common point
+    for k, segment in enumerate(told):
         if k:
-            share = retained_share(between_m[k - 1])
-            mean[SIX] = start[SIX] + share * (mean[SIX] - start[SIX])
+            share = retained_share(between[k - 1])
+            mean[SIX] = share * (mean[SIX] + away[SIX]) - away[SIX]
             drift(covariance, np.arange(6), share, sd)
-        information, pull = _data_of(fit, kept, start, sd)
-        mean, covariance = _add(mean, covariance, information, pull + information @ start)
-    agreement = agree(machine, fits, between_m)
-    model = np.max([fit.model_sd for fit in fits], axis=0)
-    covariance[SIX, SIX] = agreement.widening * covariance[SIX, SIX] + np.diag(model**2)
+        before = np.asarray(np.linalg.inv(covariance), np.float64)
+        covariance = np.asarray(np.linalg.inv(before + _information(segment)), np.float64)
+        mean = covariance @ (before @ mean - sum(one.gradient for one in segment))
+    agreement = agree(machine, told, between)
+    covariance = _published(covariance, told, sd, agreement)
     whole_mean, whole = prior_mean.copy(), np.zeros((len(NAMES), len(NAMES)))
-    whole_mean[kept], whole[np.ix_(kept, kept)] = mean, (covariance + covariance.T) / 2
-    return Joint(whole_mean, whole, prior_sd, agreement, sum(fit.seconds for fit in fits))
+    whole_mean[shared] = all_of.point[shared] + mean
+    whole[np.ix_(shared, shared)] = covariance
+    whole += pem.of_masses(np.diag(prior_sd**2))
+    return Joint(whole_mean, whole, prior_sd, agreement, sum(all_of.seconds[k] for k in rows))
 
 
-def agree(machine: Machine, fits: Sequence[SegmentFit], between_m: Sequence[float]) -> Agreement:
-    """Test whether segments agree on the six: arguments as of `join`.
+def _information(segment: Told) -> Array:
+    return np.asarray(sum(one.information for one in segment))
 
-    With D = V V' each segment says V' p = V^+ (D y) with white noise of sd 1, y its estimate without the
-    prior. What is the machine's is the same in all. The chi-square is what it costs that the six of a
-    segment are those of the one before, too, up to the drift.
+
+def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement) -> Array:
+    """Widened as a fit's is (likelihood._covariance), and by the spread where segments do not agree."""
+    every = [one for segment in told for one in segment]
+    scores = np.diag(sd**-2.0) + sum(one.scores for one in every)
+    out = likelihood.widened(covariance, scores)
+    colour = 1.0 + likelihood.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
+    factors = np.ones(len(out))
+    factors[SIX] = colour * math.sqrt(agreement.widening)
+    out = out * np.outer(factors, factors)
+    model = np.max([one.model_sd for one in every], axis=0)
+    out[SIX, SIX] += np.diag(model**2)
+    return np.asarray((out + out.T) / 2, np.float64)
+
+
+def agree(machine: Machine, told: Sequence[Told], between_m: Sequence[float]) -> Agreement:
+    """Test whether segments agree on the six, around a common point.
+
+    With D = V V' each segment says V' p = V^+ (-g) with white noise of sd 1; D is narrowed by what the scores
+    say of coloured noise. What is the machine's is the same in all. The chi-square is what it costs that the
+    six of a segment are those of the one before, too, up to the drift.
     """
-    prior_mean, prior_sd = unknowns.prior(machine)
-    kept = np.flatnonzero((prior_sd > 0.0) & ~_is_noise())
-    start, sd = prior_mean[kept], prior_sd[kept]
-    told = [_rows_of(*_data_of(fit, kept, start, sd), sd) for fit in fits]
-    values = np.concatenate([value for _, value in told])
-    count, own = len(fits), len(kept) - 6
-    free = np.zeros((len(values) + own, 6 * count + own))
-    free[len(values) :, 6 * count :] = np.eye(own)  # the machine's unknowns, by the prior
+    sd = unknowns.prior(machine)[1][places(machine)]
+    rows = [_rows_of(segment, sd) for segment in told]
+    observed = np.concatenate([value for _, value in rows])
+    count, own = len(told), len(sd) - 6
+    free = np.zeros((len(observed) + own, 6 * count + own))
+    free[len(observed) :, 6 * count :] = np.eye(own)  # the machine's unknowns, by the prior
     row = 0
-    for k, (rows, _) in enumerate(told):
-        at = slice(row, row + len(rows))
-        free[at, 6 * k : 6 * k + 6], free[at, 6 * count :] = rows[:, :6], rows[:, 6:]
-        row += len(rows)
+    for k, (design, _) in enumerate(rows):
+        at = slice(row, row + len(design))
+        free[at, 6 * k : 6 * k + 6], free[at, 6 * count :] = design[:, :6], design[:, 6:]
+        row += len(design)
     links = np.zeros((6 * (count - 1), free.shape[1]))
     for k, metres in enumerate(between_m):
         share = retained_share(metres)
         step = np.eye(6) / max(math.sqrt(1.0 - share**2), LEAST_DRIFT)
-        links[6 * k : 6 * k + 6, 6 * k : 6 * k + 12] = np.hstack([-share * step, step])
-    observed = np.concatenate([values, np.zeros(own)])
+        links[6 * k : 6 * k + 6, 6 * k : 6 * k + 12] = np.hstack([-step, step])
+    observed = np.concatenate([observed, np.zeros(own)])
     alone, rank = _left(free, observed)
     linked, linked_rank = _left(np.vstack([free, links]), np.concatenate([observed, np.zeros(len(links))]))
     dof = len(links) + rank - linked_rank
@@ -140,46 +206,17 @@ def _sentence(count: int, found: float, dof: int, p: float) -> str:
     )
 
 
-def _data_of(fit: SegmentFit, kept: NDArray[np.intp], start: Array, sd: Array) -> tuple[Array, Array]:
-    """(D, D (y - p0)) of a segment's data over the unknowns kept, without errors of the model."""
-    covariance = fit.covariance[np.ix_(kept, kept)].copy()
-    covariance[SIX, SIX] -= _shrunk(covariance[SIX, SIX], fit.model_sd)
-    information = information_of(covariance, sd)
-    change = fit.mean[kept] - start
-    return information, information @ change + change / sd**2
-
-
-def _shrunk(covariance: Array, model_sd: Array) -> Array:
-    """The part of the six's covariance that errors of the model are, kept small enough to be taken off."""
-    part = np.diag(model_sd**2)
-    smallest = float(np.linalg.eigvalsh(_scaled(covariance, part))[0])
-    return part * min(1.0, 0.9 * smallest)
-
-
-def _scaled(covariance: Array, part: Array) -> Array:
-    root = 1.0 / np.sqrt(np.diag(part))
-    return covariance * np.outer(root, root)
-
-
-def _add(mean: Array, covariance: Array, information: Array, pull: Array) -> tuple[Array, Array]:
-    """Posterior after data with D = information and D y = pull."""
-    before = np.asarray(np.linalg.inv(covariance), np.float64)
-    after = np.asarray(np.linalg.inv(before + information), np.float64)
-    return after @ (before @ mean + pull), after
-
-
-def _rows_of(information: Array, pull: Array, prior_sd: Array) -> tuple[Array, Array]:
-    """(V', V^+ D (y - p0)) in prior sds: what a segment says of the directions of which it tells enough.
-
-    information: D, (n, n). pull: D (y - p0) as `_data_of` gives it.
-    """
-    values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
-    told = values > LEAST_SHARE
-    roots = np.sqrt(values[told])
-    return roots[:, None] * vectors[:, told].T, vectors[:, told].T @ (pull * prior_sd) / roots
-
-
-def _is_noise() -> NDArray[np.bool_]:
-    chosen = np.zeros(len(NAMES), np.bool_)
-    chosen[NOISE] = True
-    return chosen
+def _rows_of(segment: Told, sd: Array) -> tuple[Array, Array]:
+    """(V', -V^+ g) in prior sds: what a segment says of the directions of which it tells enough."""
+    scale = np.outer(sd, sd)
+    information = _information(segment) * scale
+    spread = np.asarray(sum(one.scores for one in segment)) * scale
+    pull = -np.asarray(sum(one.gradient for one in segment)) * sd
+    values, vectors = np.linalg.eigh(information)
+    # Where the scores vary more than white noise lets them, the direction tells as much less.
+    along = np.einsum("ij,ik,kj->j", vectors, spread, vectors)
+    excess = np.maximum(along / np.maximum(values, 1e-12), 1.0)
+    told = values / excess > LEAST_SHARE
+    roots = np.sqrt(values[told] / excess[told])
+    design = roots[:, None] * vectors[:, told].T
+    return design, (vectors[:, told].T @ pull) / (excess[told] * roots)

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.driving import Driven
-from tilth.estimator.filters import likelihood
-from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.filters.unknowns import NOISE
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW, Estimator
-from tilth.estimator.record.record import WHEEL_ANGLE
+from tilth.estimator.record.record import Record
 from tilth.schemas.flow import Estimate
 from tilth.schemas.machine import Machine
 
@@ -26,67 +25,78 @@ TWO_STEP: Final = "pem_two_step"
 
 
 @dataclass(frozen=True, slots=True)
+class FittedWindow:
+    """Driving that pem has fitted, and the noise levels that it found, as unknowns.NOISE."""
+
+    record: Record
+    noise: Array
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentFit:
     """What the methods say of one segment."""
 
     estimates: dict[str, Estimate]  # method -> at the segment's end
     mean: Array  # [n] of unknowns.NAMES, by pem
     covariance: Array  # [n, n]
-    model_sd: Array  # (6,), what of it are errors of the model, which segments have in common
-    seconds: float  # of driving that pem has fitted
-    metres: float  # driven in the segment
+    windows: tuple[FittedWindow, ...]
+    metres: float  # driven since the last window
     refused: dict[str, int]  # reason -> windows or stretches of 0.2 s of which pem learned nothing
     whiteness: float  # of the last fit: autocorrelation of its innovations
+
+    @property
+    def seconds(self) -> float:
+        """Of driving that was fitted."""
+        return sum(len(window.record.ticks) for window in self.windows) * 0.02
 
 
 def fit_segment(machine: Machine, driven: Sequence[Driven], methods: Sequence[str] = METHODS) -> SegmentFit:
     """A pure function of its arguments. driven: at least one pose."""
-    states = {method: _follow(ROW[method], machine, driven) for method in methods}
+    followed = {method: _follow(ROW[method], machine, driven) for method in methods}
     t_ns = driven[-1].t_ns
-    estimates = {method: ROW[method].estimate(state, machine, t_ns) for method, state in states.items()}
-    learned = states[pem.METHOD]
+    estimates = {
+        method: ROW[method].estimate(state, machine, t_ns) for method, (state, _) in followed.items()
+    }
+    learned, windows = followed[pem.METHOD]
     last = learned.last
     return SegmentFit(
-        estimates, learned.mean, pem.drifted(learned), _model_sd(driven, learned.mean), learned.window_s,
-        learned.distance, dict(learned.refused), last.whiteness if last else 0.0,
+        estimates, learned.mean, pem.drifted(learned), windows, learned.distance, dict(learned.refused),
+        last.whiteness if last else 0.0,
     )  # fmt: skip
 
 
-def _follow(row: Estimator, machine: Machine, driven: Sequence[Driven]) -> Any:
-    """A method's state after the driving; fits are used when they would be in the fold."""
+def _follow(
+    row: Estimator, machine: Machine, driven: Sequence[Driven]
+) -> tuple[Any, tuple[FittedWindow, ...]]:
+    """A method's state after the driving, and what was fitted; fits are used when they would be in the
+    fold."""
     state, fitting = row.initial(machine), row.fitting
+    windows: list[FittedWindow] = []
     for at in driven:
         if fitting is not None and state.job and at.t_ns >= state.job.asked_ns + fitting.latency_ns:
-            fitting.adopt(state, machine, fitting.fit(machine, state.job), at.t_ns)
+            _adopt(row, state, machine, at.t_ns, windows)
         row.take(state, machine, at.pose, at.segment)
         if fitting is not None:
             fitting.request_fit(state, at.t_ns)
-    if fitting is None:
-        return state
-    t_ns = driven[-1].t_ns
-    _fit_now(row, state, machine, t_ns)
-    fitting.finish(state)
-    _fit_now(row, state, machine, t_ns)
-    return state
+    if fitting is not None:
+        t_ns = driven[-1].t_ns
+        _fit_now(row, state, machine, t_ns, windows)
+        fitting.finish(state)
+        _fit_now(row, state, machine, t_ns, windows)
+    return state, tuple(windows)
 
 
-def _fit_now(row: Estimator, state: Any, machine: Machine, t_ns: int) -> None:
+def _fit_now(row: Estimator, state: Any, machine: Machine, t_ns: int, windows: list[FittedWindow]) -> None:
     """Make and use all fits that wait."""
-    fitting = row.fitting
-    assert fitting is not None
-    while state.job is not None or fitting.request_fit(state, t_ns) is not None:
-        fitting.adopt(state, machine, fitting.fit(machine, state.job), t_ns)
+    assert row.fitting is not None
+    while state.job is not None or row.fitting.request_fit(state, t_ns) is not None:
+        _adopt(row, state, machine, t_ns, windows)
 
 
-def _model_sd(driven: Sequence[Driven], mean: Array) -> Array:
-    """As likelihood.model_sd_of, of all that may be learned from."""
-    angles = [
-        float(np.abs(at.segment.record.ticks[:, WHEEL_ANGLE]).max())
-        for at in driven
-        if at.segment is not None and not at.segment.reason and len(at.segment.record.ticks)
-    ]
-    tight = max(angles, default=0.0) > likelihood.TIGHT
-    return likelihood.model_sd(tight, float(np.exp(mean[_UNEVEN])))
-
-
-_UNEVEN: Final = AT["uneven"]
+def _adopt(row: Estimator, state: Any, machine: Machine, t_ns: int, windows: list[FittedWindow]) -> None:
+    assert row.fitting is not None
+    job = state.job
+    made = row.fitting.fit(machine, job)
+    if isinstance(made, pem.Fit) and not made.refused:
+        windows.append(FittedWindow(job.record, made.mean[NOISE].copy()))
+    row.fitting.adopt(state, machine, made, t_ns)

@@ -333,7 +333,7 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
     places = search.active[of_motion]
     found, size, moved = replace(at), math.inf, 0.0
     for k in range(STEERING_STEPS):
-        found.jacobian = _steering_jacobian(search, found)
+        found.jacobian = steering_jacobian(search, found)
         gradient, information = gradient_and_information(search, found, scores_at(search, found))
         newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
         share = 1.0 if k < STEERING_STEPS // 2 else 0.5
@@ -351,7 +351,7 @@ def _by_steering(search: Search, at: Iterate) -> Iterate:
             break
     if not (math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST):
         found = at  # nothing better than the likelihood's maximum is known
-    found.jacobian = _steering_jacobian(search, found)
+    found.jacobian = steering_jacobian(search, found)
     return found
 
 
@@ -383,7 +383,7 @@ def _error_jacobian(search: Search, point: Array, exact: bool = False) -> ErrorJ
     return ErrorJacobian(de, dS, point, exact)
 
 
-def _steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
+def steering_jacobian(search: Search, at: Iterate) -> ErrorJacobian:
     """The derivatives of e as far as the known wheel angles explain them; those of S are zero.
 
     The derivatives of the open-loop response (without measurements) are taken as changes of the readings,
@@ -455,19 +455,28 @@ def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
     It is the sandwich estimator of quasi maximum likelihood, with the Newey-West estimate of the scores'
     covariance in the middle. It never narrows: a short record may look better than white by chance.
     """
+    return widened(covariance, scores_covariance(search, scores) + search.prior_information)
+
+
+def scores_covariance(search: Search, scores: Array) -> Array:
+    """Covariance of a record's summed scores, (a, a), with their correlation over time. scores: (a, m)."""
     bins = (search.record.rows[:, TICK] * DT / BIN_S).astype(np.int64)
     sums = np.zeros((len(scores), int(bins[-1]) + 1))
     for row, into in zip(scores, sums, strict=True):
         into += np.bincount(bins, row, minlength=len(into))
     sums = np.asarray(sums - sums.mean(axis=1, keepdims=True), np.float64)
-    scores_covariance: Array = sums @ sums.T
+    found: Array = sums @ sums.T
     for lag in range(1, LAGS + 1):
         later = sums[:, lag:] @ sums[:, :-lag].T
-        scores_covariance = scores_covariance + (1.0 - lag / (LAGS + 1)) * (later + later.T)
-    robust = covariance @ (scores_covariance + search.prior_information) @ covariance
+        found = found + (1.0 - lag / (LAGS + 1)) * (later + later.T)
+    return found
+
+
+def widened(covariance: Array, scores: Array) -> Array:
+    """A covariance, (a, a), no narrower in any unknown than the covariance of the scores lets it be."""
+    robust = covariance @ scores @ covariance
     factors = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
-    widened: Array = covariance * np.outer(factors, factors)
-    return widened
+    return np.asarray(covariance * np.outer(factors, factors), np.float64)
 
 
 def _step(

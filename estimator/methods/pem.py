@@ -203,18 +203,25 @@ def _posterior(
     A stiffness is as uncertain as the mass that it is learned over, and errs with it.
     """
     known = covariance.copy()
-    variances = np.diag(covariance)[list(unknowns.MASSES)]
     for mass in unknowns.MASSES:
         if known[mass, mass] > 0.0:
             known -= np.outer(known[:, mass], known[mass]) / known[mass, mass]
         known[mass, :] = known[:, mass] = 0.0
     found = likelihood.maximise_posterior(record, setup, mean, known, reference)
-    whole = found.covariance.copy()
-    for mass, stiffnesses, variance in zip(unknowns.MASSES, OF_MASSES, variances, strict=True):
+    return replace(found, covariance=found.covariance + of_masses(covariance))
+
+
+def of_masses(covariance: Array) -> Array:
+    """What the uncertainty of the masses adds to a covariance, (n, n), in which they were taken as known.
+
+    covariance: (n, n), of which the variances of the masses are used.
+    """
+    added = np.zeros_like(covariance)
+    for mass, stiffnesses in zip(unknowns.MASSES, OF_MASSES, strict=True):
         effect = np.zeros(len(NAMES))
         effect[[mass, *stiffnesses]] = 1.0
-        whole += variance * np.outer(effect, effect)
-    return replace(found, covariance=whole)
+        added += covariance[mass, mass] * np.outer(effect, effect)
+    return added
 
 
 def _contradiction(change: Array, before: Array, after: Array) -> float:

@@ -1,0 +1,92 @@
+"""What a window of driving says of the unknowns near a common point: the terms that add up over windows.
+
+The equations are those with which pem ends a fit: innovations must not be correlated with what the known
+wheel angles explain (likelihood.steering_jacobian). Noise levels stay as each window's own fit has them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.analysis.fit.segment_fit import FittedWindow
+from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.likelihood import ErrorJacobian, Iterate, Search
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.unknowns import NOISE, SIX
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+MOST_STEPS: Final = 6  # of Newton to the common point
+SETTLED: Final = 0.1  # of a sd of the six: a step this small ends it
+LONGEST: Final = 0.5  # prior sds, of one step
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Of one window, over the a unknowns of `places`, at a point; without the prior."""
+
+    gradient: Array  # (a,), of the cost
+    information: Array  # (a, a)
+    scores: Array  # (a, a), covariance of the gradient with its correlation over time
+    whiteness: float
+    model_sd: Array  # (6,)
+
+
+def places(machine: Machine) -> NDArray[np.int64]:
+    """The unknowns that windows have in common: (a,), indices of unknowns.NAMES. Masses are considered, as in
+    pem, and noise levels each window's own."""
+    free = unknowns.prior(machine)[1] > 0.0
+    free[NOISE] = False
+    free[list(unknowns.MASSES)] = False
+    return np.flatnonzero(free)
+
+
+def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
+    """point: [n] of unknowns.NAMES; its noise levels are not used."""
+    mean, sd = unknowns.prior(machine)
+    shared = places(machine)
+    free = np.zeros(len(sd))
+    free[shared] = sd[shared] ** 2
+    here = point.copy()
+    here[NOISE] = window.noise
+    search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
+    made = likelihood.innovations(
+        search.record, search.setup, search.start, here, search.active, used=search.used
+    )
+    _leave_out_outliers(search, made.e, made.S)
+    jacobian = ErrorJacobian(made.de.T.copy(), np.zeros_like(made.de.T), here, False)
+    at = Iterate(here, made.e, made.S, jacobian, 0.0)
+    at.jacobian = likelihood.steering_jacobian(search, at)
+    scores = likelihood.scores_at(search, at)
+    gradient, information = likelihood.gradient_and_information(search, at, scores)
+    away = (here - mean)[shared]
+    return Terms(
+        gradient - search.prior_information @ away,
+        information - search.prior_information,
+        likelihood.scores_covariance(search, scores),
+        likelihood.whiteness(search.record.rows, search.scored, made.e, made.S),
+        likelihood.model_sd_of(window.record, here),
+    )
+
+
+def _leave_out_outliers(search: Search, e: Array, S: Array) -> None:
+    search.used = np.where(np.abs(e) > likelihood.OUTLIER * np.sqrt(S), 0.0, search.used)
+
+
+def newton(machine: Machine, terms: Sequence[Terms], point: Array) -> tuple[Array, float]:
+    """(next point [n], largest step of the six in sds): a step of Newton; the prior counts once."""
+    mean, sd = unknowns.prior(machine)
+    shared = places(machine)
+    prior = np.diag(sd[shared] ** -2.0)
+    information = prior + sum(one.information for one in terms)
+    gradient = prior @ (point - mean)[shared] + sum(one.gradient for one in terms)
+    step = np.asarray(np.linalg.solve(information, -gradient), np.float64)
+    step /= max(1.0, float(np.max(np.abs(step) / (LONGEST * sd[shared]))))
+    sds = np.sqrt(np.diag(np.linalg.inv(information)))
+    moved = point.copy()
+    moved[shared] += step
+    return moved, float(np.max(np.abs(step / sds)[SIX]))
