@@ -1,0 +1,94 @@
+"""`tilth compare`: two logs, days, machine files or versions; what differs beyond chance."""
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from tilth.analysis.fit.compare import FitComparison, NotComparable, as_json, compare
+from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.fit.result import as_json as fitted_json
+from tilth.analysis.runs.run import open_runs
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser("compare", help="what differs beyond chance between two logs or fits")
+    for name in ("first", "second"):
+        parser.add_argument(
+            name, type=Path, metavar=f"LOG|{name.upper()}.json", help="a log, or what `tilth fit --json` gave"
+        )
+    parser.add_argument(
+        "--machine",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="M.toml",
+        help="instead of the one in the logs; twice: one for each",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where something differs beyond chance."""
+    if len(args.machine) > 2:
+        raise WrongUse("--machine: give it once for both, or twice")
+    machines = (args.machine * 2)[:2] if len(args.machine) == 1 else args.machine or [None, None]
+    try:
+        first, second = (
+            _answer(path, machine) for path, machine in zip((args.first, args.second), machines, strict=True)
+        )
+        found = compare(first, second)
+    except (CannotFit, NotComparable) as error:
+        raise WrongUse(str(error)) from None
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except OSError as error:
+        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
+        return 1
+    if args.json:
+        print(json.dumps(as_json(found)))
+    else:
+        _show(found)
+    return int(found.differ)
+
+
+def _answer(path: Path, machine: Path | None) -> dict[str, Any]:
+    """What `tilth fit --json` gives of a log, or gave. Raises WrongUse, LogError, CannotFit, OSError."""
+    if path.suffix == ".json":
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            found = None
+        if not isinstance(found, dict) or "joint" not in found:
+            raise WrongUse(f"{path}: not what `tilth fit --json` writes")
+        return found
+    runs = open_runs(path, machine=read_machine(machine) if machine else None, say=_say)
+    return fitted_json(fit_all(choose(runs)))
+
+
+def _show(found: FitComparison) -> None:
+    console = Console()
+    table = RichTable()
+    for heading in ("", "first", "second", "change", "beyond chance"):
+        table.add_column(heading)
+    for one in (*found.parameters, *(row for row in found.nuisances if row.beyond_chance)):
+        change = f"× {math.exp(one.change):.2f}" if one in found.parameters else f"{one.change:+.3g}"
+        told = "yes" if one.beyond_chance else "no"
+        table.add_row(one.name, f"{one.first:.4g}", f"{one.second:.4g}", change, told)
+    console.print(table)
+    if found.missing:
+        console.print(f"Not given by both: {', '.join(found.missing)}")
+    console.print(found.sentence)
+
+
+def _say(text: str) -> None:
+    print(f"tilth compare: {text}", file=sys.stderr)
