@@ -16,7 +16,7 @@ ROOMS = {
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),
-    "analysis": ("", "response", "dissertation"),
+    "analysis": ("", "response", "validation", "dissertation"),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {
