@@ -53,7 +53,7 @@ REJECTED: Final = 0.01  # p-value below which residuals are said to follow the i
 
 
 _SHORT: Final = (
-    "No set of parameters fits this drive, and it is short: its bands hold the truth in 85 to 95 %."
+    "No set of parameters fits this drive, and it is short: its bands hold the truth in 88 to 95 %."
 )
 
 
