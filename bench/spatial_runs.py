@@ -13,10 +13,11 @@ from typing import Any, Final
 import numpy as np
 import spatial_logs
 from estimation_study import fitted, fitted_at_once, numbers, windows
-from held_out import Way, distances, fitted_rig
+from held_out import Way, distances
 from numpy.typing import NDArray
 from spatial_logs import DROP, ROW, LogRow, Run
 
+from tilth.analysis.fit.rig import fitted_rig
 from tilth.estimator import fold
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import steady_state

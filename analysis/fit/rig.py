@@ -1,0 +1,26 @@
+"""A rig with the parameters that a fit found."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.models.parameters import GEOMETRY, Rig, rig_of
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+
+def fitted_rig(machine: Machine, mean: Array) -> Rig:
+    """The rig of a machine file with what a fit found, (n,) of unknowns.NAMES."""
+    shape = dict(
+        zip(GEOMETRY, unknowns.geometry(unknowns.base_geometry(machine), mean).tolist(), strict=True)
+    )
+    theta = dict(zip(PARAMETERS, np.exp(mean[SIX]).tolist(), strict=True))
+    grip = 1.0 / max(float(mean[AT["curvature"]]), 1e-3)
+    return rig_of(machine)._replace(
+        **shape, **theta,
+        **dict.fromkeys(("grip_f", "grip_r", "grip_i"), grip),
+        **dict.fromkeys(("roll_f", "roll_r", "roll_i"), float(mean[AT["rolling"]])),
+    )  # fmt: skip
