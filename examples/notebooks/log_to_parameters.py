@@ -1,0 +1,63 @@
+# %% [markdown]
+# # From a log to the parameters
+#
+# A drive with two steps is simulated, as a recorder would have logged it. Put a log of your own in its place.
+# Cells begin with `# %%`: editors that know the percent format run them one by one.
+
+# %%
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import tilth.analysis
+from tilth.analysis.fit.fitting import choose, fit_all
+from tilth.analysis.fit.result import as_json
+from tilth.analysis.runs import segments
+from tilth.analysis.validation.validate import hold_out
+from tilth.cli import main
+
+folder = Path(tempfile.mkdtemp(prefix="tilth-notebook-"))
+scenario = folder / "two_steps.toml"
+steering = "[[6.0, 0.0], [16.0, 7.0], [6.0, 0.0], [16.0, -7.0], [8.0, 0.0]]"  # s, degrees of the wheels
+scenario.write_text(f"seconds = 52.0\nspeed = 4.5\nsteering = {steering}\n")
+log = folder / "two_steps.mcap"
+main(["simulate", str(scenario), "--seed", "3", "--out", str(log)])
+
+# %% [markdown]
+# ## What was driven
+
+# %%
+(run,) = tilth.analysis.open(log)
+print(f"{run.duration_s:.0f} s, machine {run.machine.name}")
+for segment in segments.find(run.poses):
+    told = ", ".join(segments.tells(segment, run.poses, run.machine))
+    print(f"{segment.kind:8} {segment.start_s:5.1f} to {segment.end_s:5.1f} s; at best: {told or 'nothing'}")
+
+# %% [markdown]
+# ## The six parameters, of each step and of both
+
+# %%
+fitted = fit_all(choose([run]))
+answer = as_json(fitted)
+for name, row in answer["joint"]["parameters"].items():
+    each = [one["parameters"][name]["value"] for one in answer["runs"]]
+    said = f"{row['value']:10.4g} ± {1.96 * row['sd']:.2g} (95 %)" if row["value"] else row["reason"]
+    print(f"{name:8} {said}   each: {', '.join('-' if v is None else f'{v:.4g}' for v in each)}")
+print(answer["agreement"]["sentence"])
+
+# %% [markdown]
+# ## Do they predict what was not fitted?
+#
+# Root mean square distance over 30 s, in metres; a star marks runs that were not fitted.
+
+# %%
+ids = [wanted.id for wanted in fitted.wanted]
+for subset in hold_out(fitted):
+    by = "+".join(str(ids.index(id) + 1) for id in subset.fitted) or "machine file"
+    cells = [f"{cell.tractor_m:5.2f}{'*' if cell.held_out else ' '}" for cell in subset.cells]
+    print(f"{by:14} {'  '.join(cells)}")
+
+# %%
+first = np.degrees(np.nanmax(run.poses.between(0.0, 25.0)["tractor_yaw_rate_radps"]))
+print(f"largest yaw rate of the first step: {first:.1f} deg/s")
