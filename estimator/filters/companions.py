@@ -87,13 +87,15 @@ def deviate(run: Filters, work: UpdateWork) -> None:
     """Add to the deviations what an update has moved the companions by more than the run."""
     for i in range(N_STATES):
         for c in range(1, run.errors.shape[0]):
-            run.deviation[i, c] += work.gain[c, i] * run.errors[c] - work.moved[i, 0]
+            run.deviation[i, c] += work.gain[c, i] * run.errors[c] - work.moved[i]
 
 
 @inner_kernel
 def advance(run: Filters, step: Transition) -> None:
     """Propagate the deviations over a tick."""
     deviation, following = run.deviation, run.following
+    if deviation.shape[1] == 1:
+        return  # the run deviates by nothing
     multiply(step.F, deviation, following)
     for i in range(N_STATES):
         for c in range(deviation.shape[1]):

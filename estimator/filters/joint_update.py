@@ -6,8 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel, kernel
-from tilth.estimator.filters.states import N_STATES, Places
-from tilth.estimator.filters.transition import D_POSITION, N_DRIVEN, POSITION_LATER, Transition, multiply
+from tilth.estimator.filters.states import (
+    N_STATES,
+    X_PAIR,
+    X_POSITION,
+    X_PUSH,
+    X_SLOPE,
+    X_SLOPE_RATE,
+    Places,
+)
+from tilth.estimator.filters.transition import D_POSITION, N_DRIVEN, POSITION_LATER, Transition
 
 Array = NDArray[np.float64]
 
@@ -29,16 +37,14 @@ class UpdateWork(NamedTuple):
 
     P_H: Array  # (c, 27 + a)
     gain: Array  # (c, 27 + a)
-    moved: Array  # (27, 1), how far the first filter's state has moved
-    moved_after: Array  # (27, 1), and one tick later
+    moved: Array  # (27 + a,), how far the first filter's joint state has moved
+    driven: Array  # (14,), and its driven states one tick later
 
 
 @kernel
 def empty_work(count: int, n: int) -> UpdateWork:
     """Work arrays for `count` filters of n states and unknowns."""
-    return UpdateWork(
-        np.zeros((count, n)), np.zeros((count, n)), np.zeros((N_STATES, 1)), np.zeros((N_STATES, 1))
-    )
+    return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_DRIVEN))
 
 
 @inner_kernel
@@ -108,18 +114,22 @@ def update(
 @inner_kernel
 def move(error: float, state: JointState, step: Transition, work: UpdateWork) -> None:
     """Move the state, the one after it and the unknowns by the first filter's gain times its innovation."""
-    gain, moved, moved_after = work.gain[0], work.moved[:, 0], work.moved_after[:, 0]
-    for i in range(N_STATES):
-        moved[i] = gain[i] * error
-        state.x[i] += moved[i]
-    multiply(step.F, work.moved, work.moved_after)
-    na = state.places.shape[0]
-    for j in range(na):
-        state.unknowns[state.places[j]] += gain[N_STATES + j] * error
-    if na > 0:
+    moved, driven, x, following, F = work.moved, work.driven, state.x, state.following, step.F
+    for i in range(moved.shape[0]):
+        moved[i] = work.gain[0, i] * error
+    for j in range(state.places.shape[0]):
+        state.unknowns[state.places[j]] += moved[N_STATES + j]
+    driven[:] = 0.0
+    for i in range(moved.shape[0]):
         for k in range(N_DRIVEN):
-            i = k if k < D_POSITION else k + POSITION_LATER
-            for j in range(na):
-                moved_after[i] += step.F_unknowns[k, j] * gain[N_STATES + j] * error
+            driven[k] += step.F_driven_T[i, k] * moved[i]
     for i in range(N_STATES):
-        state.following[i] += moved_after[i]
+        x[i] += moved[i]
+        if X_PUSH <= i < X_POSITION or i >= X_PAIR:
+            following[i] += F[i, i] * moved[i]
+    for slope in range(X_SLOPE, X_SLOPE + 2):
+        rate = slope + X_SLOPE_RATE - X_SLOPE
+        following[slope] += F[slope, rate] * moved[rate]
+        following[rate] += F[rate, slope] * moved[slope]
+    for k in range(N_DRIVEN):
+        following[k if k < D_POSITION else k + POSITION_LATER] += driven[k]

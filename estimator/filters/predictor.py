@@ -116,6 +116,8 @@ def carry_update(gain: Array, carried: Carried) -> None:
 def carry(carried: Carried, step: Transition) -> None:
     """Propagate the derivatives over a tick."""
     D, following, d = carried
+    if d.shape[0] == 0:
+        return
     multiply(step.F, D, following)
     for k in range(N_DRIVEN):
         i = k if k < D_POSITION else k + POSITION_LATER
