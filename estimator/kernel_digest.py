@@ -11,7 +11,7 @@ import builtins
 import dis
 import hashlib
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
 from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
 from typing import Any, Final, NamedTuple
@@ -55,6 +55,16 @@ class KernelFunction:
         self.function = function
 
 
+def mark_inner(function: Callable[..., Any]) -> None:
+    """Remember that a function is an inner kernel: compiled.inner_kernel."""
+    function.__dict__["is_inner"] = True
+
+
+def is_inner(function: FunctionType) -> bool:
+    """Whether it is an inner kernel."""
+    return bool(function.__dict__.get("is_inner", False))
+
+
 def called(function: FunctionType) -> dict[str, FunctionType]:
     """The functions of LAYERS that a function calls by their bare names."""
     found = {}
@@ -75,7 +85,8 @@ def readings(function: FunctionType) -> dict[FunctionType, Reading]:
     while queue:
         item = queue.pop()
         if item not in found:
-            found[item] = Reading(_function_text(item), tuple(called(item).values()))
+            text = f"{'inner ' if is_inner(item) else ''}{_function_text(item)}"
+            found[item] = Reading(text, tuple(called(item).values()))
             queue += found[item].calls
     return found
 

@@ -3,91 +3,100 @@
 What noise levels do to the prediction errors, by way of the gains, has no closed form. A companion has the
 covariance of another noise level and shares all Jacobians with the run. Its state is kept as the deviation
 from the run's, which moves by these Jacobians: it needs no motion model of its own. So the memory of the
-pushes, which changes the Jacobians, is no noise level here.
+pushes, which changes the Jacobians, is no noise level here. The run itself is the first of the filters, and
+deviates by nothing.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.joint_update import JointState, UpdateWork, update
-from tilth.estimator.filters.measurement_model import Observation, noise_factor
+from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.filters.joint_update import UpdateWork
+from tilth.estimator.filters.measurement_model import noise_factor
 from tilth.estimator.filters.propagation import (
-    GroundNoise,
-    Transition,
     first_covariance,
     ground_at,
+    set_noise,
     set_processes,
-    set_wheel_noise,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, Places, Point
+from tilth.estimator.filters.states import N_STATES
+from tilth.estimator.filters.transition import Transition, multiply
 
 Array = NDArray[np.float64]
 
-UNLIMITED: Final = 1e30  # sds: no innovation is an outlier here
 
+class Filters(NamedTuple):
+    """The run's filter and its companions, c in all."""
 
-class Companion(NamedTuple):
-    """The filter with other noise levels."""
-
-    ground: GroundNoise
-    step: Transition  # Jacobians are those of the run, process noise is its own
-    state: JointState  # x and following are deviations from those of the run
-
-
-@kernel
-def companion(unknowns: Array, u: float, setup: RigSetup, nothing: Places, run: Transition) -> Companion:
-    """At the first tick of a run. unknowns: (n,), of which noise levels differ from the run's. u: m/s."""
-    ground, zeros, square = ground_at(unknowns), np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
-    step = Transition(
-        run.rates_x, run.rates_wheel, run.rates_unknowns, run.rates, run.held, run.wheel,
-        np.ones(N_STATES), np.zeros(N_STATES), np.zeros((2, 3)),
-        run.F, run.F_unknowns, run.F_T, square.copy(), square.copy(), run.square,
-        run.change,
-    )  # fmt: skip
-    P = first_covariance(u, ground, setup)
-    return Companion(ground, step, JointState(zeros.copy(), zeros.copy(), unknowns, nothing, zeros, P))
+    points: Array  # (c, n), of the unknowns
+    deviation: Array  # (27, c), of the state from the run's
+    following: Array  # (27, c), one tick later, overwritten
+    errors: Array  # (c,), innovations
+    variances: Array  # (c,), theirs
 
 
 @kernel
-def set_noise(near: Companion, u: float, point: Point, setup: RigSetup) -> None:
-    """Renew its process noise, at speed u, m/s."""
-    set_processes(u, near.ground, setup, near.step)
-    set_wheel_noise(u, point.theta[3], setup.sds, near.step)
+def filters(point: Array, nearby: Array) -> Filters:
+    """At the first tick of a run at a point, (n,), with companions at the points nearby, (c - 1, n)."""
+    count = 1 + nearby.shape[0]
+    points = np.empty((count, point.shape[0]))
+    points[0], points[1:] = point, nearby
+    zeros = np.zeros((N_STATES, count))
+    return Filters(points, zeros, zeros.copy(), np.zeros(count), np.zeros(count))
 
 
 @kernel
-def advance(near: Companion) -> None:
-    """Propagate the deviation over a tick."""
-    np.dot(near.step.F, near.state.x, near.state.following)
+def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
+    """Covariances of the first state at speed u, m/s, shape (c, 27, 27)."""
+    count = run.points.shape[0]
+    P = np.zeros((count, N_STATES, N_STATES))
+    for c in range(count):
+        P[c] = first_covariance(u, ground_at(run.points[c]), setup)
+    return P
 
 
 @kernel
-def take(
-    near: Companion,
-    error: float,
-    sd: float,
-    obs: Observation,
-    h: Array,
-    H: Array,
-    moved: Array,
-    work: UpdateWork,
-) -> tuple[float, float]:
-    """Update with one measurement; (innovation, its variance).
+def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> None:
+    """Renew the processes and their noise, at speed u, m/s."""
+    set_processes(u, ground_at(run.points[0]), setup, step)
+    for c in range(1, run.points.shape[0]):
+        set_noise(u, ground_at(run.points[c]), setup, step, c)
 
-    error: the run's innovation. sd: stated one of the measurement. h, H: (27,), its Jacobians at its instant
-    and at the tick. moved: (2, 27), what the run's state and its following one have moved by.
+
+@inner_kernel
+def set_innovations(error: float, sd: float, kind: int, H: Array, run: Filters) -> None:
+    """Fill errors, and variances with those of the measurement's noise.
+
+    error: the run's innovation. sd: stated one of the measurement. H: (27,), its Jacobian at the tick.
     """
-    x, following = near.state.x, near.state.following
+    errors = run.errors
+    errors[:] = error
     for i in range(N_STATES):
-        if h[i] != 0.0:
-            error -= h[i] * (x[i] + obs.share * (following[i] - x[i]))
-    variance = (sd * noise_factor(obs.kind, near.state.unknowns)) ** 2
-    S = float(update(error, variance, H, near.state, near.step.F_T, UNLIMITED, work))
+        if H[i] != 0.0:
+            for c in range(errors.shape[0]):
+                errors[c] -= H[i] * run.deviation[i, c]
+    for c in range(errors.shape[0]):
+        run.variances[c] = (sd * noise_factor(kind, run.points[c])) ** 2
+
+
+@inner_kernel
+def deviate(run: Filters, work: UpdateWork) -> None:
+    """Add to the deviations what an update has moved the companions by more than the run."""
     for i in range(N_STATES):
-        x[i] -= moved[0, i]
-        following[i] -= moved[1, i]
-    return error, S
+        for c in range(1, run.errors.shape[0]):
+            run.deviation[i, c] += work.gain[c, i] * run.errors[c] - work.moved[i]
+
+
+@inner_kernel
+def advance(run: Filters, step: Transition) -> None:
+    """Propagate the deviations over a tick."""
+    deviation, following = run.deviation, run.following
+    if deviation.shape[1] == 1:
+        return  # the run deviates by nothing
+    multiply(step.F, deviation, following)
+    for i in range(N_STATES):
+        for c in range(deviation.shape[1]):
+            deviation[i, c] = following[i, c]

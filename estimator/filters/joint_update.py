@@ -5,84 +5,131 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.propagation import Transition
-from tilth.estimator.filters.states import N_STATES, Places
+from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.filters.states import (
+    N_STATES,
+    X_PAIR,
+    X_POSITION,
+    X_PUSH,
+    X_SLOPE,
+    X_SLOPE_RATE,
+    Places,
+)
+from tilth.estimator.filters.transition import D_POSITION, N_DRIVEN, POSITION_LATER, Transition
 
 Array = NDArray[np.float64]
 
 
 class JointState(NamedTuple):
-    """The joint state during a run."""
+    """The joint state during a run. Beside it there may be companions of the filter (companions.py): `c`
+    filters in all, of which the first is the run's."""
 
     x: Array  # (27,)
     following: Array  # (27,), x one tick later
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     places: Places  # (a,), of the active ones among them
     considered: Array  # (27 + a,), 1.0 for what may not be learned
-    P: Array  # (27 + a, 27 + a)
+    P: Array  # (c, 27 + a, 27 + a)
 
 
 class UpdateWork(NamedTuple):
     """Work arrays of an update."""
 
-    P_H: Array  # (27 + a,)
-    gain: Array  # (27 + a,)
-    gain_after: Array  # (27,), of the state one tick later
+    P_H: Array  # (c, 27 + a)
+    gain: Array  # (c, 27 + a)
+    moved: Array  # (27 + a,), how far the first filter's joint state has moved
+    driven: Array  # (14,), and its driven states one tick later
 
 
 @kernel
+def empty_work(count: int, n: int) -> UpdateWork:
+    """Work arrays for `count` filters of n states and unknowns."""
+    return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_DRIVEN))
+
+
+@inner_kernel
 def between(share: float, h: Array, step: Transition, H: Array) -> None:
-    """Fill H (n,), the Jacobian over the joint state at the tick, from h (n,), that at an instant a share of
-    a tick later, between which the state is linear."""
-    n = H.shape[0]
-    for j in range(n):
-        H[j] = (1.0 - share) * h[j] if j < N_STATES else h[j]
+    """Fill the first 27 of H, the Jacobian over the state at the tick, from h (27 + a,), that at an instant a
+    share of a tick later, between which the state is linear."""
+    for j in range(N_STATES):
+        H[j] = (1.0 - share) * h[j]
     for i in range(N_STATES):
         if h[i] != 0.0 and share != 0.0:
             for j in range(N_STATES):
                 H[j] += share * h[i] * step.F[i, j]
-            for j in range(N_STATES, n):
-                H[j] += share * h[i] * step.F_unknowns[i, j - N_STATES]
 
 
-@kernel
+@inner_kernel
+def unknowns_between(share: float, h: Array, step: Transition, out: Array) -> None:
+    """Fill out (a,), as `between`, over the active unknowns."""
+    na = out.shape[0]
+    for j in range(na):
+        out[j] = h[N_STATES + j]
+    for k in range(N_DRIVEN):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        if h[i] != 0.0 and share != 0.0:
+            for j in range(na):
+                out[j] += share * h[i] * step.F_unknowns[k, j]
+
+
+@inner_kernel
 def update(
-    error: float, variance: float, H: Array, state: JointState, F_T: Array, gate: float, work: UpdateWork
-) -> float:
+    errors: Array, variances: Array, H: Array, state: JointState, step: Transition, gate: float,
+    work: UpdateWork,
+) -> bool:  # fmt: skip
     """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
 
-    error: the innovation. variance: of the measurement's noise. H: (27 + a,), Jacobian over the joint state
-    at the tick. Returns the variance of the innovation; negative if the error is beyond
-    `gate` sds of it and nothing was updated.
+    errors: (c,), innovations. variances: (c,), of the measurement's noise; then of the innovations. H: (27 +
+    a,), Jacobian over the joint state at the tick. False if the first error is beyond `gate` sds of it and
+    nothing was updated.
     """
-    P, considered, (P_H, gain, gain_after) = state.P, state.considered, work
-    n = P.shape[0]
+    P, considered, P_H, gain = state.P, state.considered, work.P_H, work.gain
+    count, n = P.shape[0], P.shape[1]
     P_H[:] = 0.0
-    for k in range(n):
-        if H[k] != 0.0:
-            for i in range(n):
-                P_H[i] += H[k] * P[k, i]
-    for i in range(n):
-        variance += H[i] * P_H[i]
-    if error * error > gate * gate * variance:
-        return -variance
-    inverse = 1.0 / variance
-    gain_after[:] = 0.0
-    for i in range(n):
-        gain[i] = P_H[i] * inverse
-        if considered[i] == 0.0:
-            for j in range(n):
-                P[i, j] -= gain[i] * P_H[j]
-            for j in range(N_STATES):
-                gain_after[j] += gain[i] * F_T[i, j]
-        else:  # considered: its variance stays, its covariance with updated states changes
-            for j in range(n):
-                P[i, j] -= (1.0 - considered[j]) * gain[i] * P_H[j]
-            gain[i] = 0.0
-    for i in range(N_STATES):
-        state.x[i] += gain[i] * error
-        state.following[i] += gain_after[i] * error
+    for c in range(count):
+        for k in range(n):
+            if H[k] != 0.0:
+                for i in range(n):
+                    P_H[c, i] += H[k] * P[c, k, i]
+        for i in range(n):
+            variances[c] += H[i] * P_H[c, i]
+    if errors[0] * errors[0] > gate * gate * variances[0]:
+        return False
+    for c in range(count):
+        inverse = 1.0 / variances[c]
+        for i in range(n):
+            gain[c, i] = P_H[c, i] * inverse
+        for i in range(n):
+            if considered[i] == 0.0:
+                for j in range(n):
+                    P[c, i, j] -= gain[c, i] * P_H[c, j]
+            else:  # considered: its variance stays, its covariance with updated states changes
+                for j in range(n):
+                    P[c, i, j] -= (1.0 - considered[j]) * gain[c, i] * P_H[c, j]
+                gain[c, i] = 0.0
+    move(errors[0], state, step, work)
+    return True
+
+
+@inner_kernel
+def move(error: float, state: JointState, step: Transition, work: UpdateWork) -> None:
+    """Move the state, the one after it and the unknowns by the first filter's gain times its innovation."""
+    moved, driven, x, following, F = work.moved, work.driven, state.x, state.following, step.F
+    for i in range(moved.shape[0]):
+        moved[i] = work.gain[0, i] * error
     for j in range(state.places.shape[0]):
-        state.unknowns[state.places[j]] += gain[N_STATES + j] * error
-    return variance
+        state.unknowns[state.places[j]] += moved[N_STATES + j]
+    driven[:] = 0.0
+    for i in range(moved.shape[0]):
+        for k in range(N_DRIVEN):
+            driven[k] += step.F_driven_T[i, k] * moved[i]
+    for i in range(N_STATES):
+        x[i] += moved[i]
+        if X_PUSH <= i < X_POSITION or i >= X_PAIR:
+            following[i] += F[i, i] * moved[i]
+    for slope in range(X_SLOPE, X_SLOPE + 2):
+        rate = slope + X_SLOPE_RATE - X_SLOPE
+        following[slope] += F[slope, rate] * moved[rate]
+        following[rate] += F[rate, slope] * moved[slope]
+    for k in range(N_DRIVEN):
+        following[k if k < D_POSITION else k + POSITION_LATER] += driven[k]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
+from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
@@ -63,7 +63,7 @@ class Observation(NamedTuple):
     psi_ref: float  # rad, heading of the body in `ticks` at the instant
 
 
-@kernel
+@inner_kernel
 def body_of(kind: int, place: int) -> int:
     """0 for the tractor, 1 for the implement."""
     if kind in (YAW_RATE, HEADING):
@@ -71,7 +71,7 @@ def body_of(kind: int, place: int) -> int:
     return 0 if place < 2 else 1
 
 
-@kernel
+@inner_kernel
 def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
     """The observation of a row of the record, at or after tick k and before the next. u: m/s."""
     following = min(k + 1, ticks.shape[0] - 1)
@@ -81,7 +81,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
     return Observation(kind, place, share, u, psi_ref)
 
 
-@kernel
+@inner_kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
     """Predicted measurement at state x, (27,); fills h, (27,) or longer, with its Jacobian."""
     h[:] = 0.0
@@ -104,19 +104,19 @@ def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetu
     return predict_position(x, obs, body, point, setup, h)
 
 
-@kernel
+@inner_kernel
 def drawbar_height(point: Point, setup: RigSetup) -> float:
     """Of the hitch above the ground, m."""
     return setup.rig.h_h + (point.unknowns[AT_HITCH] if setup.scale == 1.0 else 0.0)
 
 
-@kernel
+@inner_kernel
 def lever_ahead(obs: Observation, body: int, point: Point, setup: RigSetup) -> float:
     """How far a receiver is ahead of its body's CG, m."""
     return float(setup.levers[obs.place, 0] + point.unknowns[AT_LEVER + body] - point.unknowns[AT_CG + body])
 
 
-@kernel
+@inner_kernel
 def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
     """Of a receiver, to the right of psi_ref, m/s; fills h."""
     u, c, d, height = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3], setup.heights[obs.place]
@@ -138,7 +138,7 @@ def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup:
     return float(value)
 
 
-@kernel
+@inner_kernel
 def axis(kind: int, psi: float) -> tuple[float, float]:
     """(north or east) of a metre forward and of a metre to the right at heading psi, rad."""
     if kind == NORTH:
@@ -146,7 +146,7 @@ def axis(kind: int, psi: float) -> tuple[float, float]:
     return math.sin(psi), math.cos(psi)
 
 
-@kernel
+@inner_kernel
 def predict_position(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
     """North or east position of a receiver, m; fills h."""
     c, d, height = point.geometry[2], point.geometry[3], setup.heights[obs.place]
@@ -175,7 +175,7 @@ def predict_position(x: Array, obs: Observation, body: int, point: Point, setup:
     return float(value)
 
 
-@kernel
+@inner_kernel
 def drawbar_slope(x: Array, obs: Observation) -> float:
     """Derivative of a measurement of the implement by the height of the drawbar."""
     if obs.kind == VELOCITY:
@@ -189,7 +189,7 @@ def drawbar_slope(x: Array, obs: Observation) -> float:
     return float(right_t * roll_t - right_i * roll_i)
 
 
-@kernel
+@inner_kernel
 def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, float]:
     """Derivatives of a receiver's measurement, per metre: by its position forward, by the distance of the
     hitch behind the tractor's CG, by its position to the right."""
@@ -202,7 +202,7 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
     return sine, 0.0 if body == 0 else -math.sin(x[X_PSI]), cosine
 
 
-@kernel
+@inner_kernel
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
@@ -239,7 +239,7 @@ def predict_joint_measurement(
     return value
 
 
-@kernel
+@inner_kernel
 def noise_factor(kind: int, unknowns: Array) -> float:
     """Factor on the stated sd of a measurement. unknowns: (n,)."""
     if kind == YAW_RATE:

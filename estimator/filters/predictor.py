@@ -8,46 +8,58 @@ unknowns, with the gains held, are propagated beside the state by the same Jacob
 with other noise levels (companions.py).
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
+from tilth.estimator.compiled import inner_kernel, kernel
 from tilth.estimator.filters.companions import (
-    UNLIMITED,
+    Filters,
     advance,
-    companion,
-    set_noise,
-    take,
+    deviate,
+    filters,
+    first_covariances,
+    set_all_noise,
+    set_innovations,
 )
-from tilth.estimator.filters.joint_update import JointState, UpdateWork, between, update
-from tilth.estimator.filters.measurement_model import (
-    noise_factor,
-    observation,
-    predict_joint_measurement,
+from tilth.estimator.filters.joint_update import (
+    JointState,
+    UpdateWork,
+    between,
+    empty_work,
+    unknowns_between,
+    update,
 )
+from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
+    Plant,
     drive_at,
     empty_plant,
-    empty_transition,
-    first_covariance,
-    ground_at,
     linearise,
     propagate,
-    propagate_covariance,
     set_geometry_slopes,
     set_plant,
-    set_processes,
     set_wheel_noise,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, Places, Point
+from tilth.estimator.filters.transition import (
+    D_POSITION,
+    N_DRIVEN,
+    POSITION_LATER,
+    Transition,
+    empty_transition,
+    multiply,
+    propagate_covariance,
+)
 from tilth.estimator.record.record import SD, TICK, U
 
 Array = NDArray[np.float64]
+
+UNLIMITED: Final = 1e30  # sds: no innovation is an outlier here
 
 
 class Measured(NamedTuple):
@@ -71,33 +83,157 @@ class Innovations(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """Derivatives of the state over the active unknowns, (27, a), with the gains held."""
+    """Derivatives over the active unknowns, with the gains held."""
 
-    D: Array  # at the tick
-    following: Array  # one tick later
+    D: Array  # (27, a), of the state
+    following: Array  # (27, a), one tick later, overwritten
+    d: Array  # (a,), of the present innovation
 
 
-@kernel
-def row_slopes(h: Array, share: float, carried: Carried, own: Array, sign: float, d: Array) -> None:
-    """Fill d (a,), derivatives of an innovation. h: (27 + a,), of its prediction; own: (a,), of what else
-    changes with the unknowns, times sign; share: of the tick."""
+@inner_kernel
+def row_slopes(H: Array, own: Array, sign: float, carried: Carried) -> None:
+    """Fill the derivatives of an innovation. H: (27,), its prediction's Jacobian at the tick; own: (a,), of
+    what else changes with the unknowns, times sign."""
+    D, _, d = carried
     for j in range(d.shape[0]):
         d[j] = sign * own[j]
     for i in range(N_STATES):
-        if h[i] != 0.0:
+        if H[i] != 0.0:
             for j in range(d.shape[0]):
-                now = carried.D[i, j]
-                d[j] -= h[i] * (now + share * (carried.following[i, j] - now))
+                d[j] -= H[i] * D[i, j]
+
+
+@inner_kernel
+def carry_update(gain: Array, carried: Carried) -> None:
+    """Add a measurement's part to the derivatives. gain: (27,)."""
+    D, _, d = carried
+    for i in range(N_STATES):
+        for j in range(d.shape[0]):
+            D[i, j] += gain[i] * d[j]
+
+
+@inner_kernel
+def carry(carried: Carried, step: Transition) -> None:
+    """Propagate the derivatives over a tick."""
+    D, following, d = carried
+    if d.shape[0] == 0:
+        return
+    multiply(step.F, D, following)
+    for k in range(N_DRIVEN):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        for j in range(d.shape[0]):
+            following[i, j] += step.F_unknowns[k, j]
+    for i in range(N_STATES):
+        for j in range(d.shape[0]):
+            D[i, j] = following[i, j]
+
+
+class Runner(NamedTuple):
+    """What a filter run works with."""
+
+    state: JointState
+    run: Filters
+    carried: Carried
+    plant: Plant
+    active: Active
+    step: Transition
+    work: UpdateWork
+    x_at: Array  # (27,), state at a measurement
+    h: Array  # (27 + a,), Jacobian of a measurement over it and the active unknowns
+    H: Array  # (27,), the same over the state at the tick
+    H_unknowns: Array  # (a,), and over the active unknowns
 
 
 @kernel
-def carry_update(work: UpdateWork, error: float, d: Array, carried: Carried, moved: Array) -> None:
-    """Add a measurement's part to the derivatives; fill moved (2, 27), the changes of the state."""
+def runner(u: float, x: Array, point: Point, setup: RigSetup, places: Places, nearby: Array) -> Runner:
+    """At the first tick of a run, at speed u, m/s. The other arguments are those of `run_filter`."""
+    na, count = places.shape[0], 1 + nearby.shape[0]
+    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0, count)
+    plant, run = empty_plant(setup, na), filters(point.unknowns, nearby)
+    set_geometry_slopes(point, active)
+    set_plant(plant, point, setup, active)
+    P = first_covariances(u, run, setup)
+    state = JointState(x, np.zeros(N_STATES), point.unknowns, places[:0], np.zeros(N_STATES), P)
+    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_STATES, na)), np.zeros(na))
+    return Runner(
+        state, run, carried, plant, active, step, empty_work(count, N_STATES), np.zeros(N_STATES),
+        np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na),
+    )  # fmt: skip
+
+
+@inner_kernel
+def begin_tick(ticks: Array, k: int, point: Point, setup: RigSetup, on: Runner) -> float:
+    """Propagate the state from tick k to the next; the measured speed between them, m/s."""
+    x, step = on.state.x, on.step
+    drive = drive_at(ticks, k, point.unknowns)
+    if k % EVERY == 0:
+        set_all_noise(drive.u, on.run, setup, step)
+        set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
+        linearise(x, ticks, k, point, on.plant, on.active, step)
+    propagate(x, drive, on.plant, on.active, step, on.state.following)
+    return drive.u
+
+
+@inner_kernel
+def end_tick(closed: bool, on: Runner) -> None:
+    """Propagate all else."""
+    state, step = on.state, on.step
+    if closed:
+        for c in range(state.P.shape[0]):
+            propagate_covariance(state.P[c], step.q[c], step, state.x[X_PSI])
+        advance(on.run, step)
     for i in range(N_STATES):
-        moved[0, i], moved[1, i] = work.gain[i] * error, work.gain_after[i] * error
-        for j in range(d.shape[0]):
-            carried.D[i, j] += work.gain[i] * d[j]
-            carried.following[i, j] += work.gain_after[i] * d[j]
+        state.x[i] = state.following[i]
+    carry(on.carried, step)
+
+
+@inner_kernel
+def take_row(
+    measured: Measured, row: int, k: int, u: float, point: Point, setup: RigSetup, driven: Array,
+    on: Runner, out: Innovations,
+) -> None:  # fmt: skip
+    """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
+    x, following, x_at, carried = on.state.x, on.state.following, on.x_at, on.carried
+    obs = observation(measured.ticks, measured.rows[row], k, u)
+    for i in range(N_STATES):
+        x_at[i] = x[i] + obs.share * (following[i] - x[i])
+    error = measured.readings[row] - predict_joint_measurement(x_at, obs, point, on.active, setup, on.h)
+    between(obs.share, on.h, on.step, on.H)
+    if driven.shape[0] > 0:
+        row_slopes(on.H, driven[row], 1.0, carried)
+    else:
+        unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
+        row_slopes(on.H, on.H_unknowns, -1.0, carried)
+    out.e[row] = error
+    for j in range(carried.d.shape[0]):
+        out.de[row, j] = carried.d[j]
+    if not measured.closed:
+        return
+    errors, variances = on.run.errors, on.run.variances
+    set_innovations(error, measured.rows[row, SD], obs.kind, on.H, on.run)
+    update(errors, variances, on.H, on.state, on.step, UNLIMITED, on.work)
+    carry_update(on.work.gain[0], carried)
+    deviate(on.run, on.work)
+    out.S[row] = variances[0]
+    for q in range(errors.shape[0] - 1):
+        out.e_nearby[row, q], out.S_nearby[row, q] = errors[1 + q], variances[1 + q]
+
+
+@inner_kernel
+def run_ticks(
+    measured: Measured, point: Point, setup: RigSetup, driven: Array, on: Runner, out: Innovations
+) -> None:
+    """All ticks of a run."""
+    rows, used, row = measured.rows, measured.used, 0
+    for k in range(measured.ticks.shape[0]):
+        u = begin_tick(measured.ticks, k, point, setup, on)
+        if driven.shape[0] > 0:
+            on.step.F_unknowns[:] = 0.0
+        while row < rows.shape[0] and rows[row, TICK] <= k:
+            if used[row] != 0.0:
+                take_row(measured, row, k, u, point, setup, driven, on, out)
+            row += 1
+        end_tick(measured.closed, on)
 
 
 @kernel
@@ -111,68 +247,6 @@ def run_filter(
     driven: (m, a), changes of the readings, whose response of the innovations is then `de`; or (0, 0).
     nearby: (q, n), points that differ in noise levels, which are tried beside; or (0, n).
     """
-    ticks, rows, readings, used, closed = measured
-    na, nothing = places.shape[0], places[:0]
-    response = driven.shape[0] > 0
-    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0)
-    ground, plant = ground_at(point.unknowns), empty_plant(setup, na)
-    set_geometry_slopes(point, active)
-    set_plant(plant, point, setup, active)
-    P = first_covariance(ticks[0, U], ground, setup)
-    state = JointState(x, np.zeros(N_STATES), point.unknowns, nothing, np.zeros(N_STATES), P)
-    companions = [companion(point.unknowns, ticks[0, U], setup, nothing, step)]
-    companions.clear()  # numba has its type now
-    for q in range(nearby.shape[0]):
-        companions.append(companion(nearby[q], ticks[0, U], setup, nothing, step))
-    following, x_at = state.following, np.zeros(N_STATES)
-    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_STATES, na)))
-    h, H, d = np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na)
-    work = UpdateWork(np.zeros(N_STATES), np.zeros(N_STATES), np.zeros(N_STATES))
-    moved = np.zeros((2, N_STATES))
-    n, m, row = ticks.shape[0], rows.shape[0], 0
     out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
-    for k in range(n):
-        drive = drive_at(ticks, k, point.unknowns)
-        if k % EVERY == 0:
-            set_processes(drive.u, ground, setup, step)
-            set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-            linearise(x, ticks, k, point, plant, active, step)
-            for near in companions:
-                set_noise(near, drive.u, point, setup)
-        propagate(x, drive, plant, active, step, following)
-        for near in companions:
-            advance(near)
-        if response:
-            step.F_unknowns[:] = 0.0
-        np.dot(step.F, carried.D, carried.following)
-        carried.following[:] += step.F_unknowns
-        while row < m and rows[row, TICK] <= k:
-            if used[row] == 0.0:
-                row += 1
-                continue
-            obs = observation(ticks, rows[row], k, drive.u)
-            for i in range(N_STATES):
-                x_at[i] = x[i] + obs.share * (following[i] - x[i])
-            error = readings[row] - predict_joint_measurement(x_at, obs, point, active, setup, h)
-            if response:
-                row_slopes(h, obs.share, carried, driven[row], 1.0, d)
-            else:
-                row_slopes(h, obs.share, carried, h[N_STATES:], -1.0, d)
-            out.e[row], out.de[row, :] = error, d
-            if closed:
-                between(obs.share, h, step, H)
-                noise_variance = (rows[row, SD] * noise_factor(obs.kind, point.unknowns)) ** 2
-                out.S[row] = update(error, noise_variance, H, state, step.F_T, UNLIMITED, work)
-                carry_update(work, error, d, carried, moved)
-                for q in range(len(companions)):
-                    out.e_nearby[row, q], out.S_nearby[row, q] = take(
-                        companions[q], error, rows[row, SD], obs, h, H, moved, work
-                    )
-            row += 1
-        if closed:
-            propagate_covariance(P, step, x[X_PSI])
-            for near in companions:
-                propagate_covariance(near.state.P, near.step, x[X_PSI])
-                near.state.x[:] = near.state.following
-        x[:] = following
-        carried.D[:] = carried.following
+    on = runner(measured.ticks[0, U], x, point, setup, places, nearby)
+    run_ticks(measured, point, setup, driven, on, out)

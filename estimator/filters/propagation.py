@@ -12,11 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
+from tilth.estimator.compiled import inner_kernel, kernel
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
-    ACROSS,
-    ALONG,
     DT,
     N_STATES,
     PAIR_DECAY,
@@ -39,6 +37,12 @@ from tilth.estimator.filters.states import (
     X_V,
     Places,
     Point,
+)
+from tilth.estimator.filters.transition import (
+    Transition,
+    integrate_exponential,
+    joint_jacobian,
+    position_jacobian,
 )
 from tilth.estimator.filters.unknowns import (
     AT_CAMBER,
@@ -132,31 +136,10 @@ class GroundNoise(NamedTuple):
     uneven: float  # rad
 
 
-class Transition(NamedTuple):
-    """Transition of x over one tick, linearised, and work arrays."""
-
-    rates_x: Array  # (12, 22), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
-    rates_wheel: Array  # (12,), over the true wheel angle
-    rates_unknowns: Array  # (12, a), over the active unknowns
-    rates: Array  # (12,), the rates themselves
-    held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
-    wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
-    decay: Array  # (27,), factor on the states from X_PUSH on
-    q: Array  # (27,), variances of the process noise, without that of the position
-    slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
-    F: Array  # (27, 27), Jacobian of x one tick later over x
-    F_unknowns: Array  # (27, a), the same over the active unknowns
-    F_T: Array  # (n, 27), both, transposed, over the joint state of the covariance
-    F_P: Array  # (27, n), overwritten
-    P: Array  # (27, 27), overwritten
-    square: Array  # (3, 12, 12), overwritten
-    change: Array  # (12, 22), overwritten
-
-
 # The inputs and the rates.
 
 
-@kernel
+@inner_kernel
 def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
     """The wheel's reading `behind` seconds before tick k (linear between ticks, held at the ends)."""
     n = ticks.shape[0]
@@ -170,7 +153,7 @@ def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
     return float(ticks[low, WHEEL_ANGLE] * (1.0 - share) + ticks[low + 1, WHEEL_ANGLE] * share)
 
 
-@kernel
+@inner_kernel
 def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
     """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
     k = min(k, ticks.shape[0] - 1)
@@ -192,18 +175,20 @@ def empty_plant(setup: RigSetup, na: int) -> Plant:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
     """Fill p (36,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
     rolling resistance, and its roll modes and heights are those of the setup."""
     rig, roll, unknowns = setup.rig, setup.roll, point.unknowns
-    p[:6], p[P_GEOMETRY : P_GEOMETRY + 9] = point.theta, point.geometry
+    for i in range(9):
+        p[P_GEOMETRY + i] = point.geometry[i]
     p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
     p[P_CURVATURE] = max(unknowns[AT_CURVATURE], LEAST_CURVATURE)
     modes = (roll.k_t, roll.k_i, roll.d_t, roll.d_i, roll.j_t, roll.j_i)
     p[P_PIN], p[P_FRONT] = roll.pin, roll.k_f
     constants = (rig.w_f, rig.w_r, rig.w_i, rig.load_exponent, rig.front_drive, rig.g)
     for i in range(6):
+        p[i] = point.theta[i]
         p[P_ROLL_MODES + i] = modes[i]
         p[P_CONSTANTS + i] = constants[i]
     if setup.scale != 1.0:
@@ -218,7 +203,7 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
     p[P_ROLLING], p[P_CAMBER], p[P_SHRINK] = unknowns[AT_ROLLING], unknowns[AT_CAMBER], unknowns[AT_SHRINK]
 
 
-@kernel
+@inner_kernel
 def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> None:
     """Fill out (a, 30), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
     out[:] = 0.0
@@ -230,7 +215,8 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
         elif place == AT_CURVATURE:
             out[j, P_CURVATURE] = 1.0 if p[P_CURVATURE] > LEAST_CURVATURE else 0.0
         elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
-            out[j, P_GEOMETRY : P_GEOMETRY + 9] = active.geometry[j]
+            for i in range(9):
+                out[j, P_GEOMETRY + i] = active.geometry[j, i]
         elif linear:
             continue
         elif place == AT_ROLLING:
@@ -251,14 +237,14 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
             out[j, P_SHRINK] = 1.0
 
 
-@kernel
+@inner_kernel
 def set_plant(plant: Plant, point: Point, setup: RigSetup, active: Active) -> None:
     """Move the plant to a point of the unknowns."""
     set_parameters(point, setup, plant.p)
     set_parameter_slopes(active, setup.scale != 1.0, plant.p, plant.p_unknowns)
 
 
-@kernel
+@inner_kernel
 def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
     """Fill out (12,), the rates of the states before X_PUSH."""
     state, w, scale = plant.x, plant.w, plant.scale
@@ -278,7 +264,7 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
 # The Jacobians.
 
 
-@kernel
+@inner_kernel
 def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, out: Transition) -> None:
     """Fill the rates at x and their Jacobians. Those of psi_t, psi_i and of the leans are constant."""
     state_rates(x, drive, plant, out.rates)
@@ -312,7 +298,7 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
                     out.rates_unknowns[X_ROLL + 2 + i, j] += part * motion.right_by_parameter[4 + i, k]
 
 
-@kernel
+@inner_kernel
 def set_geometry_slopes(point: Point, active: Active) -> None:
     """Fill active.geometry, the derivatives of unknowns.geometry."""
     active.geometry[:] = 0.0
@@ -334,47 +320,7 @@ def set_geometry_slopes(point: Point, active: Active) -> None:
             row[3], row[4] = -1.0, 1.0
 
 
-@kernel
-def integrate_exponential(step: Transition) -> None:
-    """Fill step.held: the integral over DT of the matrix exponential of the rates' Jacobian, by a power
-    series."""
-    A, B, power, held = step.square[0], step.square[1], step.square[2], step.held
-    for i in range(X_PUSH):
-        for j in range(X_PUSH):
-            A[i, j] = B[i, j] = DT * step.rates_x[i, j]
-            held[i, j] = 0.5 * DT * A[i, j]
-        held[i, i] += DT
-    for order in range(3, 5):
-        np.dot(A, B, power)
-        B[:] = power
-        factor = DT / (order if order == 3 else order * 3) / 2.0
-        for i in range(X_PUSH):
-            for j in range(X_PUSH):
-                held[i, j] += factor * power[i, j]
-
-
-@kernel
-def joint_jacobian(step: Transition) -> None:
-    """Fill step.F, step.F_unknowns and step.wheel, except for what `complete_jacobian` adds."""
-    held, F, F_unknowns = step.held, step.F, step.F_unknowns
-    np.dot(held, step.rates_x, step.change)
-    np.dot(held, step.rates_wheel, step.wheel)
-    F[:, :] = 0.0
-    for i in range(X_PUSH):
-        for j in range(X_POSITION):
-            F[i, j] = step.change[i, j]
-        F[i, i] += 1.0
-    if F_unknowns.shape[1] > 0:
-        np.dot(held, step.rates_unknowns, F_unknowns[:X_PUSH])
-    for i in range(X_PUSH, N_STATES):
-        F[i, i] = step.decay[i]
-    for k in range(4):
-        i = (X_SLOPE if k < 2 else X_SLOPE_RATE) + k % 2
-        for j in range(2):
-            F[i, (X_SLOPE, X_SLOPE_RATE)[j] + k % 2] = step.slope[k // 2, j]
-
-
-@kernel
+@inner_kernel
 def linearise(
     x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:
@@ -383,47 +329,26 @@ def linearise(
 
     At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
     """
-    middle = x.copy()
+    middle = step.middle
+    for i in range(N_STATES):
+        middle[i] = x[i]
     state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
     for i in range(X_PUSH):
         middle[i] += 0.5 * EVERY * DT * step.rates[i]
     rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
     integrate_exponential(step)
     joint_jacobian(step)
-    for i in range(N_STATES):
-        for j in range(N_STATES):
-            step.F_T[j, i] = step.F[i, j]
-        for j in range(step.F_T.shape[0] - N_STATES):
-            step.F_T[N_STATES + j, i] = step.F_unknowns[i, j]
 
 
-@kernel
-def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
-    """Fill the position's rows of the Jacobians from their rows of v and psi_t. u: m/s, true speed."""
-    sine, cosine = math.sin(psi), math.cos(psi)
-    north = -u * sine - v * cosine
-    east = u * cosine - v * sine
-    for jacobian, own in ((step.F, 1.0), (step.F_unknowns, 0.0)):
-        for j in range(jacobian.shape[1]):
-            half_v = 0.5 * DT * (jacobian[X_V, j] + (own if j == X_V else 0.0))
-            half_psi = 0.5 * DT * (jacobian[X_PSI, j] + (own if j == X_PSI else 0.0))
-            jacobian[X_POSITION, j] = -sine * half_v + north * half_psi
-            jacobian[X_POSITION + 1, j] = cosine * half_v + east * half_psi
-    step.F[X_POSITION, X_SPEED] += DT * cosine
-    step.F[X_POSITION + 1, X_SPEED] += DT * sine
-    step.F[X_POSITION, X_POSITION] = step.F[X_POSITION + 1, X_POSITION + 1] = 1.0
-
-
-@kernel
+@inner_kernel
 def complete_jacobian(
     x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
 ) -> None:
-    """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency;
-    fill step.F_T.
+    """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency.
 
     x, following: (27,), the state before and after the tick.
     """
-    F, F_unknowns, F_T = step.F, step.F_unknowns, step.F_T
+    F_unknowns, in_covariance = step.F_unknowns, step.F_driven.shape[1]
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if AT_WHEEL_ZERO <= place <= AT_LATENCY:
@@ -434,19 +359,17 @@ def complete_jacobian(
                 factor = -drive.wheel
             for i in range(X_PUSH):
                 F_unknowns[i, j] = factor * step.wheel[i]
-            if N_STATES + j < F_T.shape[0]:
-                F_T[N_STATES + j, :X_PUSH] = F_unknowns[:X_PUSH, j]
+            if N_STATES + j < in_covariance:
+                for i in range(X_PUSH):
+                    step.F_driven[i, N_STATES + j] = step.F_driven_T[N_STATES + j, i] = F_unknowns[i, j]
     psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
     position_jacobian(drive.u + x[X_SPEED], psi, v, step)
-    for i in (X_POSITION, X_POSITION + 1):
-        F_T[:N_STATES, i] = F[i]
-        F_T[N_STATES:, i] = F_unknowns[i, : F_T.shape[0] - N_STATES]
 
 
 # One tick.
 
 
-@kernel
+@inner_kernel
 def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
     """Fill out (27,), the state one tick later, with step.rates. u: the measured speed, m/s."""
     for i in range(X_PUSH):
@@ -466,7 +389,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
     out[X_POSITION + 1] = x[X_POSITION + 1] + DT * (u * sine + v * cosine)
 
 
-@kernel
+@inner_kernel
 def propagate(
     x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
 ) -> None:
@@ -474,39 +397,6 @@ def propagate(
     state_rates(x, drive, plant, step.rates)
     propagate_mean(x, drive.u, step, following)
     complete_jacobian(x, following, drive, active, step)
-
-
-@kernel
-def add_position_noise(P: Array, psi: float) -> None:
-    """Add the position's process noise of one tick to a covariance: along and across the heading psi, rad."""
-    sine, cosine = math.sin(psi), math.cos(psi)
-    along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
-    P[X_POSITION, X_POSITION] += along * cosine * cosine + across * sine * sine
-    P[X_POSITION + 1, X_POSITION + 1] += along * sine * sine + across * cosine * cosine
-    cross = (along - across) * sine * cosine
-    P[X_POSITION, X_POSITION + 1] += cross
-    P[X_POSITION + 1, X_POSITION] += cross
-
-
-@kernel
-def propagate_covariance(P: Array, step: Transition, psi: float) -> None:
-    """Propagate P (n, n), of x or of the joint state, over one tick, in place; it stays symmetric."""
-    F_P, after, n = step.F_P, step.P, P.shape[0]
-    np.dot(step.F, P[:N_STATES], F_P)
-    if n > N_STATES:
-        F_P += np.dot(step.F_unknowns, P[N_STATES:])
-    np.dot(F_P, step.F_T, after)
-    for i in range(N_STATES):
-        for j in range(N_STATES):
-            P[i, j] = 0.5 * (after[i, j] + after[j, i])
-        for j in range(N_STATES, n):
-            P[i, j] = P[j, i] = F_P[i, j]
-        P[i, i] += step.q[i]
-    for body in range(2):
-        slope, rate = X_SLOPE + body, X_SLOPE_RATE + body
-        P[slope, rate] += step.slope[0, 2]
-        P[rate, slope] += step.slope[0, 2]
-    add_position_noise(P, psi)
 
 
 # What a run begins with.
@@ -548,47 +438,37 @@ def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
 
 
 @kernel
-def empty_transition(na: int, rows: int) -> Transition:
-    """A Transition for `na` active unknowns, of which `rows` are in the covariance, without its Jacobians."""
-    n = N_STATES + rows
-    rates_x = np.zeros((X_PUSH, X_POSITION))
-    for body in range(2):
-        rates_x[X_ROLL + body, X_ROLL + 2 + body] = rates_x[X_PSI + body, X_R + body] = 1.0
-    rates_x[X_R, X_PUSH + 2] = 1.0
-    return Transition(
-        rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
-        np.zeros(X_PUSH), np.ones(N_STATES), np.zeros(N_STATES),
-        np.zeros((2, 3)),
-        np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, na)), np.zeros((n, N_STATES)),
-        np.zeros((N_STATES, n)), np.zeros((N_STATES, N_STATES)),
-        np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
-    )  # fmt: skip
-
-
-@kernel
 def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition) -> None:
-    """Fill decay, slope and q of the states from X_PUSH on at speed u, m/s."""
+    """Fill decay, slope and q of the states from X_PUSH on at speed u, m/s, for the first filter of step."""
     decay, slope, speed = step.decay, step.slope, max(u, SLOWEST)
     for i in range(3):
         decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
         if i < 2:
             decay[X_UNEVEN + i] = math.exp(-DT * speed / UNEVEN_LENGTH)
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
-    variances = stationary(u, ground, setup)
-    for i in range(X_PUSH, N_STATES):
-        step.q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
     rate = speed / SLOPE_LENGTH
     left = math.exp(-rate * DT)
     slope[0, 0], slope[0, 1] = left * (1.0 + rate * DT), left * DT
     slope[1, 0], slope[1, 1] = -left * rate * rate * DT, left * (1.0 - rate * DT)
-    one, two = variances[X_SLOPE], variances[X_SLOPE_RATE]
-    slope[0, 2] = -(slope[0, 0] * slope[1, 0] * one + slope[0, 1] * slope[1, 1] * two)
-    for body in range(2):
-        step.q[X_SLOPE + body] = one - slope[0, 0] ** 2 * one - slope[0, 1] ** 2 * two
-        step.q[X_SLOPE_RATE + body] = two - slope[1, 0] ** 2 * one - slope[1, 1] ** 2 * two
+    set_noise(u, ground, setup, step, 0)
 
 
 @kernel
+def set_noise(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
+    """Fill q of the states from X_PUSH on at speed u, m/s, for filter c of step, whose decay and slope are
+    set."""
+    q, decay, slope = step.q[c], step.decay, step.slope
+    variances = stationary(u, ground, setup)
+    for i in range(X_PUSH, N_STATES):
+        q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
+    one, two = variances[X_SLOPE], variances[X_SLOPE_RATE]
+    slope[0, 2] = -(slope[0, 0] * slope[1, 0] * one + slope[0, 1] * slope[1, 1] * two)
+    for body in range(2):
+        q[X_SLOPE + body] = one - slope[0, 0] ** 2 * one - slope[0, 1] ** 2 * two
+        q[X_SLOPE_RATE + body] = two - slope[1, 0] ** 2 * one - slope[1, 1] ** 2 * two
+
+
+@inner_kernel
 def set_wheel_noise(u: float, sigma_f: float, sds: Array, step: Transition) -> None:
     """Process noise of the front slip angle from that of the wheel angle."""
-    step.q[X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2
+    step.q[:, X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2

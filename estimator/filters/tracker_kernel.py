@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.joint_update import JointState, UpdateWork, between, update
+from tilth.estimator.filters.joint_update import JointState, between, empty_work, unknowns_between, update
 from tilth.estimator.filters.measurement_model import (
     noise_factor,
     observation,
@@ -24,10 +24,8 @@ from tilth.estimator.filters.propagation import (
     GroundNoise,
     drive_at,
     empty_plant,
-    empty_transition,
     linearise,
     propagate,
-    propagate_covariance,
     set_geometry_slopes,
     set_plant,
     set_processes,
@@ -35,6 +33,7 @@ from tilth.estimator.filters.propagation import (
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, X_PUSH, X_UNEVEN, Places, Point
+from tilth.estimator.filters.transition import empty_transition, propagate_covariance
 from tilth.estimator.filters.unknowns import geometry as geometry_at
 from tilth.estimator.record.record import ROLL_ANGLE, SD, TICK, VALUE, VELOCITY, YAW_RATE
 
@@ -77,7 +76,7 @@ class RowTally(NamedTuple):
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (27 + a, 27 + a)."""
+    """The joint covariance of x and the active unknowns, shape (1, 27 + a, 27 + a): of one filter."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
@@ -87,7 +86,7 @@ def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
             P[i, N_STATES + j] = P[N_STATES + j, i] = P_xtheta[i, places[j]]
         for i in range(na):
             P[N_STATES + i, N_STATES + j] = P_theta[places[i], places[j]]
-    return P
+    return P.reshape(1, N_STATES + na, N_STATES + na)
 
 
 @kernel
@@ -145,14 +144,14 @@ def track_segment(
     x, unknowns, counts = estimate.x, estimate.unknowns, tally.counts
     na = places.shape[0]
     P, n = pack_covariance(estimate, places), N_STATES + na
-    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na)
+    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na, 1)
     point = Point(unknowns, np.zeros(6), geometry_at(setup.geometry, unknowns))
     plant = empty_plant(setup, na)
     set_geometry_slopes(point, active)
     state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
     following, x_at = state.following, np.zeros(N_STATES)
-    h, H = np.zeros(n), np.zeros(n)
-    work = UpdateWork(np.zeros(n), np.zeros(n), np.zeros(N_STATES))
+    h, H, work = np.zeros(n), np.zeros(n), empty_work(1, n)
+    error, variance = np.zeros(1), np.zeros(1)
     row, m = 0, rows.shape[0]
     for k in range(first, first + length):
         for i in range(6):
@@ -168,23 +167,24 @@ def track_segment(
             obs = observation(ticks, rows[row], k, drive.u)
             for i in range(N_STATES):
                 x_at[i] = x[i] + obs.share * (following[i] - x[i])
-            error = rows[row, VALUE] - predict_joint_measurement(x_at, obs, point, active, setup, h)
+            error[0] = rows[row, VALUE] - predict_joint_measurement(x_at, obs, point, active, setup, h)
             noise_variance = (rows[row, SD] * noise_factor(obs.kind, unknowns)) ** 2
+            variance[0] = noise_variance
             row += 1
-            if not (math.isfinite(error) and math.isfinite(noise_variance)):
+            if not (math.isfinite(error[0]) and math.isfinite(noise_variance)):
                 counts[BAD] += 1.0
                 continue
             between(obs.share, h, step, H)
-            variance = update(error, noise_variance, H, state, step.F_T, GATE, work)
-            if variance < 0.0:
+            unknowns_between(obs.share, h, step, H[N_STATES:])
+            if not update(error, variance, H, state, step, GATE, work):
                 counts[GATED] += 1.0
                 continue
             counts[USED] += 1.0
-            remaining = noise_variance / variance
-            residual = remaining * remaining * error * error + (1.0 - remaining) * noise_variance
+            remaining = noise_variance / variance[0]
+            residual = remaining * remaining * error[0] * error[0] + (1.0 - remaining) * noise_variance
             add_residual(obs.kind, residual, rows[row - 1, SD], tally.sums)
         set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-        add_ground(x, P, ground, tally.sums)
-        propagate_covariance(P, step, x[X_PSI])
+        add_ground(x, P[0], ground, tally.sums)
+        propagate_covariance(P[0], step.q[0], step, x[X_PSI])
         x[:] = following
-    unpack_covariance(P, places, estimate)
+    unpack_covariance(P[0], places, estimate)

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
+from tilth.estimator.compiled import inner_kernel, kernel
 from tilth.estimator.models.rolling_kernels import motion, motion_slopes, parameter_slopes
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
@@ -50,7 +50,7 @@ def empty_motion() -> MotionRates:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def factorise(M: Array) -> None:
     """Gauss's factors of M (n, n), in its place, without a search for pivots."""
     n = M.shape[0]
@@ -61,7 +61,7 @@ def factorise(M: Array) -> None:
                 M[i, j] -= M[i, k] * M[k, j]
 
 
-@kernel
+@inner_kernel
 def solve(factors: Array, B: Array) -> None:
     """Solve M X = B (n, m) in the place of B. factors: as of `factorise`."""
     n, m = B.shape
@@ -77,7 +77,7 @@ def solve(factors: Array, B: Array) -> None:
             B[k, j] /= factors[k, k]
 
 
-@kernel
+@inner_kernel
 def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
     """Fill out (12,), x', and the first three arrays of `at`. p: PARAMETERS and CONSTANTS, (36,)."""
     motion(x, w, p, at.M, at.right, at.slip)
@@ -91,7 +91,7 @@ def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
         out[10 + body] = x[1 + body]
 
 
-@kernel
+@inner_kernel
 def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     """Fill right_slopes and slip_slopes of `at`; `rates` has filled its first three at the same state."""
     at.right_slopes[:] = 0.0
@@ -99,7 +99,7 @@ def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     solve(at.M, at.right_slopes)
 
 
-@kernel
+@inner_kernel
 def rate_slopes_by_parameter(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     """Fill right_by_parameter and slip_by_parameter, as `rate_slopes` its own."""
     at.right_by_parameter[:] = 0.0

@@ -15,9 +15,7 @@ from tilth.estimator.filters.likelihood import model_sd
 from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
 from tilth.estimator.filters.propagation import (
     Active,
-    Transition,
     empty_plant,
-    empty_transition,
     ground_at,
     linearise,
     set_plant,
@@ -27,6 +25,7 @@ from tilth.estimator.filters.propagation import (
 )
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_PUSH, X_V, Point
+from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import Sensor, cramer_rao
@@ -159,7 +158,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     nothing = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
     plant = empty_plant.interpreted()(setup, 0)
     set_plant.interpreted()(plant, point, setup, nothing)
-    ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0)
+    ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
     ticks[:, 1] = SPEED
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
@@ -170,7 +169,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
 def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
     """(n, 26): states of the linear model with its own disturbances."""
     rng, step = np.random.default_rng(seed), one_tick(setup, point)
-    noise = rng.normal(size=(len(wheel), N_STATES)) * np.sqrt(step.q)
+    noise = rng.normal(size=(len(wheel), N_STATES)) * np.sqrt(step.q[0])
     along, across = rng.normal(size=(2, len(wheel))) * [[ALONG], [ACROSS]] * math.sqrt(DT)
     x = np.zeros((len(wheel), N_STATES))
     ground = ground_at.interpreted()(point.unknowns)

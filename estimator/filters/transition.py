@@ -1,0 +1,241 @@
+"""The linearised transition of the filters' state over one tick, and what it does to a covariance.
+
+Of the 27 states of states.py, 14 move with all others: those before X_PUSH and the position. They are called
+driven here. The others are processes of their own: each decays, and a cross slope goes with its rate. So of
+the Jacobian F only the driven rows are full, and a covariance is propagated by these and by the decays alone.
+Filters that differ in their noise only share all but q: `c` counts them.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.filters.states import (
+    ACROSS,
+    ALONG,
+    DT,
+    N_STATES,
+    X_POSITION,
+    X_PSI,
+    X_PUSH,
+    X_R,
+    X_ROLL,
+    X_SLOPE,
+    X_SLOPE_RATE,
+    X_SPEED,
+    X_V,
+)
+
+Array = NDArray[np.float64]
+
+D_POSITION: Final = X_PUSH  # of the position among the driven states; those before X_PUSH keep their index
+N_DRIVEN: Final = D_POSITION + 2
+POSITION_LATER: Final = X_POSITION - D_POSITION  # by how much the position's index is larger among all
+
+
+class Transition(NamedTuple):
+    """Transition of x over one tick, linearised, and work arrays."""
+
+    rates_x: Array  # (12, 22), Jacobian of the rates of the states before X_PUSH over those before X_POSITION
+    rates_wheel: Array  # (12,), over the true wheel angle
+    rates_unknowns: Array  # (12, a), over the active unknowns
+    rates: Array  # (12,), the rates themselves
+    held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
+    wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
+    decay: Array  # (27,), factor on the states from X_PUSH on
+    q: Array  # (c, 27), variances of the process noise, without that of the position
+    slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
+    F: Array  # (27, 27), Jacobian of x one tick later over x
+    F_unknowns: Array  # (14, a), of the driven states one tick later over the active unknowns
+    F_driven: Array  # (14, n), of the driven states one tick later over the joint state of the covariance
+    F_driven_T: Array  # (n, 14), the same transposed
+    F_P: Array  # (14, n), overwritten
+    F_P_F: Array  # (14, 14), overwritten
+    square: Array  # (3, 12, 12), overwritten
+    change: Array  # (12, 22), overwritten
+    middle: Array  # (27,), overwritten
+
+
+@kernel
+def empty_transition(na: int, rows: int, count: int) -> Transition:
+    """A Transition of `count` filters for `na` active unknowns, of which `rows` are in the covariance,
+    without its Jacobians."""
+    n = N_STATES + rows
+    rates_x = np.zeros((X_PUSH, X_POSITION))
+    for body in range(2):
+        rates_x[X_ROLL + body, X_ROLL + 2 + body] = rates_x[X_PSI + body, X_R + body] = 1.0
+    rates_x[X_R, X_PUSH + 2] = 1.0
+    F = np.zeros((N_STATES, N_STATES))
+    F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
+    return Transition(
+        rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
+        np.zeros(X_PUSH), np.ones(N_STATES), np.zeros((count, N_STATES)), np.zeros((2, 3)),
+        F, np.zeros((N_DRIVEN, na)), np.zeros((N_DRIVEN, n)), np.zeros((n, N_DRIVEN)),
+        np.zeros((N_DRIVEN, n)), np.zeros((N_DRIVEN, N_DRIVEN)),
+        np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
+        np.zeros(N_STATES),
+    )  # fmt: skip
+
+
+@kernel
+def multiply(A: Array, B: Array, out: Array) -> None:
+    """Fill out with A B. It is no inner kernel, since numba's product counts references."""
+    np.dot(A, B, out)
+
+
+@inner_kernel
+def integrate_exponential(step: Transition) -> None:
+    """Fill step.held: the integral over DT of the matrix exponential of the rates' Jacobian, by a power
+    series."""
+    A, B, power, held = step.square[0], step.square[1], step.square[2], step.held
+    for i in range(X_PUSH):
+        for j in range(X_PUSH):
+            A[i, j] = B[i, j] = DT * step.rates_x[i, j]
+            held[i, j] = 0.5 * DT * A[i, j]
+        held[i, i] += DT
+    for order in range(3, 5):
+        multiply(A, B, power)
+        factor = DT / (order if order == 3 else order * 3) / 2.0
+        for i in range(X_PUSH):
+            for j in range(X_PUSH):
+                B[i, j] = power[i, j]
+                held[i, j] += factor * power[i, j]
+
+
+@inner_kernel
+def joint_jacobian(step: Transition) -> None:
+    """Fill the Jacobians from the rates' ones, except for the position's rows and the columns of wheel zero,
+    gain and latency."""
+    held, F, F_unknowns = step.held, step.F, step.F_unknowns
+    multiply(held, step.rates_x, step.change)
+    for i in range(X_PUSH):
+        step.wheel[i] = 0.0
+        for j in range(X_PUSH):
+            step.wheel[i] += held[i, j] * step.rates_wheel[j]
+    for i in range(X_PUSH):
+        for j in range(X_POSITION):
+            F[i, j] = step.change[i, j]
+        F[i, i] += 1.0
+    if F_unknowns.shape[1] > 0:
+        multiply(held, step.rates_unknowns, F_unknowns[:X_PUSH])
+    for i in range(X_PUSH, N_STATES):
+        F[i, i] = step.decay[i]
+    for k in range(4):
+        i = (X_SLOPE if k < 2 else X_SLOPE_RATE) + k % 2
+        for j in range(2):
+            F[i, (X_SLOPE, X_SLOPE_RATE)[j] + k % 2] = step.slope[k // 2, j]
+    set_driven(step, 0, X_PUSH)
+
+
+@inner_kernel
+def set_driven(step: Transition, first: int, end: int) -> None:
+    """Fill the rows of F_driven from `first` to before `end`."""
+    driven, n = step.F_driven, step.F_driven.shape[1]
+    for k in range(first, end):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        for j in range(N_STATES):
+            driven[k, j] = step.F_driven_T[j, k] = step.F[i, j]
+        for j in range(N_STATES, n):
+            driven[k, j] = step.F_driven_T[j, k] = step.F_unknowns[k, j - N_STATES]
+
+
+@inner_kernel
+def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
+    """Fill the position's rows of the Jacobians from the rows of v and psi_t. u: m/s, true speed."""
+    sine, cosine = math.sin(psi), math.cos(psi)
+    north, east = -u * sine - v * cosine, u * cosine - v * sine
+    F, F_unknowns = step.F, step.F_unknowns
+    for j in range(X_POSITION):
+        half_v = 0.5 * DT * (F[X_V, j] + (1.0 if j == X_V else 0.0))
+        half_psi = 0.5 * DT * (F[X_PSI, j] + (1.0 if j == X_PSI else 0.0))
+        F[X_POSITION, j] = -sine * half_v + north * half_psi
+        F[X_POSITION + 1, j] = cosine * half_v + east * half_psi
+    for j in range(F_unknowns.shape[1]):
+        half_v, half_psi = 0.5 * DT * F_unknowns[X_V, j], 0.5 * DT * F_unknowns[X_PSI, j]
+        F_unknowns[D_POSITION, j] = -sine * half_v + north * half_psi
+        F_unknowns[D_POSITION + 1, j] = cosine * half_v + east * half_psi
+    F[X_POSITION, X_SPEED] += DT * cosine
+    F[X_POSITION + 1, X_SPEED] += DT * sine
+    set_driven(step, D_POSITION, N_DRIVEN)
+
+
+# Covariances.
+
+
+@inner_kernel
+def add_process_noise(P: Array, q: Array, slope: Array, psi: float) -> None:
+    """Add the process noise of one tick to a covariance (n, n); that of the position is along and across the
+    heading psi, rad."""
+    for i in range(N_STATES):
+        P[i, i] += q[i]
+    for body in range(2):
+        angle, rate = X_SLOPE + body, X_SLOPE_RATE + body
+        P[angle, rate] += slope[0, 2]
+        P[rate, angle] += slope[0, 2]
+    sine, cosine = math.sin(psi), math.cos(psi)
+    along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
+    P[X_POSITION, X_POSITION] += along * cosine * cosine + across * sine * sine
+    P[X_POSITION + 1, X_POSITION + 1] += along * sine * sine + across * cosine * cosine
+    cross = (along - across) * sine * cosine
+    P[X_POSITION, X_POSITION + 1] += cross
+    P[X_POSITION + 1, X_POSITION] += cross
+
+
+@inner_kernel
+def decay_columns(rows: Array, first: int, step: Transition) -> None:
+    """Multiply rows of a covariance, (k, n), from row `first` on, from the right by the part of F' that is
+    not of the driven states."""
+    decay, slope = step.decay, step.slope
+    for i in range(first, min(rows.shape[0], N_STATES)):
+        for body in range(2):
+            angle, rate = rows[i, X_SLOPE + body], rows[i, X_SLOPE_RATE + body]
+            rows[i, X_SLOPE + body] = slope[0, 0] * angle + slope[0, 1] * rate
+            rows[i, X_SLOPE_RATE + body] = slope[1, 0] * angle + slope[1, 1] * rate
+        for j in range(X_PUSH, N_STATES):
+            rows[i, j] *= decay[j]
+
+
+@inner_kernel
+def decay_rows(P: Array, step: Transition) -> None:
+    """Multiply a covariance (n, n) from the left by the part of F that is not of the driven states."""
+    decay, slope, n = step.decay, step.slope, P.shape[0]
+    for i in range(X_PUSH, N_STATES):
+        if decay[i] != 1.0:
+            for j in range(X_PUSH, n):
+                P[i, j] *= decay[i]
+    for body in range(2):
+        angle, rate = X_SLOPE + body, X_SLOPE_RATE + body
+        for j in range(X_PUSH, n):
+            before = P[angle, j]
+            P[angle, j] = slope[0, 0] * before + slope[0, 1] * P[rate, j]
+            P[rate, j] = slope[1, 0] * before + slope[1, 1] * P[rate, j]
+
+
+@inner_kernel
+def propagate_covariance(P: Array, q: Array, step: Transition, psi: float) -> None:
+    """Propagate P (n, n), of x or of the joint state, over one tick, in place; it stays symmetric.
+
+    q: (27,), variances of the process noise, as Transition.q. psi: heading, rad.
+    """
+    F_P, F_P_F, n = step.F_P, step.F_P_F, P.shape[0]
+    multiply(step.F_driven, P, F_P)
+    multiply(F_P, step.F_driven_T, F_P_F)
+    decay_columns(F_P, 0, step)
+    decay_rows(P, step)
+    decay_columns(P, X_PUSH, step)
+    for i in range(X_PUSH, N_STATES):
+        for j in range(N_STATES, n):
+            P[j, i] = P[i, j]
+    for k in range(N_DRIVEN):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        for j in range(X_PUSH, n):
+            P[i, j] = P[j, i] = F_P[k, j]
+    for k in range(N_DRIVEN):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        for other in range(N_DRIVEN):
+            j = other if other < D_POSITION else other + POSITION_LATER
+            P[i, j] = 0.5 * (F_P_F[k, other] + F_P_F[other, k])
+    add_process_noise(P, q, step.slope, psi)
