@@ -32,6 +32,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
     ("decode", "print the messages of a log, one JSON object a line"),
     ("replay", "feed logs through the estimators again"),
+    ("export", "write what logs hold to Parquet, CSV or MAT files"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),
