@@ -34,6 +34,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("replay", "feed logs through the estimators again"),
     ("fit", "the parameters of each run in logs, and of all together"),
     ("compare", "what differs beyond chance between two logs or fits"),
+    ("export", "write what logs hold to Parquet, CSV or MAT files"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),

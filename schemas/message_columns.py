@@ -106,7 +106,8 @@ def long_varint(data: Bytes, at: int, stop: int) -> tuple[int, int]:
 
 def hashed(data: Bytes, start: int, stop: int, before: int) -> int:
     """Two hashes of 31 and 32 bits in one number. before: of what came before in the same list, or 0."""
-    one, other = (before >> 32) ^ _BASIS, (before & _LOW) ^ _OTHER_BASIS
+    one = (((before >> 32) ^ _BASIS) * _PRIME) & _LOW  # a second empty text must not undo the first
+    other = (((before & _LOW) ^ _OTHER_BASIS) * _PRIME) & _LOW
     for k in range(start, stop):
         one = ((one ^ int(data[k])) * _PRIME) & _LOW
         other = ((other ^ int(data[k])) * _PRIME) & _LOW

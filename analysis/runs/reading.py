@@ -5,8 +5,9 @@ A log that was cut off is read as far as it is whole; damaged chunks are left ou
 
 import io
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -31,6 +32,13 @@ _definitions_of = kernel(wire.definitions_of)
 _messages_of = kernel(wire.messages_of)
 _fill = kernel(wire.fill)
 _NAN_BITS: Final = np.array([np.nan]).view(np.int64)[0]
+_GATHERED: Final = 1 << 22  # bytes of chunks that become tables at once: small ones cost more than their rows
+
+Places = NDArray[np.int64]
+
+
+def _nobody(read: int) -> None:
+    """Hears how many bytes were read."""
 
 
 @dataclass(slots=True)
@@ -56,32 +64,63 @@ class ChannelReader:
 
     def batches(self, topic: str) -> Iterator[Table]:
         """The same, a table for each chunk of a file that has any of it."""
-        for data, places in self._messages(topic):
-            yield self._table(topic, data, places)
+        for data, found in self._messages((topic,)):
+            yield self._table(topic, data, found[topic])
+
+    def tables(
+        self, topics: Collection[str], heard: Callable[[int], None] = _nobody
+    ) -> Iterator[tuple[str, Table]]:
+        """(topic, table) of several topics, from one pass over the files, in the order of each topic.
+
+        heard: takes how many bytes of the files were read. Raises OSError.
+        """
+        gathered: list[bytes] = []
+        places: dict[str, list[Places]] = {}
+        size = 0
+        for data, found in self._messages(topics, heard):
+            for topic, at in found.items():
+                places.setdefault(topic, []).append(at + np.array([0, 0, size, size]))
+            gathered.append(data)
+            size += len(data)
+            if size >= _GATHERED:
+                yield from self._tables(gathered, places)
+                gathered, places, size = [], {}, 0
+        yield from self._tables(gathered, places)
+
+    def _tables(
+        self, gathered: Sequence[bytes], places: dict[str, list[Places]]
+    ) -> Iterator[tuple[str, Table]]:
+        data = b"".join(gathered)
+        for topic, found in places.items():
+            yield topic, self._table(topic, data, np.concatenate(found))
 
     def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """(t_ns of the record, Protobuf bytes) of a topic."""
-        for data, places in self._messages(topic):
-            for _, t_ns, start, stop in places.tolist():
+        for data, found in self._messages((topic,)):
+            for _, t_ns, start, stop in found[topic].tolist():
                 yield t_ns, data[start:stop]
 
-    def _messages(self, topic: str) -> Iterator[tuple[bytes, NDArray[np.int64]]]:
-        """(records of a chunk, places [n, 4] as wire.messages_of fills them) where there are any."""
+    def _messages(
+        self, wanted: Collection[str], heard: Callable[[int], None] = _nobody
+    ) -> Iterator[tuple[bytes, dict[str, Places]]]:
+        """(records of a chunk, topic -> places [n, 4] as wire.messages_of fills them) where there are any."""
+        before = 0
         for path in self.paths:
             topics = topics_of(path)
-            for data in chunks(path, self.skipped):
+            for data in chunks(path, self.skipped, partial(_from, heard, before)):
                 numbers = np.frombuffer(data, np.uint8)
                 places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
                 defined = places[: _definitions_of(numbers, places)]
                 for start, stop in defined[:, 2:].tolist():
                     channel = Channel.read(ReadDataStream(io.BytesIO(data[start:stop])))
                     topics[channel.id] = channel.topic
-                wanted = np.zeros(max(topics, default=0) + 1, np.bool_)
-                wanted[[channel for channel, its in topics.items() if its == topic]] = True
-                count, cut = _messages_of(numbers, wanted, places)
+                chosen = np.zeros(max(topics, default=0) + 1, np.bool_)
+                chosen[[channel for channel, topic in topics.items() if topic in wanted]] = True
+                count, cut = _messages_of(numbers, chosen, places)
                 self.skipped["damaged_chunk"] += cut
                 if count:
-                    yield data, places[:count]
+                    yield data, _by_topic(places[:count], topics)
+            before += path.stat().st_size
 
     def _table(self, topic: str, data: bytes, places: NDArray[np.int64]) -> Table:
         layout = layout_of(topic)
@@ -169,8 +208,24 @@ def _texts(
     return texts[codes]
 
 
-def chunks(path: Path, skipped: Counter[str]) -> Iterator[bytes]:
-    """The records of each chunk of a file. Raises OSError."""
+def _from(heard: Callable[[int], None], before: int, read: int) -> None:
+    """before: bytes of the files before this one."""
+    heard(before + read)
+
+
+def _by_topic(places: Places, topics: Mapping[int, str]) -> dict[str, Places]:
+    """The places of each topic, in their order."""
+    channels = np.unique(places[:, 0]).tolist()
+    parts: dict[str, list[int]] = {}
+    for channel in channels:  # a topic has several where a file was joined of others
+        parts.setdefault(topics[channel], []).append(channel)
+    if len(parts) == 1:
+        return {topic: places for topic in parts}
+    return {topic: places[np.isin(places[:, 0], its)] for topic, its in parts.items()}
+
+
+def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _nobody) -> Iterator[bytes]:
+    """The records of each chunk of a file. heard: takes how many of its bytes were read. Raises OSError."""
     with path.open("rb") as file:
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
         for opcode, body in framed(log):
@@ -178,6 +233,7 @@ def chunks(path: Path, skipped: Counter[str]) -> Iterator[bytes]:
                 yield unpacked(body) if opcode == Opcode.CHUNK else HEAD.pack(opcode, len(body)) + body
             except DAMAGE:
                 skipped["damaged_chunk"] += 1
+            heard(log.position())
         skipped["cut"] += log.truncated
 
 

@@ -5,7 +5,7 @@ wheel = rows.can_id == 0x18FF0B15
 angle = rows.data[wheel, 0:2].copy().view(">i2")
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -61,15 +61,25 @@ def read_frames(*paths: Path | str) -> FrameArrays:
     """
     buses: dict[str, int] = {}
     skipped: dict[str, int] = {}
-    parts = [part for path in paths for part in _parts(Path(path), buses, skipped)]
+    parts = [part for path in paths for part in frame_parts(Path(path), buses, skipped)]
     if not parts:
         parts = [_room(0)]
     joined = FrameColumns._make(map(np.concatenate, zip(*parts, strict=True)))
     return FrameArrays(*joined, tuple(buses), skipped)
 
 
-def _parts(path: Path, buses: dict[str, int], skipped: dict[str, int]) -> Iterator[FrameColumns]:
-    """The columns of FrameArrays, chunk by chunk."""
+def _nobody(read: int) -> None:
+    """Hears how many bytes were read."""
+
+
+def frame_parts(
+    path: Path, buses: dict[str, int], skipped: dict[str, int], heard: Callable[[int], None] = _nobody
+) -> Iterator[FrameColumns]:
+    """The columns of FrameArrays, chunk by chunk.
+
+    buses: gets the names of the buses, with their numbers. skipped: gets what could not be read, at the end.
+    heard: takes how many bytes of the file were read. Raises as `read_frames`.
+    """
     with path.open("rb") as file:
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
         if not MAGIC.startswith(file.read(len(MAGIC))):
@@ -84,6 +94,7 @@ def _parts(path: Path, buses: dict[str, int], skipped: dict[str, int]) -> Iterat
                 log.skip("damaged_chunk")
             else:
                 yield from _chunk(channels, data, buses)
+            heard(log.position())
         if not channels.buses and not log.truncated:
             raise no_frames(log)
         if log.truncated:

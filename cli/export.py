@@ -1,0 +1,176 @@
+"""`tilth export`: what logs hold, as files for other programs."""
+
+import argparse
+import json
+import math
+import re
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from tilth.analysis.export.export import SPREADSHEET_ROWS, Exported, ExportPlan, check, export, folders_of
+from tilth.analysis.export.files import FORMATS, ExportError, check_installed
+from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
+from tilth.analysis.runs.run import Run, open_runs
+from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+from tilth.replay.readers.rig import bus_names, machine_in
+
+Shown = Callable[[int, int], None]
+_PERIOD = re.compile(r"(\d+(?:\.\d+)?)(us|ms|s)")
+_NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "export",
+        help="write what logs hold to Parquet, CSV or MAT files",
+        description="Write what logs hold to files for other programs: DIR/RUN/ gets a file for each "
+        "channel, or one for all on a common clock, and export.json, which says what they are. Logs of other "
+        "programs are replayed first.",
+        epilog=f"channels: {', '.join(NAMES)}",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="parts of a run become one")
+    parser.add_argument("--to", required=True, choices=tuple(FORMATS), help="what is written")
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the runs' folders")
+    parser.add_argument(
+        "--clock", type=_period, metavar="20ms", help="all in one file, at these times (each at its own)"
+    )
+    parser.add_argument(
+        "--channels",
+        type=lambda text: tuple(filter(None, text.split(","))),
+        default=(),
+        metavar="pose,…",
+        help="only these; a * stands for anything (all)",
+    )
+    parser.add_argument("--from", type=_seconds, default=0.0, dest="from_s", metavar="S", help="of the run")
+    parser.add_argument(
+        "--until", type=_seconds, default=math.inf, dest="until_s", metavar="S", help="of the run"
+    )
+    parser.add_argument(
+        "--machine", type=Path, metavar="M.toml", help="needed where tilth did not write the log; else it is "
+        "replayed with this one",
+    )  # fmt: skip
+    add_bus_names(parser)
+    parser.add_argument("--json", action="store_true", help="the summary as one JSON object")
+
+
+def _seconds(text: str) -> float:
+    """argparse type: s since the run began."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"{text}: give seconds since the run began, from 0 up")
+    return value
+
+
+def _period(text: str) -> int:
+    """argparse type: a duration with its unit, ns."""
+    found = _PERIOD.fullmatch(text)
+    if found is None or float(found[1]) * _NS[found[2]] < 1e3:
+        raise argparse.ArgumentTypeError(f"{text}: give a time with its unit, such as 20ms or 1s")
+    return round(float(found[1]) * _NS[found[2]])
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where not all of a log could be read, or written."""
+    try:
+        plan = _plan(args)
+        check_installed(args.to)
+        if args.out.exists() and not args.out.is_dir():
+            raise ExportError(f"--out {args.out}: no folder; give one, or a new name")
+        with ExitStack() as stack:
+            shown = _progress(stack, args)
+            runs = _runs(args, shown("replay"))
+            folders = folders_of(runs, args.out)
+            for one in runs:
+                check(one, plan)
+            done = [
+                export(one, plan, folder, shown(one.id)) for one, folder in zip(runs, folders, strict=True)
+            ]
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except ExportError as error:
+        raise WrongUse(str(error)) from None
+    except PermissionError:
+        raise
+    except OSError as error:
+        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}; nothing is left of it")
+        return 1
+    _tell(done, args)
+    return 1 if any(one.skipped for one in done) else 0
+
+
+def _plan(args: argparse.Namespace) -> ExportPlan:
+    """Raises WrongUse."""
+    if args.from_s >= args.until_s:
+        raise WrongUse(f"--from {args.from_s:g} is not before --until {args.until_s:g}")
+    try:
+        channels = choose(args.channels, args.clock is not None)
+    except UnknownChannel as error:
+        raise WrongUse(f"--channels {error}") from None
+    return ExportPlan(args.to, channels, args.clock, args.from_s, args.until_s)
+
+
+def _runs(args: argparse.Namespace, progress: Shown) -> tuple[Run, ...]:
+    """Raises LogError, MachineError, WrongUse, OSError."""
+    machine = read_machine(args.machine) if args.machine else None
+    if machine is not None:
+        say_unusual("export", machine[0])
+    buses: dict[str, str] = {}
+    if args.bus:
+        try:
+            buses = bus_names(args.bus, (machine or machine_in(args.logs))[0])
+        except ValueError as error:
+            raise WrongUse(str(error)) from None
+    return open_runs(args.logs, machine=machine, buses=buses, progress=progress, say=_say)
+
+
+def _progress(stack: ExitStack, args: argparse.Namespace) -> Callable[[str], Shown]:
+    """What makes a bar of a name, where somebody sees it."""
+    if not sys.stderr.isatty() or args.json:
+        return lambda name: lambda done, of: None
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+
+    def of(name: str) -> Shown:
+        task = bar.add_task(name, total=None, visible=False)
+        return lambda done, of: bar.update(task, completed=done, total=of, visible=True)
+
+    return of
+
+
+def _tell(done: list[Exported], args: argparse.Namespace) -> None:
+    for one in done:
+        for what, count in sorted(one.skipped.items()):
+            words = "file cut off" if what == "cut" else what.replace("_", " ")
+            _say(f"{one.run}: {count} {words}; the rest is exported")
+        if one.late:
+            _say(f"{one.run}: {one.late} rows came more than 2 s late and are not on the clock")
+        long = [name for name, rows in one.rows.items() if args.to == "csv" and rows >= SPREADSHEET_ROWS]
+        if long:
+            names = ", ".join(long)
+            _say(f"{names}: a spreadsheet shows {SPREADSHEET_ROWS - 1} rows of it; see --from and --until")
+    if args.json:
+        print(json.dumps({"runs": [_as_json(one) for one in done]}))
+        return
+    for one in done:
+        print(f"{one.folder}: " + ", ".join(f"{name} ({rows} rows)" for name, rows in one.rows.items()))
+
+
+def _as_json(one: Exported) -> dict[str, object]:
+    return {
+        "run": one.run, "folder": str(one.folder), "rows": one.rows, "skipped": dict(one.skipped),
+        "late": one.late,
+    }  # fmt: skip
+
+
+def _say(text: str) -> None:
+    print(f"tilth export: {text}", file=sys.stderr)

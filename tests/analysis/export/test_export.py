@@ -1,0 +1,143 @@
+"""A run becomes a folder, whole or not at all; the examples of the page do what they say."""
+
+import json
+import math
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import polars
+import pyarrow.parquet
+import pytest
+from filled_log import filled_log
+from logs import MACHINE_TEXT
+from one_recording import file_size_limit
+from paths import ROOT
+
+from tilth.analysis.export.columns import rows_of
+from tilth.analysis.export.export import ExportPlan, check, export, folders_of
+from tilth.analysis.export.files import ExportError, ParquetFile
+from tilth.analysis.export.naming import NAMES, TOPICS, choose
+from tilth.analysis.runs.kept import sha256_of
+from tilth.analysis.runs.run import Run, open_runs
+from tilth.cli import main
+from tilth.logger.log.mcap_log import machine_sha256, software
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    filled_log(path, 300)  # 11 s
+    (found,) = open_runs(path)
+    return found
+
+
+def test_all_channels_with_all_that_is_known(run: Run, tmp_path: Path) -> None:
+    heard: list[tuple[int, int]] = []
+    done = export(run, ExportPlan("parquet", NAMES), tmp_path / "r", lambda *at: heard.append(at))
+    assert done.rows == {f"{name}.parquet": 300 for name in NAMES} and not done.skipped
+    assert {path.name for path in (tmp_path / "r").iterdir()} == {*done.rows, "export.json"}
+    assert heard == sorted(heard) and len({of for _, of in heard}) == 1 and heard[-1][0] > 0.8 * heard[-1][1]
+    about = json.loads((tmp_path / "r" / "export.json").read_text())
+    (source,) = about["sources"]
+    assert source["sha256"] == sha256_of(run.sources[0]) and source["file"] == "run.mcap"
+    assert about["machine"] == {"toml": MACHINE_TEXT, "sha256": machine_sha256(run.machine, MACHINE_TEXT)}
+    assert about["tilth"] == software()["version"]
+    for name, topic in TOPICS.items():
+        table = polars.read_parquet(tmp_path / "r" / f"{name}.parquet")
+        rows = rows_of(run.table(topic))
+        known = about["files"][f"{name}.parquet"]["columns"]
+        assert table.columns == list(known) == [column.name for column in rows.columns]
+        for column, values in zip(rows.columns, rows.values, strict=True):
+            if column.kind == "double":
+                np.testing.assert_array_equal(table[column.name].to_numpy().astype(float), values)
+        schema = pyarrow.parquet.read_schema(tmp_path / "r" / f"{name}.parquet")
+        in_file = json.loads(schema.metadata[b"tilth"])
+        assert in_file["machine"] == about["machine"] and in_file["columns"] == known
+
+
+def test_a_span_and_a_clock(run: Run, tmp_path: Path) -> None:
+    plan = ExportPlan("parquet", ("pose", "can"), None, 2.0, 3.0)
+    export(run, plan, tmp_path / "span")
+    for name in ("pose", "can"):
+        t_s = polars.read_parquet(tmp_path / "span" / f"{name}.parquet")["t_s"].to_numpy()
+        assert len(t_s) == 27 and t_s.min() >= 2.0 and t_s.max() < 3.0
+    on_clock = choose(["pose", "status"], True)
+    done = export(run, ExportPlan("parquet", on_clock, 20_000_000, 2.0, 3.0), tmp_path / "clock")
+    assert done.rows == {"clock.parquet": 50}
+    table = polars.read_parquet(tmp_path / "clock" / "clock.parquet")
+    poses = run.poses
+    rows = np.searchsorted(poses.t_s, table["t_s"].to_numpy() + 1e-10) - 1
+    np.testing.assert_array_equal(
+        table["pose__tractor_heading_rad"].to_numpy().astype(float), poses["tractor_heading_rad"][rows]
+    )
+    assert table["pose__age_s"].to_numpy().max() < 0.038  # the row before 2 s counts
+    about = json.loads((tmp_path / "clock" / "export.json").read_text())
+    assert about["clock"] == {"period_s": 0.02, "oldest_s": {"pose": 0.5, "status": 3.0}}
+
+
+def test_runs_of_one_name_get_folders_of_their_own(run: Run, tmp_path: Path) -> None:
+    names = [path.name for path in folders_of([run, run, run], tmp_path)]
+    assert names == [run.id, f"{run.id}_2", f"{run.id}_3"]
+    (tmp_path / f"{run.id}_2").symlink_to("nowhere")
+    with pytest.raises(ExportError, match="exists; nothing is overwritten"):
+        folders_of([run, run], tmp_path)
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv", "mat"])
+def test_a_full_disk_leaves_nothing(run: Run, tmp_path: Path, form: str) -> None:
+    with file_size_limit(20_000), pytest.raises(OSError):
+        export(run, ExportPlan(form, NAMES), tmp_path / "made" / "r")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_leaves_nothing(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        (part,) = tmp_path.iterdir()
+        assert part.name.endswith(".part")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ParquetFile, "_flush", stop)
+    with pytest.raises(KeyboardInterrupt):
+        export(run, ExportPlan("parquet", ("pose",)), tmp_path / "r")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_would_give_nothing_is_refused_first(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"lasts 11.1 s; --from 20 is behind its end"):
+        check(run, ExportPlan("csv", NAMES, None, 20.0))
+    with pytest.raises(ExportError, match="would give 11,063,036,778 rows; give a longer one"):
+        check(run, ExportPlan("csv", ("pose",), 1))
+    with pytest.raises(ExportError, match="nothing is in it there; nothing written"):
+        export(run, ExportPlan("csv", ("pose",), None, 0.001, 0.002), tmp_path / "r")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cut_log_is_exported_as_far_as_it_is_whole(run: Run, tmp_path: Path) -> None:
+    content = run.sources[0].read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: len(content) // 2])
+    (part,) = open_runs(cut)
+    check(part, ExportPlan("csv", ("pose",)))
+    done = export(part, ExportPlan("csv", ("pose", "can"), None, 0.0, math.inf), tmp_path / "r")
+    assert done.skipped == {"cut": 1} and 20 < done.rows["pose.csv"] < 300
+    assert json.loads((tmp_path / "r" / "export.json").read_text())["skipped"] == {"cut": 1}
+
+
+def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    filled_log(tmp_path / "run.mcap", 300)
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "export.md").read_text()
+    lines = re.findall(r"^tilth (export .*)$", page, re.M)
+    assert len(lines) == 4
+    for line in lines:
+        assert main(shlex.split(line, comments=True)) == 0
+    (angles,) = Path("angles").iterdir()
+    assert {path.stem for path in angles.glob("*.mat")} == {
+        "pose", "measurement_wheel_angle", "measurement_hand_wheel_angle",
+    }  # fmt: skip
+    (clock,) = Path("clock").iterdir()
+    header = (clock / "clock.csv").read_text().partition("\n")[0]
+    assert "pose__tractor_x_m" in header and "soil_tire__C_af_N_per_rad" in header
+    assert len([*Path("tables").glob("*/*.csv")]) == len([*Path("parquet").glob("*/*.parquet")]) == len(NAMES)
