@@ -32,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 import uvicorn
 from stage import Monitor, Stage, drive, estimate, pose, status
 
+from tilth.monitor.daemon_data import Heard
 from tilth.monitor.json_safe import plain
 from tilth.monitor.server import FILES, listening_socket
 from tilth.monitor.view import View, installed_version
@@ -105,7 +106,7 @@ class Rehearsed:
     def choose(self, now_s: float) -> bool:
         return False
 
-    def take(self) -> tuple[dict[str, tuple[dict[str, Any], float]], list[dict[str, Any]]]:
+    def take(self) -> list[Heard]:
         t_s = self._turn / POSES_PER_S
         t_ns = 1_790_000_000_000_000_000 + int(1e9 * t_s)
         told = {"pose": CHANNEL["/pose"].encode(pose(t_ns, next(self._points), ""))}
@@ -122,7 +123,7 @@ class Rehearsed:
             "status": pb.Status,
             "rig": pb.Rig,
         }
-        return {kind: (plain(kinds[kind].FromString(data)), t_s) for kind, data in told.items()}, []
+        return [Heard(kind, plain(kinds[kind].FromString(data)), t_s) for kind, data in told.items()]
 
 
 def messages(view: View, hours: float) -> Iterator[str]:

@@ -1,24 +1,34 @@
-"""`tilth monitor`: the live page."""
+"""`tilth monitor`: the live page, also of recorded runs."""
 
 import argparse
+import signal
+import sys
+from contextlib import ExitStack, suppress
+from pathlib import Path
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
 from tilth.monitor.addresses import urls
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.server import listening_socket, serve
 
 PORT = 8117
+MARK = "mark: notes in the log of the run"
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "monitor",
-        help="show a running daemon in a browser",
+        help="show a running daemon in a browser, or recorded runs",
         description="Serves a page that shows what a running daemon says: sensors, recording, map, "
-        "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C.",
+        "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C. "
+        "With LOG or FOLDER the page plays recorded runs instead, at 1 to 100 times real time.",
     )
-    add_daemon(parser)
+    parser.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG|FOLDER", help="play these runs; a log of nearly any kind"
+    )
+    add_daemon(parser, "; with LOG: a machine file, for logs that hold none")
+    add_bus_names(parser)
     add_address(parser, PORT)
 
 
@@ -29,17 +39,35 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         where = f"cannot serve at {args.host} port {args.port}: {error.strerror or error}"
         raise WrongUse(f"{where}; give another --port or --host") from None
-    try:
-        daemon_data = DaemonData(args.connect, args.config, args.prefix, args.machine, args.replay)
-    except ValueError as error:
-        listener.close()
-        raise WrongUse(str(error)) from None
-    host, port = listener.getsockname()[:2]
-    for url in urls("http", host, port):
-        print(f"{url}/", flush=True)
-    say_who_reaches(host, "may see the page and mark: notes in the log of the run")
-    try:
-        serve(daemon_data, str(args.config or args.connect), listener)
-    finally:
-        daemon_data.close()
+    with ExitStack() as page, ExitStack() as stack:  # a player ends before the page that hears it
+        stack.callback(listener.close)
+        endpoint = str(args.config or args.connect)
+        if args.logs:
+            from tilth.cli.recorded_runs import (
+                Unplayable,
+                play,
+            )  # with the estimators: only who asks pays for it
+
+            try:
+                endpoint = play(args, stack)
+            except Unplayable as error:
+                print(f"tilth monitor: {error}", file=sys.stderr)
+                return error.status
+        page.callback((daemon_data := _hear(args, endpoint)).close)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        with suppress(KeyboardInterrupt):  # also before the server has begun: this is how it is meant to end
+            host, port = listener.getsockname()[:2]
+            for url in urls("http", host, port):
+                print(f"{url}/", flush=True)
+            say_who_reaches(host, f"may see the page and {'play' if args.logs else MARK}")
+            serve(daemon_data, endpoint, listener)
     return 0
+
+
+def _hear(args: argparse.Namespace, endpoint: str) -> DaemonData:
+    try:
+        if args.logs:
+            return DaemonData(endpoint, None, args.prefix, "", False, gone_s=0.0)
+        return DaemonData(args.connect, args.config, args.prefix, args.machine, args.replay)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None

@@ -8,14 +8,14 @@ from tilth.client.link import ENDPOINT
 from tilth.monitor.addresses import is_loopback
 
 
-def add_daemon(parser: argparse.ArgumentParser) -> None:
-    """Which daemon to hear."""
+def add_daemon(parser: argparse.ArgumentParser, also: str = "") -> None:
+    """Which daemon to hear. also: what else --machine may be."""
     parser.add_argument(
         "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
     parser.add_argument(
-        "--machine", default="", metavar="NAME", help="of the machine file (the one that runs)"
+        "--machine", default="", metavar="NAME", help=f"of the machine file (the one that runs){also}"
     )
     parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
     parser.add_argument(

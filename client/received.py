@@ -47,10 +47,10 @@ class HeardRig(NamedTuple):
     antennas: tuple[Antenna, ...]
 
 
-def parse(message: type[M], data: bytes, encoding: str) -> M:
-    """The message that these bytes are. Raises Refused."""
+def parse(message: type[M], data: bytes, encoding: str, most: int = LARGEST) -> M:
+    """The message that these bytes are, `most` of them. Raises Refused."""
     name = message.DESCRIPTOR.name
-    if len(data) > LARGEST:
+    if len(data) > most:
         raise Refused(f"{len(data)} bytes are too many for {name}")
     wanted = f"application/protobuf;tilth.{name}"
     if encoding != wanted:

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter, deque
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import zenoh
 from google.protobuf.message import Message
@@ -23,11 +23,18 @@ MESSAGES: Final[dict[str, type[Message]]] = {
     "pose": pb.Pose,
     "soil_tire": pb.SoilTireEstimate,
     "event": pb.Event,
+    "player": pb.PlayerState,
 }
-EVENTS: Final = 200  # that may wait to be taken
+MANY: Final = frozenset({"pose", "soil_tire"})  # kinds of which a single one may be missed
+WAITING: Final = 2000  # messages that may wait to be taken; a player sends a thousand a second at most
 KINDS_OF_REFUSAL: Final = 20
 GONE_S: Final = 10.0  # then another daemon may be followed
 MARK_S: Final = 5.0  # longest wait until a mark is in the log
+ORDER_S: Final = 10.0  # the same of an order to a player; it may have to read
+LIST_S: Final = 120.0  # the same for what it says of its runs: it looks into many logs
+LARGEST_LIST: Final = 64 * 1024 * 1024  # bytes of that
+
+M = TypeVar("M", bound=Message)
 
 
 class MarkAnswer(NamedTuple):
@@ -37,17 +44,39 @@ class MarkAnswer(NamedTuple):
     text: str
 
 
+class Heard(NamedTuple):
+    """A message, and when it was sent."""
+
+    kind: str
+    message: dict[str, Any]
+    sent_s: float
+
+
+class _Raw(NamedTuple):
+    kind: str
+    data: bytes
+    encoding: str
+    sent_s: float
+
+
 class DaemonData:
     """Follows one machine of those that live at an endpoint. `now_s` of time.monotonic throughout."""
 
-    def __init__(self, endpoint: str, config: Path | None, prefix: str, machine: str, replay: bool) -> None:
-        """machine: "" for whichever lives; one on a tractor before a simulation. Raises ValueError in a
-        person's words."""
+    def __init__(
+        self,
+        endpoint: str,
+        config: Path | None,
+        prefix: str,
+        machine: str,
+        replay: bool,
+        gone_s: float = GONE_S,
+    ) -> None:
+        """machine: "" for whichever lives; one on a tractor before a simulation. gone_s: after which another
+        one may be followed. Raises ValueError in a person's words."""
         base_key(machine or "any", prefix, replay)
-        self._prefix, self._wanted = prefix, (machine, replay)
+        self._prefix, self._wanted, self._gone_s = prefix, (machine, replay), gone_s
         self._lock = threading.Lock()
-        self._new: dict[str, tuple[bytes, str, float]] = {}  # kind -> payload, encoding, when it was sent
-        self._events: deque[tuple[bytes, str, float]] = deque(maxlen=EVENTS)
+        self._new: deque[_Raw] = deque()  # in the order in which they came
         self._alive: set[Alive] = set()
         self._refused: Counter[str] = Counter()
         self._followed = Alive(replay, machine) if machine else None
@@ -85,38 +114,58 @@ class DaemonData:
         if self._followed in alive:
             self._lived_s = now_s
             return False
-        if self._wanted[0] or not alive or now_s - self._lived_s < GONE_S:
+        if self._wanted[0] or not alive or now_s - self._lived_s < self._gone_s:
             return False
         self._follow(alive[0])
         self._lived_s = now_s
         return True
 
-    def take(self) -> tuple[dict[str, tuple[dict[str, Any], float]], list[dict[str, Any]]]:
-        """What came since the last call: kind -> message and when it was sent; and the events."""
+    def take(self) -> list[Heard]:
+        """What came since the last call, in its order."""
         with self._lock:
-            new, self._new = self._new, {}
-            events = list(self._events)
-            self._events.clear()
-        messages = {}
-        for kind, (data, encoding, received_s) in new.items():
-            message = self._plain(kind, data, encoding)
+            new = list(self._new)
+            self._new.clear()
+        found = []
+        for raw in new:
+            message = self._plain(raw.kind, raw.data, raw.encoding)
             if message is not None:
-                messages[kind] = (message, received_s)
-        parsed = [self._plain("event", data, encoding) for data, encoding, _ in events]
-        return messages, [event for event in parsed if event is not None]
+                found.append(Heard(raw.kind, message, raw.sent_s))
+        return found
 
     def mark(self, text: str) -> MarkAnswer:
         """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
         if not self.base:
             return MarkAnswer(False, "no daemon has been heard yet: the mark is not in the log")
         for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
-            if reply.ok is not None:
-                return MarkAnswer(True, "in the log")
-            refused = reply.err.payload.to_bytes() if reply.err is not None else b""
-            return MarkAnswer(False, refused[:200].decode(errors="replace") or "the daemon refused it")
+            return (
+                MarkAnswer(True, "in the log") if reply.ok is not None else MarkAnswer(False, _refusal(reply))
+            )
         return MarkAnswer(
             False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records"
         )
+
+    def order(self, order: pb.PlayerOrder) -> str:
+        """Tell a player what to do, and wait until it is done: "", or why it is not. Not in the loop's own
+        thread."""
+        if not self.base:
+            return "no player has been heard yet"
+        data = order.SerializeToString()
+        for reply in self._session.get(f"{self.base}/player/order", payload=data, timeout=ORDER_S):
+            return "" if reply.ok is not None else _refusal(reply)
+        return f"the player did not answer within {ORDER_S:.0f} s"
+
+    def ask_player(self, what: str, message: type[M]) -> M:
+        """What a player says of its runs, on a key below `player`. Not in the loop's own thread. Raises
+        Refused."""
+        try:
+            replies = self._session.get(f"{self.base}/player/{what}", timeout=LIST_S) if self.base else ()
+        except zenoh.ZError:  # this page ends
+            replies = ()
+        for reply in replies:
+            if reply.ok is None:
+                raise Refused(_refusal(reply))
+            return parse(message, reply.ok.payload.to_bytes(), str(reply.ok.encoding), most=LARGEST_LIST)
+        raise Refused("the player does not answer")
 
     def close(self) -> None:
         self._session.close()
@@ -126,7 +175,6 @@ class DaemonData:
             self._subscriber.undeclare()
         with self._lock:
             self._new.clear()
-            self._events.clear()
             self._followed = which
         self._subscriber = self._session.declare_subscriber(f"{self.base}/*", self._take_sample)
         self._ask()
@@ -162,7 +210,7 @@ class DaemonData:
         age_s = answered_age(reply.ok.attachment)
         kind = str(reply.ok.key_expr).removeprefix(f"{self.base}/")
         with self._lock:
-            if kind in self._new:
+            if any(raw.kind == kind for raw in self._new):
                 return  # a newer one has come meanwhile
         self._keep(reply.ok, time.monotonic() - age_s)
 
@@ -177,11 +225,10 @@ class DaemonData:
             if len(sample.payload) > LARGEST:  # not even kept until it is looked at
                 self._count(f"{kind}: {len(sample.payload)} bytes are too many")
                 return
-            row = (sample.payload.to_bytes(), str(sample.encoding), received_s)
-            if kind == "event":
-                self._events.append(row)
-            else:
-                self._new[kind] = row
+            if len(self._new) >= (WAITING if kind in MANY else 2 * WAITING):
+                self._count(f"{kind}: came faster than they could be shown")
+                return
+            self._new.append(_Raw(kind, sample.payload.to_bytes(), str(sample.encoding), received_s))
 
     def _take_token(self, sample: zenoh.Sample) -> None:
         which = alive_of(str(sample.key_expr), self._prefix)
@@ -192,3 +239,8 @@ class DaemonData:
             is_new_start = which == self._followed and which in self._alive
         if is_new_start:  # it has begun anew: another rig perhaps, and values that were missed
             self._ask()
+
+
+def _refusal(reply: zenoh.Reply) -> str:
+    refused = reply.err.payload.to_bytes() if reply.err is not None else b""
+    return refused[:200].decode(errors="replace") or "the daemon refused it"

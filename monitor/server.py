@@ -1,7 +1,8 @@
-"""Serves the page: one HTML, its own scripts and styles, a stream of JSON, and the mark. All else is 404.
+"""Serves the page: one HTML, its own scripts and styles, a stream of JSON, the mark, and the recorded runs of
+a player. All else is 404.
 
-Read only but for the mark. What comes from the daemon is data to the browser, never markup: the policy in
-every answer's header lets no script run but the page's own.
+Read only but for the mark and the orders to a player. What a daemon says is data to the browser, never
+markup: the policy in every answer's header lets no script run but the page's own.
 """
 
 import asyncio
@@ -11,9 +12,9 @@ import logging
 import signal
 import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 import uvicorn
 from starlette.applications import Starlette
@@ -24,8 +25,10 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from tilth.client.received import Refused
 from tilth.monitor.daemon_data import DaemonData, MarkAnswer
 from tilth.monitor.origin import refusal
+from tilth.monitor.player_page import order_of, places_of, runs_of
 from tilth.monitor.view import View
 
 TURN_S: Final = 0.1
@@ -52,6 +55,9 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
+    ("/player.js", "player.js", "text/javascript"),
+    ("/runs.js", "runs.js", "text/javascript"),
+    ("/steering.js", "steering.js", "text/javascript"),
     ("/traces.js", "traces.js", "text/javascript"),
     ("/icon.svg", "icon.svg", "image/svg+xml"),
     ("/uplot/uPlot.iife.min.js", "uplot/uPlot.iife.min.js", "text/javascript"),
@@ -160,8 +166,18 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
             return _answer(MarkAnswer(False, str(error)), 400)
         return _answer(await run_in_threadpool(daemon_data.mark, text), 200)
 
+    async def order(request: Request) -> Response:
+        try:
+            wanted = order_of(await _json(request, "an order"))
+        except ValueError as error:
+            return JSONResponse({"done": False, "text": str(error)}, 400)
+        refused = await run_in_threadpool(daemon_data.order, wanted)
+        return JSONResponse({"done": not refused, "text": refused})
+
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
-    routes += [Route("/mark", mark, methods=["POST"])]
+    routes += [Route("/mark", mark, methods=["POST"]), Route("/player", order, methods=["POST"])]
+    for name, asked in (("runs", runs_of), ("places", places_of)):
+        routes.append(Route(f"/player/{name}", _told(daemon_data, asked)))
     app = Starlette(routes=[*routes, WebSocketRoute("/live", viewers.serve)], lifespan=lifespan)
     return Guard(app)
 
@@ -177,19 +193,42 @@ def _answer(mark: MarkAnswer, status: int) -> Response:
     return JSONResponse({"noted": mark.noted, "text": mark.text}, status)
 
 
-async def _mark_text(request: Request) -> str:
-    """The text of a mark. Raises ValueError."""
+def _told(
+    daemon_data: DaemonData, ask: Callable[[DaemonData], Any]
+) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        try:
+            return JSONResponse(await run_in_threadpool(ask, daemon_data))
+        except Refused as refused:
+            return PlainTextResponse(f"{refused}\n", 503)
+
+    return answer
+
+
+async def _json(request: Request, what: str) -> dict[str, Any]:
+    """The object that was sent. Raises ValueError."""
     if request.headers.get("content-type") != "application/json":  # what a form of another page cannot send
-        raise ValueError("a mark is sent as JSON")
+        raise ValueError(f"{what} is sent as JSON")
     body = b""
     async for part in request.stream():
         body += part
         if len(body) > 8 * MARK_BYTES:  # as JSON writes its worst characters, and some
-            raise ValueError(f"this mark is too long; {MARK_BYTES} bytes are the most")
+            raise ValueError(f"{what} of so many bytes is too long; {MARK_BYTES} bytes are the most")
     try:
-        text = json.loads(body)["text"]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise ValueError("a mark is sent as JSON with its text") from None
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise ValueError(f"{what} is sent as JSON with its text")
+    return found
+
+
+async def _mark_text(request: Request) -> str:
+    """The text of a mark. Raises ValueError."""
+    found = await _json(request, "a mark")
+    if "text" not in found:
+        raise ValueError("a mark is sent as JSON with its text")
+    text = found["text"]
     if not isinstance(text, str) or not text.strip():
         raise ValueError("write something first")
     size = len(text.encode(errors="replace"))

@@ -8,34 +8,22 @@ Both have the same fields; those of a kind of message are replaced by a later on
 import json
 import math
 from collections import deque
-from enum import IntEnum
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
 
 from tilth.client.received import LONGEST as LONGEST_TEXT
+from tilth.client.received import Refused
 from tilth.monitor.daemon_data import DaemonData
-from tilth.monitor.history import History
-from tilth.monitor.words import page_estimate, priors, row
-from tilth.schemas.flow import FlagKind, known_flags
+from tilth.monitor.overview import Overview, ask_overview
+from tilth.monitor.traces import Traces, estimate_row, pose_quality, pose_row
+from tilth.monitor.words import page_estimate, priors
 from tilth.schemas.invocation import command
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
 WAIT_S: Final = 10.0  # a daemon that starts beside the page may take so long to its first word
-TRACE_S: Final = 0.5  # between points of the track
-WORST: Final = frozenset(
-    {
-        FlagKind.LOST,
-        FlagKind.NO_FIX,
-        FlagKind.MISSING,
-        FlagKind.NO_HEADING,
-        FlagKind.DOUBTFUL,
-        FlagKind.MOVED,
-        FlagKind.SWAPPED,
-        FlagKind.REPEATING,
-        FlagKind.CONTRADICTION,
-    }
-)
 Fields = dict[str, Any]
 
 
@@ -45,12 +33,6 @@ def installed_version() -> str:
         return version("tilth")
     except PackageNotFoundError:
         return "not installed"
-
-
-class PoseQuality(IntEnum):
-    GOOD = 0
-    FLAGGED = 1
-    BAD = 2  # a flag of WORST: something is lost or contradicts
 
 
 class Turn(NamedTuple):
@@ -70,16 +52,15 @@ class View:
         self._messages: dict[str, Fields] = {}
         self._received_s: dict[str, float] = {}
         self._events: deque[Fields] = deque(maxlen=EVENTS)
-        self._estimates = History()
-        self._track = History()
-        self._origin: tuple[float, float] | None = None
+        self._traces = Traces()
+        self._asking = ThreadPoolExecutor(1, "tilth.overview")
+        self._asked: Future[Overview] | None = None
+        self._overview: Overview | None = None  # of the run that is played, if one is
 
     def whole(self, now_s: float) -> str:
         """For a page that opens, or that has to forget what it had."""
-        fields = self._around(now_s) | self._messages
+        fields = self._around(now_s) | self._messages | self._traces.whole()
         fields["events"] = list(self._events)
-        fields["estimates"] = _columns(self._estimates, ("t", "value", "within", "status"))
-        fields["track"] = _columns(self._track, ("t", "tractor", "implement", "quality"))
         return json.dumps({"whole": fields}, allow_nan=False)
 
     def turn(self, now_s: float) -> Turn:
@@ -89,45 +70,82 @@ class View:
             self._forget()
         if anew or self._began_s is None:
             self._began_s = now_s
-        messages, events = self._daemon_data.take()
-        changed = {kind: message for kind, (message, _) in messages.items()}
-        self._received_s |= {kind: received_s for kind, (_, received_s) in messages.items()}
-        if "rig" in changed:
-            changed["rig"] = priors(changed["rig"])
-        if "soil_tire" in changed:
-            estimate = changed["soil_tire"]
-            anew |= self._estimates.add((estimate["t_ns"] * 1e-9, *row(estimate)))
-        if "pose" in changed:
-            changed["pose"] |= {"quality": _quality(changed["pose"])}
-            anew |= self._add_pose(changed["pose"])
-        self._messages |= changed
+        changed: Fields = {}
+        events: list[Fields] = []
+        heard = self._daemon_data.take()
+        for kind, message, sent_s in heard:
+            self._received_s[kind] = sent_s
+            if kind == "event":
+                events.append(message)
+                self._events.append(message)
+                continue
+            if kind == "player" and self._jumped(message):
+                anew = True
+            anew |= self._take(kind, message)
+            changed[kind] = self._messages[kind]
+        anew |= self._take_overview()
         if "soil_tire" in self._messages and ("soil_tire" in changed or "rig" in changed):
             changed["shown"] = page_estimate(self._messages["soil_tire"], self._messages.get("rig"))
-            self._messages |= changed
-        self._events.extend(events)
-        text = json.dumps({"new": self._around(now_s) | changed | {"events": events}}, allow_nan=False)
-        return Turn(text, bool(messages or events), anew)
+            self._messages["shown"] = changed["shown"]
+        changed |= self._traces.added() | {"events": events}
+        text = json.dumps({"new": self._around(now_s) | changed}, allow_nan=False)
+        return Turn(text, bool(heard), anew)
 
-    def _forget(self) -> None:
-        self._messages.clear()
+    def _take(self, kind: str, message: Fields) -> bool:
+        """Keep the last of each kind; what is drawn over time is kept longer. True as of Traces.add."""
+        anew = False
+        if kind == "rig":
+            message = priors(message)
+        elif kind == "soil_tire":
+            anew = self._traces.add(estimate_row(message))
+        elif kind == "pose":
+            anew = self._traces.add(pose_row(message))
+            message |= {"quality": pose_quality(message)}
+        self._messages[kind] = message
+        return anew
+
+    def _jumped(self, player: Fields) -> bool:
+        """Whether a player has gone to another place or run: what was heard before is of another time."""
+        before = self._messages.get("player", {"run": "", "jumps": 0})
+        if (player["run"], player["jumps"]) == (before["run"], before["jumps"]):
+            return False
+        if player["run"] != before["run"]:
+            self._overview = self._asked = None
+        self._forget(("rig",))
+        if self._overview is None and self._asked is None and player["run"]:
+            self._asked = self._asking.submit(ask_overview, self._daemon_data)
+        self._go_to(player["at_s"])
+        return True
+
+    def _take_overview(self) -> bool:
+        if self._asked is None or not self._asked.done():
+            return False
+        asked, self._asked = self._asked, None
+        player = self._messages.get("player", {"run": "", "at_s": 0.0})
+        try:
+            overview = asked.result()
+        except Refused:
+            return False  # it is asked for at the next jump
+        if overview.run != player["run"]:
+            return False
+        self._overview = overview
+        self._go_to(player["at_s"])
+        return True
+
+    def _go_to(self, at_s: float) -> None:
+        """What a page would have that had heard the run up to there."""
+        overview = self._overview
+        self._traces = overview.traces(at_s) if overview is not None else Traces()
+        self._events.clear()
+        if overview is not None:
+            self._events.extend(overview.events_to(at_s))
+
+    def _forget(self, but: Sequence[str] = ()) -> None:
+        for kind in set(self._messages).difference(but):
+            del self._messages[kind]
         self._received_s.clear()
         self._events.clear()
-        self._estimates, self._track = History(), History()
-
-    def _add_pose(self, pose: Fields) -> bool:
-        origin = (pose["origin_latitude_deg"], pose["origin_longitude_deg"])
-        anew = origin != self._origin
-        if anew:
-            self._origin = origin
-            self._track = History()
-        t_s = pose["t_ns"] * 1e-9
-        rows = self._track.rows
-        if rows and 0 <= t_s - rows[-1][0] < TRACE_S:
-            return anew
-        places = [_place(pose.get(body) or {}) for body in ("tractor", "implement")]
-        if places == [None, None]:
-            return anew
-        return self._track.add((t_s, *places, pose["quality"])) or anew
+        self._traces = Traces()
 
     def _around(self, now_s: float) -> Fields:
         """What is so whether anything was heard or not."""
@@ -138,12 +156,24 @@ class View:
             "simulated": bool(followed and followed.replay),
             "alive": alive,
             "waiting": self._waiting(now_s),
-            "age_s": {kind: _finite(now_s - received_s) for kind, received_s in self._received_s.items()},
+            "age_s": self._ages(now_s),
             "notes": self._notes(now_s, alive, names),
         }
 
+    def _ages(self, now_s: float) -> Fields:
+        """s; of a run that is played, how old each message was at the place where it is."""
+        player = self._messages.get("player")
+        if player is None:
+            return {kind: _finite(now_s - received_s) for kind, received_s in self._received_s.items()}
+        t_ns = {
+            kind: row["t_ns"] for kind, row in self._messages.items() if row.get("t_ns") and kind != "player"
+        }
+        return {kind: max(0.0, round((player["t_ns"] - at_ns) * 1e-9, 2)) for kind, at_ns in t_ns.items()}
+
     def _waiting(self, now_s: float) -> bool:
         """No status was heard yet, and it is too early to wonder."""
+        if "player" in self._messages:
+            return False
         return "status" not in self._received_s and (self._began_s is None or now_s - self._began_s < WAIT_S)
 
     def _notes(self, now_s: float, alive: bool, names: list[str]) -> list[str]:
@@ -155,7 +185,9 @@ class View:
             where = f"No daemon is heard at {self._endpoint}"
             return [f"{where}: start `{command('run')}` or `{command('demo')}`, or look at --connect."]
         name = followed.machine
-        found = []
+        found: list[str] = []
+        if "player" in self._messages:
+            return [] if alive else ["The player of recorded runs does not answer: start it again."]
         age_s = min((now_s - received_s for received_s in self._received_s.values()), default=math.inf)
         if not alive:
             found.append(f"The daemon of {name} does not answer at {self._endpoint}. Waiting for it.")
@@ -175,24 +207,6 @@ class View:
             count, (why, _) = sum(refused.values()), max(refused.items(), key=lambda item: item[1])
             found.append(f"{count} messages could not be used, most of them: {why}.")
         return found
-
-
-def _place(body: Fields) -> tuple[float, float] | None:
-    x, y = body.get("x"), body.get("y")
-    return None if x is None or y is None else (round(x, 3), round(y, 3))
-
-
-def _quality(pose: Fields) -> int:
-    """A PoseQuality, as the page's JSON has it."""
-    flags = pose["flags"]
-    if any(flag.kind in WORST for flag in known_flags(flags)):
-        return PoseQuality.BAD
-    return PoseQuality.FLAGGED if flags else PoseQuality.GOOD
-
-
-def _columns(history: History, names: tuple[str, ...]) -> dict[str, list[Any]]:
-    columns = zip(*history.rows, strict=True) if history.rows else ((),) * len(names)
-    return {name: list(column) for name, column in zip(names, columns, strict=True)}
 
 
 def _finite(number: float) -> float | None:

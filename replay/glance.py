@@ -19,6 +19,7 @@ from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb
 
+LAST = ("/pose", "/soil_tire")  # whose last message is told
 _INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
 _ENTRY = 16
 
@@ -42,6 +43,10 @@ class Glance:
     events: Counter[str] = field(default_factory=Counter)  # by kind
     utc_minus_ns: int = 0
     note: str = ""
+    machine: str = ""  # its name
+    run: str = ""  # its id
+    pose: pb.Pose | None = None  # the last
+    estimate: pb.SoilTireEstimate | None = None  # the last that was recommended
 
 
 def glance(path: Path) -> Glance:
@@ -80,6 +85,10 @@ def _by_index(reader: McapReader) -> Glance:
     status = next(reader.iter_messages(["/status"], ending_before=until_ns, reverse=True), None)
     if status:
         found.sensors = _sensors(status[2].data)
+    for topic in LAST:
+        row = next(reader.iter_messages([topic], reverse=True), None)
+        if row is not None:
+            _take_last(found, topic, row[2].data)
     found.events = _kinds(row.data for _, _, row in reader.iter_messages(["/event"]))
     for record in reader.iter_metadata():
         _metadata(found, record)
@@ -96,11 +105,21 @@ def _kinds(events: Iterable[bytes]) -> Counter[str]:
     return Counter(pb.Event.FromString(data).kind for data in events)
 
 
+def _take_last(found: Glance, topic: str, data: bytes) -> None:
+    if topic == "/pose":
+        found.pose = pb.Pose.FromString(data)
+    else:
+        found.estimate = pb.SoilTireEstimate.FromString(data)
+
+
 def _metadata(found: Glance, record: Metadata) -> None:
     if record.name == "clock":
         found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
     elif record.name == "run":
         found.note = record.metadata.get("note", "")
+        found.run = record.metadata.get("id", "")
+    elif record.name == "machine":
+        found.machine = record.metadata.get("name", "")
 
 
 @dataclass(slots=True)
@@ -169,6 +188,10 @@ def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     )
     for number in chunks.holding({"/event"}):
         found.events += _kinds(data for _, _, data in chunks.messages(number, {"/event"}))
+    for topic in LAST:
+        for number in chunks.holding({topic})[-1:]:
+            *_, (_, _, data) = chunks.messages(number, {topic})
+            _take_last(found, topic, data)
     with_frames = chunks.holding(buses)[-1:]
     until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
     for number in reversed(chunks.holding({"/status"})):

@@ -2,7 +2,7 @@
 
 import io
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -164,15 +164,20 @@ def _records(file: BinaryIO, size: int, damage: Counter[str]) -> Iterator[tuple[
                 yield from messages_in(data, topics)
 
 
-def messages_in(data: bytes, topics: dict[int, str]) -> Iterator[tuple[str, tuple[int, bytes]]]:
-    """(topic, (t_ns, data)) of the records of a chunk; `topics`, by channel, learns those it defines."""
+def messages_in(
+    data: bytes, topics: dict[int, str], wanted: Container[str] | None = None
+) -> Iterator[tuple[str, tuple[int, bytes]]]:
+    """(topic, (t_ns, data)) of the records of a chunk; `topics`, by channel, learns those it defines.
+    wanted: other topics are passed over."""
     start, end = 0, len(data)
     data += bytes(MESSAGE.size)
     while start < end:
         opcode, length, channel, _, t_ns, _ = MESSAGE.unpack_from(data, start)
         stop = start + HEAD.size + length
         if opcode == Opcode.MESSAGE:
-            yield topics.get(channel, ""), (t_ns, data[start + MESSAGE.size : stop])
+            topic = topics.get(channel, "")
+            if wanted is None or topic in wanted:
+                yield topic, (t_ns, data[start + MESSAGE.size : stop])
         elif opcode == Opcode.CHANNEL:
             definition = Channel.read(ReadDataStream(io.BytesIO(data[start + HEAD.size : stop])))
             topics[definition.id] = definition.topic

@@ -28,15 +28,17 @@ class ZenohSink:
         prefix_suffix: str = "",
         now_ns: Callable[[], int] = time.monotonic_ns,
         mark: Callable[[zenoh.Query], None] | None = None,
+        session: zenoh.Session | None = None,
     ) -> None:
         """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
 
-        now_ns: the clock that tells a value's age. mark: takes queries on the key `mark`. Raises
-        zenoh.ZError where no session can be had.
+        now_ns: the clock that tells a value's age. mark: takes queries on the key `mark`. session: one that
+        is there, and stays open. Raises zenoh.ZError where no session can be had.
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
         self.failures = 0
-        self._session, self.endpoints, self.note = open_session(machine)
+        self._is_own = session is None
+        self._session, self.endpoints, self.note = (session, [], "") if session else open_session(machine)
         self._publishers = {
             channel.topic: self._session.declare_publisher(
                 f"{self.base}/{channel.key}",
@@ -74,10 +76,15 @@ class ZenohSink:
         self._last[topic] = (self._now_ns(), data)
 
     def close(self) -> None:
-        """Withdraw the token and end the session."""
+        """Withdraw the token and end the session, or what was declared on one that stays open."""
         try:
             self._token.undeclare()
-            self._session.close()
+            if self._is_own:
+                self._session.close()
+                return
+            self._queryable.undeclare()
+            for publisher in self._publishers.values():
+                publisher.undeclare()
         except zenoh.ZError:
             self.failures += 1
 

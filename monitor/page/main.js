@@ -2,6 +2,9 @@
 
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
+import { PlayerBar } from "./player.js";
+import { Runs } from "./runs.js";
+import { Steering } from "./steering.js";
 import { element, put, Tiles } from "./tiles.js";
 import { Traces } from "./traces.js";
 import { capital, clock, duration, flagged, hours, known, OLD_S, PARAMETERS, preparing, spaced, time } from "./words.js";
@@ -15,6 +18,8 @@ const byId = (id) => document.getElementById(id);
 
 const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
+const steering = new Steering(byId("steering"), () => traces.times);
+const bar = new PlayerBar(), runs = new Runs();
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
@@ -42,16 +47,19 @@ function take(message) {
     traces.setPriors(said.rig);
   }
   if (said.status) map.receivers = said.status.receivers;
-  if (whole) {
-    map.setTrack(said.track);
-    traces.setAll(said.estimates);
-    heard.estimates = heard.track = undefined; // they live where they are drawn
-  } else if (said.shown) traces.add(said.shown);
-  if (said.pose) map.setPose(said.pose, !whole);
+  if (whole) map.setTrack(said.track);
+  else if (said.track) map.addTrack(said.track);
+  for (const [rows, place] of [[said.estimates, traces], [said.steering, steering]]) {
+    if (rows) place[whole ? "setAll" : "add"](rows);
+  }
+  if (said.steering) traces.draw(); // they share their times
+  heard.estimates = heard.track = heard.steering = undefined; // they live where they are drawn
+  if (said.pose || whole) map.setPose(said.pose);
   if (whole || said.events.length) showEvents(events);
   if (said.shown) showKnown();
+  else if (whole) forgetKnown();
   if (said.pose) showPose(said.pose);
-  if (whole || said.status) show(); // else soon enough by the clock
+  if (whole || said.status || said.player) show(); // else soon enough by the clock
 }
 
 function show() {
@@ -61,11 +69,15 @@ function show() {
   showPreparing(status);
   showFacts(status);
   showAges();
+  bar.show(heard.player);
+  runs.show(heard.player, heard.machine);
   tiles.show(status, live("status"), time(age("status")));
   map.setOld(!live("pose"));
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;
+  put(byId("simulated"), heard.player?.run ? `replay of ${heard.player.run}` : heard.player ? "replay" : "simulation");
+  document.querySelector(".marks").hidden = Boolean(heard.player);
 }
 
 // Each part of the page names the message that it shows; where that is no longer so, it says how old it is.
@@ -82,6 +94,7 @@ function showRun(status) {
   let [word, state, beside] = ["NOT RECORDING", "bad", known(status.uptime_s) ? duration(status.uptime_s) : ""];
   if (connected === undefined) [word, state, beside] = ["WAITING", "wait", ""];
   else if (!reached()) [word, beside] = ["NO CONNECTION", ago];
+  else if (heard.player && heard.alive) [word, state, beside] = ["REPLAY", "wait", playing(heard.player)];
   else if (heard.waiting) [word, state, beside] = ["WAITING", "wait", "for the daemon"];
   else if (!ago && !heard.alive) [word, beside] = ["NO DAEMON", ""];
   else if (!live("status")) [word, beside] = [heard.alive ? "SILENT" : "DAEMON GONE", ago];
@@ -92,6 +105,8 @@ function showRun(status) {
   byId("run").dataset.state = state;
   document.title = `${heard.machine || "Tilth"}${state === "bad" ? ` – ${word}` : ""}`;
 }
+
+const playing = ({ state, rate }) => (state === "playing" ? `${rate} ×` : state === "idle" ? "choose a run" : state);
 
 function showProblems(status) {
   const lost = connected !== undefined && !reached();
@@ -172,6 +187,16 @@ function showKnown() {
   byId("withdrawn").hidden = !shown.withdrawn.length;
 }
 
+// Another run, or a place in it at which nothing was estimated yet.
+function forgetKnown() {
+  put(byId("advice"), "Nothing has been heard yet.");
+  put(byId("method"), "");
+  byId("known").replaceChildren();
+  byId("ground").replaceChildren(element("li", "", "Nothing has been heard yet."));
+  byId("withdrawn").hidden = true;
+  traces.forget();
+}
+
 function knowledge(share) {
   if (share === undefined) return "not judged yet";
   return share === null ? "not determined" : `known to ${share}`;
@@ -245,6 +270,7 @@ function prepareTheme() {
   const apply = () => {
     document.documentElement.dataset.theme = chosen || (dark.matches ? "dark" : "light");
     traces.recolour();
+    steering.recolour();
     map.recolour();
   };
   byId("theme").addEventListener("click", () => {
@@ -263,6 +289,7 @@ for (const button of document.querySelectorAll("[data-seconds]")) {
   button.addEventListener("click", () => {
     for (const other of document.querySelectorAll("[data-seconds]")) other.setAttribute("aria-pressed", String(other === button));
     traces.range(Number(button.dataset.seconds));
+    steering.draw();
   });
 }
 prepareMarks();

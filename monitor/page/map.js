@@ -33,17 +33,13 @@ export class FieldMap {
     this.draw();
   }
 
-  // As the daemon's page thins its track: a point each half second.
-  setPose(pose, addsPoint) {
+  addTrack(rows) {
+    for (const [name, column] of Object.entries(this.track)) column.push(...rows[name]);
+    this.draw();
+  }
+
+  setPose(pose) {
     this.pose = pose;
-    const place = (body) => (known(body?.x) && known(body?.y) ? [body.x, body.y] : null);
-    const track = this.track, t = pose.t_ns * 1e-9;
-    if (addsPoint && !(t - (track.t.at(-1) ?? -Infinity) < 0.5) && (place(pose.tractor) || place(pose.implement))) {
-      track.t.push(t);
-      track.tractor.push(place(pose.tractor));
-      track.implement.push(place(pose.implement));
-      track.quality.push(pose.quality);
-    }
     this.draw();
   }
 

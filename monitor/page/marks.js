@@ -59,6 +59,7 @@ function prepareNote() {
   byId("mark").addEventListener("click", open);
   cancel.addEventListener("click", () => dialog.close());
   document.addEventListener("keydown", (event) => {
+    if (document.querySelector(".marks").hidden) return; // of a recorded run
     const typing = dialog.open || event.target.closest?.("input, textarea");
     if (event.key.toLowerCase() === "m" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) {
       event.preventDefault();

@@ -27,11 +27,15 @@ export class Traces {
     this.draw();
   }
 
-  // One estimate more.
+  // Further estimates.
   add({ t, value, within, status }) {
-    if (t <= (this.t.at(-1) ?? -Infinity)) return;
-    this.#push(t, value, within, status);
+    t.forEach((at, i) => this.#push(at, value[i], within[i], status[i]));
     this.draw();
+  }
+
+  // First and last that are shown, s.
+  get times() {
+    return this.#times();
   }
 
   #push(t, value, within, status) {
@@ -73,6 +77,15 @@ export class Traces {
       one.status.dataset.state = words.state;
       put(one.why, words.why);
     });
+  }
+
+  forget() {
+    for (const [i, one] of this.plots.entries()) {
+      put(one.value, `– ${PARAMETERS[i].unit}`);
+      for (const place of [one.range, one.why]) put(place, "");
+      put(one.status, "no estimate");
+      one.status.dataset.state = "unknown";
+    }
   }
 
   draw() {

@@ -441,3 +441,87 @@ class Rig(_message.Message):
     priors: _containers.RepeatedCompositeFieldContainer[Prior]
     antennas: _containers.RepeatedCompositeFieldContainer[Antenna]
     def __init__(self, name: _Optional[str] = ..., a: _Optional[float] = ..., b: _Optional[float] = ..., c: _Optional[float] = ..., d: _Optional[float] = ..., e: _Optional[float] = ..., m_t: _Optional[float] = ..., m_i: _Optional[float] = ..., I_t: _Optional[float] = ..., I_i: _Optional[float] = ..., h_t: _Optional[float] = ..., h_i: _Optional[float] = ..., priors: _Optional[_Iterable[_Union[Prior, _Mapping]]] = ..., antennas: _Optional[_Iterable[_Union[Antenna, _Mapping]]] = ...) -> None: ...
+
+class PlayerState(_message.Message):
+    __slots__ = ("run", "state", "at_s", "length_s", "rate", "jumps", "t_ns", "text", "share")
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    AT_S_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_S_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    JUMPS_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    SHARE_FIELD_NUMBER: _ClassVar[int]
+    run: str
+    state: str
+    at_s: float
+    length_s: float
+    rate: float
+    jumps: int
+    t_ns: int
+    text: str
+    share: float
+    def __init__(self, run: _Optional[str] = ..., state: _Optional[str] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., rate: _Optional[float] = ..., jumps: _Optional[int] = ..., t_ns: _Optional[int] = ..., text: _Optional[str] = ..., share: _Optional[float] = ...) -> None: ...
+
+class PlayerOrder(_message.Message):
+    __slots__ = ("kind", "run", "at_s", "rate")
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    AT_S_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    run: str
+    at_s: float
+    rate: float
+    def __init__(self, kind: _Optional[str] = ..., run: _Optional[str] = ..., at_s: _Optional[float] = ..., rate: _Optional[float] = ...) -> None: ...
+
+class Place(_message.Message):
+    __slots__ = ("at_s", "kind", "data", "t_ns", "text")
+    AT_S_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    at_s: float
+    kind: str
+    data: bytes
+    t_ns: int
+    text: str
+    def __init__(self, at_s: _Optional[float] = ..., kind: _Optional[str] = ..., data: _Optional[bytes] = ..., t_ns: _Optional[int] = ..., text: _Optional[str] = ...) -> None: ...
+
+class Places(_message.Message):
+    __slots__ = ("run", "rows")
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    run: str
+    rows: _containers.RepeatedCompositeFieldContainer[Place]
+    def __init__(self, run: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[Place, _Mapping]]] = ...) -> None: ...
+
+class RunListing(_message.Message):
+    __slots__ = ("name", "began", "length_s", "latitude_deg", "longitude_deg", "learned", "machine", "notes", "state")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BEGAN_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_S_FIELD_NUMBER: _ClassVar[int]
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LEARNED_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    NOTES_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    began: str
+    length_s: float
+    latitude_deg: float
+    longitude_deg: float
+    learned: SoilTireEstimate
+    machine: str
+    notes: _containers.RepeatedScalarFieldContainer[str]
+    state: str
+    def __init__(self, name: _Optional[str] = ..., began: _Optional[str] = ..., length_s: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., learned: _Optional[_Union[SoilTireEstimate, _Mapping]] = ..., machine: _Optional[str] = ..., notes: _Optional[_Iterable[str]] = ..., state: _Optional[str] = ...) -> None: ...
+
+class RunListings(_message.Message):
+    __slots__ = ("rows",)
+    ROWS_FIELD_NUMBER: _ClassVar[int]
+    rows: _containers.RepeatedCompositeFieldContainer[RunListing]
+    def __init__(self, rows: _Optional[_Iterable[_Union[RunListing, _Mapping]]] = ...) -> None: ...

@@ -1,0 +1,107 @@
+"""The recorded runs that `tilth monitor` plays: found, opened, and published for its page."""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import zenoh
+from rich.console import Console
+from rich.progress import Progress
+
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.logger.zenoh.session import free_endpoint, open_session, why
+from tilth.replay.catalogue import RunFiles, listing, run_files
+from tilth.replay.player_service import PlayerService, Sources
+from tilth.replay.prepared import Opened, Opening
+from tilth.replay.readers.log import LogError
+from tilth.schemas.machine import Machine, MachineError, Zenoh
+from tilth.schemas.proto import tilth_pb2 as pb
+
+ANY_PORT = "tcp/127.0.0.1:0"
+
+
+class Unplayable(Exception):
+    """The one run that was given cannot be played; `status` is the exit status."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+def play(args: argparse.Namespace, stack: ExitStack) -> str:
+    """Start a player; the stack ends it. Where it can be heard. Raises Unplayable, WrongUse."""
+    if args.config is not None or args.replay:
+        raise WrongUse("--config and --replay are of a daemon that runs: leave them out where you give logs")
+    given = read_machine(Path(args.machine)) if args.machine else None
+    opening = Opening(kept_logs(), args.prefix, given, tuple(args.bus), _say)
+    try:
+        runs = {one.name: one for one in run_files(args.logs)}
+        opened = _opened(opening, next(iter(runs.values()))) if len(runs) == 1 else None
+    except LogError as error:
+        raise Unplayable(str(error), error.status) from None
+    machine = opened.machine if opened else _any_machine(opening, list(runs.values()))
+
+    def listings() -> pb.RunListings:
+        return pb.RunListings(rows=[_listing(opening, one) for one in reversed(runs.values())])
+
+    sources = Sources(tuple(runs), lambda name, progress: opening.open(runs[name], progress), listings)
+    here = machine.model_copy(update={"zenoh": Zenoh(prefix=args.prefix, listen=[free_endpoint(ANY_PORT)])})
+    try:
+        session, endpoints, _ = open_session(here)
+    except zenoh.ZError as error:
+        raise WrongUse(f"Zenoh cannot be started ({why(error)})") from None
+    stack.callback(session.close)
+    player = PlayerService(session, machine, sources, time.monotonic)
+    player.start(opened)
+    stack.callback(player.close)
+    _say(f"publishing under {args.prefix}/{machine.name}/replay at {endpoints[0]}")
+    return endpoints[0]
+
+
+def _opened(opening: Opening, run: RunFiles) -> Opened:
+    """With a progress bar where there is somebody to see it. Raises LogError."""
+    try:
+        with ExitStack() as stack:
+            return opening.open(run, _bar(stack) if sys.stderr.isatty() else lambda text, share: None)
+    except OSError as error:
+        raise LogError(f"{error.filename or run.name}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _bar(stack: ExitStack) -> Callable[[str, float], None]:
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    task = bar.add_task("", total=1.0)
+    return lambda text, share: bar.update(task, description=text, completed=share)
+
+
+def _any_machine(opening: Opening, runs: list[RunFiles]) -> Machine:
+    """Of the newest run that has one."""
+    for run in reversed(runs):
+        try:
+            return opening.machine(run)
+        except (LogError, MachineError):
+            continue
+    raise WrongUse("no machine file is in these logs; give --machine M.toml")
+
+
+def _listing(opening: Opening, run: RunFiles) -> pb.RunListing:
+    try:
+        return listing(run, opening.prepared(run))
+    except (LogError, MachineError) as error:
+        row = listing(run)
+        row.state = str(error)
+        return row
+
+
+def kept_logs() -> Path:
+    """The folder of the logs that a replay gave."""
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(cache) / "tilth" / "replays"
+
+
+def _say(text: str) -> None:
+    print(f"tilth monitor: {text}", file=sys.stderr)

@@ -1,0 +1,281 @@
+"""Plays recorded runs on Zenoh under the prefix of replays, and does what it is told there.
+
+<prefix>/<machine>/replay/… carries what the run's daemon published, and below it
+    player            tilth.PlayerState: what plays, where it is, how fast
+    player/order      takes a tilth.PlayerOrder; answered when it is done, or with why it is not
+    player/runs       tilth.RunListings: what can be opened
+    player/overview   tilth.Places: poses, estimates and events of the whole run
+    player/places     tilth.Places: where one may want to jump to
+"""
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import zenoh
+from google.protobuf.message import DecodeError, Message
+
+from tilth.logger.zenoh.sink import ZenohSink
+from tilth.replay.player import Player, PlayState
+from tilth.replay.prepared import Opened
+from tilth.replay.readers.log import LogError
+from tilth.replay.recorded import Recorded
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.proto import tilth_pb2 as pb
+
+SUFFIX: Final = "replay"  # part of every key: no controller hears it
+TURN_S: Final = 0.02  # between two looks at what is due
+IDLE_S: Final = 0.25  # the same while nothing plays
+SAID_S: Final = 0.1  # between two states while it plays
+QUIET_S: Final = 1.0  # the same while nothing changes
+LATEST_S: Final = 1e9
+MOST_ORDERS: Final = 100  # that wait; a slider that is drawn asks a few times a second
+
+
+class Stopped(Exception):
+    """What is prepared is no longer wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What a player needs of its surroundings.
+
+    open: a run by its name, LogError, MachineError or OSError where it cannot be played; it tells a share
+    done and a text. listings: what can be opened.
+    """
+
+    names: Sequence[str]
+    open: Callable[[str, Callable[[str, float], None]], Opened]
+    listings: Callable[[], pb.RunListings]
+
+
+class PlayerService:
+    """In a thread of its own, on a session that stays the caller's."""
+
+    def __init__(
+        self, session: zenoh.Session, machine: Machine, sources: Sources, clock: Callable[[], float]
+    ) -> None:
+        """machine: under whose name it is there before a run is open. clock: seconds, never steps."""
+        self._session, self._sources, self._clock = session, sources, clock
+        self._orders: queue.Queue[tuple[pb.PlayerOrder, zenoh.Query]] = queue.Queue(MOST_ORDERS)
+        self._came: queue.SimpleQueue[Opened | str] = queue.SimpleQueue()  # opened, or why not
+        self._stop = threading.Event()
+        self._loading = 0  # the last run that was asked for
+        self._prepared: tuple[str, float] = ("", 0.0)
+        self._state = pb.PlayerState(state=PlayState.IDLE, rate=1.0)
+        self._said_s = float("-inf")
+        self._jumps = 0  # of runs that were open before
+        self._player: Player | None = None
+        self._overview = self._places = self._said = b""
+        self._sink: ZenohSink | None = None
+        self._appear(machine)
+        self._thread = threading.Thread(target=self._run, name="tilth.player", daemon=True)
+
+    def start(self, opened: Opened | None = None) -> None:
+        """opened: what plays at once."""
+        if opened is not None:
+            self._came.put(opened)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._disappear()
+        if self._player is not None:
+            self._player.run.close()
+
+    def _appear(self, machine: Machine) -> None:
+        self._disappear()
+        # A value of a run that is paused does not grow old.
+        sink = self._sink = ZenohSink(machine, SUFFIX, now_ns=lambda: 0, session=self._session)
+        key = f"{sink.base}/player"
+        self._publisher = self._session.declare_publisher(key, encoding=_encoding(pb.PlayerState))
+        self._queryable = self._session.declare_queryable(f"{key}/**", self._answer, complete=True)
+
+    def _disappear(self) -> None:
+        if self._sink is not None:
+            self._queryable.undeclare()
+            self._publisher.undeclare()
+            self._sink.close()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            playing = self._player is not None and self._player.state == PlayState.PLAYING
+            rows = self._take_orders(TURN_S if playing else IDLE_S)
+            with suppress(queue.Empty):
+                rows = self._take_opened(self._came.get_nowait())
+            if self._player is not None:
+                rows += self._player.due(self._clock())
+            self._say(rows)
+
+    def _take_orders(self, wait_s: float) -> list[Recorded]:
+        """What is to be published for those that wait, or come within that time."""
+        rows: list[Recorded] = []
+        with suppress(queue.Empty):
+            order, query = self._orders.get(timeout=wait_s)
+            while True:
+                try:
+                    rows = self._obey(order) or rows
+                    _reply(query, b"", pb.PlayerState)
+                except ValueError as error:
+                    _refuse(query, str(error))
+                order, query = self._orders.get_nowait()
+        return rows
+
+    def _obey(self, order: pb.PlayerOrder) -> list[Recorded]:
+        """What is to be published at once. Raises ValueError in a person's words."""
+        if order.kind == "open":
+            self._load(order.run)
+            return []
+        player, now_s = self._player, self._clock()
+        if player is None:
+            raise ValueError("no run is open yet: choose one of the list")
+        match order.kind:
+            case "play":
+                return player.play(now_s)
+            case "pause":
+                player.pause(now_s)
+            case "seek":
+                if not abs(order.at_s) < LATEST_S:  # also where it is no number
+                    raise ValueError("no run is so long")
+                return player.seek(round(order.at_s * 1e9), now_s)
+            case "rate":
+                player.set_rate(order.rate, now_s)
+            case _:
+                raise ValueError(f"{order.kind[:40]!r}: no order of a player")
+        return []
+
+    def _load(self, name: str) -> None:
+        """Open a run in a thread of its own; another that is being opened is given up."""
+        if name not in self._sources.names:
+            raise ValueError(f"{name[:80]}: no such run in the list")
+        if self._player is not None:
+            self._player.pause(self._clock())
+        self._loading += 1
+        number = self._loading
+        self._prepared = ("opening", 0.0)
+
+        def progress(text: str, share: float) -> None:
+            if self._stop.is_set() or number != self._loading:
+                raise Stopped
+            self._prepared = (text, share)
+
+        def load() -> None:
+            try:
+                opened: Opened | str = self._sources.open(name, progress)
+            except Stopped:
+                return
+            except (LogError, MachineError) as error:
+                opened = str(error)
+            except OSError as error:
+                opened = f"{error.filename or name}: {(error.strerror or str(error)).lower()}"
+            if number == self._loading:
+                self._came.put(opened)
+
+        threading.Thread(target=load, name="tilth.open", daemon=True).start()
+
+    def _take_opened(self, opened: Opened | str) -> list[Recorded]:
+        self._prepared = ("", 0.0)
+        if self._player is not None:
+            self._jumps += self._player.jumps
+            self._player.run.close()
+        self._player, self._overview, self._places = None, b"", b""
+        if isinstance(opened, str):
+            self._jumps += 1
+            self._state = pb.PlayerState(state=PlayState.FAILED, rate=1.0, jumps=self._jumps, text=opened)
+            return []
+        self._appear(opened.machine)
+        self._player = player = Player(opened.run)
+        self._overview, self._places = _overview(opened), _places(opened)
+        self._state = pb.PlayerState(run=opened.name, text=opened.run.text)
+        rows = player.seek(0, self._clock())
+        player.play(self._clock())
+        return rows
+
+    def _say(self, rows: Sequence[Recorded]) -> None:
+        """The state first: who hears it knows what the results after it belong to."""
+        now_s, state, player = self._clock(), self._state, self._player
+        was = (state.state, state.rate, state.jumps, state.text)
+        text, share = self._prepared
+        if player is not None:
+            state.state, state.rate, state.jumps = player.state, player.rate, self._jumps + player.jumps
+            state.at_s, state.length_s = player.at_ns(now_s) / 1e9, player.run.length_ns / 1e9
+            state.t_ns, state.text = max(0, player.t_ns(now_s)), player.run.text
+        state.ClearField("share")
+        if text:
+            state.state, state.text, state.share = PlayState.PREPARING, text, share
+        changed = was != (state.state, state.rate, state.jumps, state.text)
+        quiet_s = SAID_S if state.state in (PlayState.PLAYING, PlayState.PREPARING) else QUIET_S
+        if changed or rows or now_s - self._said_s >= quiet_s:
+            self._said_s = now_s
+            self._said = state.SerializeToString()
+            self._publisher.put(self._said)
+        assert self._sink is not None
+        for row in rows:
+            self._sink.put(row.topic, row.data)
+
+    # What follows runs in threads of Zenoh's.
+
+    def _answer(self, query: zenoh.Query) -> None:
+        assert self._sink is not None
+        key = str(query.key_expr)
+        match key.removeprefix(f"{self._sink.base}/player"):
+            case "/order":
+                self._take_order(query)
+            case "/runs":  # many logs are looked into: others who ask are not to wait for it
+                threading.Thread(target=self._list, args=(query,), daemon=True).start()
+            case "/overview":
+                _reply(query, self._overview, pb.Places)
+            case "/places":
+                _reply(query, self._places, pb.Places)
+            case _ if query.key_expr.intersects(self._publisher.key_expr):
+                _reply(query, self._said, pb.PlayerState, self._publisher.key_expr)
+
+    def _take_order(self, query: zenoh.Query) -> None:
+        try:
+            order = pb.PlayerOrder.FromString(query.payload.to_bytes() if query.payload is not None else b"")
+            self._orders.put_nowait((order, query))
+        except DecodeError:
+            _refuse(query, "this is no tilth.PlayerOrder")
+        except queue.Full:
+            _refuse(query, "too many orders at a time; try again in a second")
+
+    def _list(self, query: zenoh.Query) -> None:
+        try:
+            _reply(query, self._sources.listings().SerializeToString(), pb.RunListings)
+        except OSError as error:
+            _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
+
+
+def _encoding(message: type[Message]) -> zenoh.Encoding:
+    return zenoh.Encoding(f"application/protobuf;{message.DESCRIPTOR.full_name}")
+
+
+def _reply(query: zenoh.Query, data: bytes, message: type[Message], key: zenoh.KeyExpr | None = None) -> None:
+    with suppress(zenoh.ZError):  # who asked has gone
+        query.reply(key or query.key_expr, data, encoding=_encoding(message), attachment="0")
+        query.drop()
+
+
+def _refuse(query: zenoh.Query, why: str) -> None:
+    with suppress(zenoh.ZError):
+        query.reply_err(why)
+        query.drop()
+
+
+def _overview(opened: Opened) -> bytes:
+    found = pb.Places(run=opened.name)
+    for row in opened.run.overview:
+        kind = row.topic.removeprefix("/")
+        found.rows.add(at_s=row.at_ns / 1e9, kind=kind, data=row.data, t_ns=row.t_ns)
+    return found.SerializeToString()
+
+
+def _places(opened: Opened) -> bytes:
+    found = pb.Places(run=opened.name)
+    for place in opened.run.places:
+        found.rows.add(at_s=place.at_ns / 1e9, kind=place.kind, t_ns=place.t_ns, text=place.text)
+    return found.SerializeToString()

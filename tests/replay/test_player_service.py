@@ -1,0 +1,219 @@
+"""A player on Zenoh: what is heard of it, and that it does what it is told. Real sessions over TCP."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from client_daemon import until
+from logs import MACHINE
+from loopback import PATIENCE_S, session
+from recorded_run import MARKS, SECOND, START_NS, write_run
+
+from tilth.logger.zenoh.session import free_endpoint, open_session
+from tilth.replay.catalogue import listing, run_files
+from tilth.replay.player import PlayState
+from tilth.replay.player_service import PlayerService, Sources
+from tilth.replay.prepared import Opening
+from tilth.replay.readers.log import EmptyLog
+from tilth.schemas.machine import Zenoh
+from tilth.schemas.proto import tilth_pb2 as pb
+
+OTHER = "another-rig"
+BASE = f"tilth/{MACHINE.name}/replay"
+KINDS: dict[str, Any] = {
+    "player": pb.PlayerState,
+    "pose": pb.Pose,
+    "soil_tire": pb.SoilTireEstimate,
+    "event": pb.Event,
+}
+
+
+class Heard:
+    """A stranger who hears a player and gives orders."""
+
+    def __init__(self, other: zenoh.Session) -> None:
+        self.other = other
+        self.rows: list[tuple[str, Any]] = []
+        self._subscriber = other.declare_subscriber("tilth/*/replay/*", self._take)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        kind = str(sample.key_expr).rpartition("/")[2]
+        if kind in KINDS:
+            self.rows.append((str(sample.key_expr), KINDS[kind].FromString(sample.payload.to_bytes())))
+
+    def last(self, kind: str, machine: str = MACHINE.name) -> Any:
+        key = f"tilth/{machine}/replay/{kind}"
+        return next((message for heard, message in reversed(self.rows) if heard == key), None)
+
+    @property
+    def state(self) -> pb.PlayerState:
+        return self.last("player") or pb.PlayerState()
+
+    def order(self, kind: str, base: str = BASE, **fields: Any) -> str:
+        order = pb.PlayerOrder(kind=kind, **fields)
+        for reply in self.other.get(
+            f"{base}/player/order", payload=order.SerializeToString(), timeout=PATIENCE_S
+        ):
+            return refused(reply)
+        return "no answer"
+
+    def ask(self, what: str, message: Any, base: str = BASE) -> Any:
+        (reply,) = self.other.get(f"{base}/player/{what}".rstrip("/"), timeout=PATIENCE_S)
+        assert reply.ok is not None
+        assert str(reply.ok.encoding) == f"application/protobuf;tilth.{message.DESCRIPTOR.name}"
+        return message.FromString(reply.ok.payload.to_bytes())
+
+
+def refused(reply: zenoh.Reply) -> str:
+    return "" if reply.err is None else reply.err.payload.to_string()
+
+
+def alive(other: zenoh.Session) -> list[str]:
+    return [str(reply.ok.key_expr) for reply in other.liveliness().get("tilth/**/alive") if reply.ok]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    write_run(folder, 120.0)
+    write_run(folder, 30.0, name=OTHER)
+    return folder
+
+
+Start = Callable[..., Heard]
+
+
+@pytest.fixture
+def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
+    with ExitStack() as stack:
+
+        def started(play: bool = True, slow: bool = False) -> Heard:
+            runs = {run.name: run for run in run_files([folder])}
+            opening = Opening(tmp_path, "tilth")
+
+            def open_it(name: str, progress: Callable[[str, float], None]) -> Any:
+                if name == "broken":
+                    raise EmptyLog("broken.mcap: no frame is in it")
+                while slow:
+                    progress("reading the run", 0.25)
+                    time.sleep(0.001)
+                return opening.open(runs[name], progress)
+
+            rows = [listing(run) for run in runs.values()]
+            sources = Sources((*runs, "broken"), open_it, lambda: pb.RunListings(rows=rows))
+            endpoint = free_endpoint("tcp/127.0.0.1:0")
+            here = MACHINE.model_copy(update={"zenoh": Zenoh(listen=[endpoint])})
+            own, _, _ = open_session(here)
+            stack.callback(own.close)
+            heard = Heard(stack.enter_context(session([endpoint])))
+            service = PlayerService(own, MACHINE, sources, time.monotonic)
+            stack.callback(service.close)
+            service.start(
+                opening.open(runs[name_of(MACHINE.name)], lambda text, share: None) if play else None
+            )
+            until(lambda: heard.state.state != "")
+            return heard
+
+        yield started
+
+
+def name_of(machine: str) -> str:
+    return f"{machine}_20261121T080000Z"
+
+
+def test_what_is_played_is_heard_under_the_prefix_of_replays(start: Start) -> None:
+    heard = start()
+    until(lambda: heard.last("pose") is not None and heard.state.state == PlayState.PLAYING)
+    state = heard.state
+    assert (state.run, state.length_s, state.rate) == (name_of(MACHINE.name), 120.0, 1.0)
+    until(lambda: heard.last("pose").t_ns > START_NS + SECOND // 2)
+    t_ns = [message.t_ns for key, message in heard.rows if key.endswith("/pose")]
+    assert t_ns == sorted(t_ns) and all(key.startswith(f"{BASE}/") for key, _ in heard.rows)
+    assert alive(heard.other) == [f"{BASE}/alive"]
+
+
+def _are_there(heard: Heard, t_ns: dict[str, int]) -> bool:
+    return all(heard.last(kind).t_ns == at_ns for kind, at_ns in t_ns.items())
+
+
+def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) -> None:
+    heard = start()
+    until(lambda: heard.state.state == PlayState.PLAYING)
+    assert heard.order("pause") == ""
+    until(lambda: heard.state.state == PlayState.PAUSED)
+    for at_s in (75.0, 31.25):
+        jumps = heard.state.jumps + 1
+        assert heard.order("seek", at_s=at_s) == ""
+        t_ns = {"pose": START_NS + int(10 * at_s) * SECOND // 10, "soil_tire": START_NS + int(at_s) * SECOND}
+        until(partial(_are_there, heard, t_ns))
+        assert (heard.state.jumps, heard.state.at_s) == (jumps, at_s)
+        kinds = [(key.rpartition("/")[2], getattr(message, "jumps", 0)) for key, message in heard.rows]
+        assert ("pose", 0) in kinds[kinds.index(("player", jumps)) :]
+    value = heard.last("soil_tire").parameters[0].value
+    assert value == pytest.approx(215e3, rel=0.05)
+    assert heard.order("rate", rate=50.0) == "" and heard.order("play") == ""
+    until(lambda: heard.state.state == PlayState.ENDED)
+    assert heard.state.at_s == 120.0 and heard.last("event").text == MARKS[-1][1]
+
+
+@pytest.mark.parametrize(
+    ("order", "why"),
+    [
+        ({"kind": "rate", "rate": 1000.0}, "give 1 to 100 times real time"),
+        ({"kind": "seek", "at_s": float("nan")}, "no run is so long"),
+        ({"kind": "jump"}, "no order of a player"),
+        ({"kind": "open", "run": "none"}, "no such run in the list"),
+    ],
+)
+def test_an_order_that_makes_no_sense_is_refused(start: Start, order: dict[str, Any], why: str) -> None:
+    heard = start()
+    until(lambda: heard.state.run != "")
+    assert why in heard.order(**order)
+    bad = heard.other.get(f"{BASE}/player/order", payload=b"\xff", timeout=PATIENCE_S)
+    assert [*map(refused, bad)] == ["this is no tilth.PlayerOrder"]
+
+
+def test_its_runs_and_places_can_be_asked_for(start: Start) -> None:
+    heard = start()
+    until(lambda: heard.state.run != "")
+    runs = heard.ask("runs", pb.RunListings).rows
+    assert {run.name: round(run.length_s) for run in runs} == {name_of(MACHINE.name): 120, name_of(OTHER): 30}
+    assert all(run.learned.parameters[0].value > 0 for run in runs)
+    places = heard.ask("places", pb.Places)
+    assert places.run == name_of(MACHINE.name)
+    assert [(row.at_s, row.text) for row in places.rows if row.kind == "mark"] == list(MARKS)
+    overview = heard.ask("overview", pb.Places)
+    assert {row.kind for row in overview.rows} == {"pose", "soil_tire", "event"}
+    late = heard.ask("", pb.PlayerState)  # the last state, for who comes later
+    assert late.run == name_of(MACHINE.name)
+
+
+def test_another_run_is_opened_under_the_name_of_its_own_machine(start: Start) -> None:
+    heard = start(play=False)
+    assert heard.state.state == PlayState.IDLE
+    assert "no run is open yet" in heard.order("play")
+    assert heard.order("open", run=name_of(OTHER)) == ""
+    until(lambda: heard.last("pose", OTHER) is not None)
+    assert heard.last("player", OTHER).run == name_of(OTHER)
+    until(lambda: alive(heard.other) == [f"tilth/{OTHER}/replay/alive"])
+    assert heard.order("open", f"tilth/{OTHER}/replay", run=name_of(MACHINE.name)) == ""
+    until(lambda: heard.state.run == name_of(MACHINE.name))
+
+
+def test_a_run_that_cannot_be_opened_is_told(start: Start) -> None:
+    heard = start(play=False)
+    assert heard.order("open", run="broken") == ""
+    until(lambda: heard.state.state == PlayState.FAILED)
+    assert heard.state.text == "broken.mcap: no frame is in it" and heard.state.run == ""
+
+
+def test_what_is_prepared_is_told_and_can_be_given_up(start: Start) -> None:
+    heard = start(play=False, slow=True)
+    assert heard.order("open", run=name_of(MACHINE.name)) == ""
+    until(lambda: heard.state.state == PlayState.PREPARING and heard.state.share == 0.25)
+    assert heard.state.text == "reading the run"
