@@ -44,7 +44,7 @@ class Glance:
     utc_minus_ns: int = 0
     note: str = ""
     machine: str = ""  # its name
-    run: str = ""  # its id
+    run: str = ""  # its id and start: the logs of `tilth replay` share an id
     pose: pb.Pose | None = None  # the last
     estimate: pb.SoilTireEstimate | None = None  # the last that was recommended
 
@@ -117,7 +117,7 @@ def _metadata(found: Glance, record: Metadata) -> None:
         found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
     elif record.name == "run":
         found.note = record.metadata.get("note", "")
-        found.run = record.metadata.get("id", "")
+        found.run = " ".join(record.metadata.get(key, "") for key in ("id", "started_utc")).strip()
     elif record.name == "machine":
         found.machine = record.metadata.get("name", "")
 

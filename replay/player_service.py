@@ -108,8 +108,16 @@ class PlayerService:
             with suppress(queue.Empty):
                 rows = self._take_opened(self._came.get_nowait())
             if self._player is not None:
-                rows += self._player.due(self._clock())
+                rows += self._player.due(self._clock()) or self._standing()
             self._say(rows)
+
+    def _standing(self) -> list[Recorded]:
+        """What holds where a run stands, each second again: a network may drop what is published once."""
+        player, now_s = self._player, self._clock()
+        stands = player is not None and player.state in (PlayState.PAUSED, PlayState.ENDED)
+        if player is None or not stands or now_s - self._said_s < QUIET_S:
+            return []
+        return player.run.before(player.at_ns(now_s))
 
     def _take_orders(self, wait_s: float) -> list[Recorded]:
         """What is to be published for those that wait, or come within that time."""

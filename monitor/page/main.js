@@ -46,7 +46,7 @@ function take(message) {
     map.rig = said.rig;
     traces.setPriors(said.rig);
   }
-  if (said.status) map.receivers = said.status.receivers;
+  if (said.status || whole) map.receivers = said.status?.receivers;
   if (whole) map.setTrack(said.track);
   else if (said.track) map.addTrack(said.track);
   for (const [rows, place] of [[said.estimates, traces], [said.steering, steering]]) {
@@ -71,7 +71,7 @@ function show() {
   showAges();
   bar.show(heard.player);
   runs.show(heard.player, heard.machine);
-  tiles.show(status, live("status"), time(age("status")));
+  tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
   map.setOld(!live("pose"));
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");

@@ -157,7 +157,7 @@ export class FieldMap {
       const body = antenna.mount.startsWith("tractor") ? this.pose.tractor : this.pose.implement;
       if (!known(body?.x) || !known(body?.heading)) continue;
       const [x, y] = at(onBody(body, antenna.forward, antenna.right));
-      const alive = this.receivers?.find((r) => r.mount === antenna.mount)?.state === "alive";
+      const alive = !this.receivers || this.receivers.find((r) => r.mount === antenna.mount)?.state === "alive";
       pen.fillStyle = alive || this.old ? colour("panel") : colour("bad");
       pen.strokeStyle = colour("ink");
       pen.lineWidth = 2;

@@ -30,11 +30,11 @@ export class Tiles {
     });
   }
 
-  // `live`: whether the status is so now; if not, `ago`: since when it is not.
-  show(status, live, ago) {
+  // `live`: whether the status is so now; if not, `ago`: since when it is not, and a word for where it never was.
+  show(status, live, ago, never) {
     for (const one of this.tiles) {
       const row = one.mount ? (status.receivers ?? []).find((r) => r.mount === one.mount) : status.wheel_angle;
-      this.#showOne(one, live ? row : undefined, live ? "not in use" : "? not heard");
+      this.#showOne(one, live ? row : undefined, live ? "not in use" : row ? "? not heard" : never);
       if (!live && row) put(one.age, `was ${spaced(row.state)} ${ago} ago`);
     }
   }

@@ -6,12 +6,15 @@ import re
 from collections.abc import Iterator
 from contextlib import closing
 from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from client_daemon import until
 from logs import MACHINE
+from paths import ROOT
+from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from recorded_run import MARKS, SECOND, START_NS, write_run
 from stage import Monitor
@@ -124,7 +127,9 @@ def to_beginning(page: Page) -> None:
 
 @pytest.mark.browser
 @with_browser
-def test_a_run_is_played_paused_and_searched(browser: Browser, one: Monitor) -> None:
+def test_a_run_is_played_paused_and_searched(
+    browser: Browser, one: Monitor, request: pytest.FixtureRequest
+) -> None:
     page, faults = opened(browser, one)
     expect(page.locator("#simulated")).to_have_text(f"replay of {RUN}")
     expect(page.locator("#run-word")).to_have_text("REPLAY")
@@ -154,6 +159,16 @@ def test_a_run_is_played_paused_and_searched(browser: Browser, one: Monitor) -> 
     until(lambda: abs(front(page) - 215) < 11)
     track = "[...document.querySelectorAll('canvas')].length"
     assert page.evaluate(track) >= 8  # map, steering, six parameters
+    page.locator(".place", has_text=MARKS[1][1]).click()
+    expect(page.locator("#play-time")).to_have_text("0:01:15 of 0:02:00")
+    expect(page.locator("#ground strong").first).to_have_text(re.compile("soft"))
+    if request.config.getoption("--refresh"):
+        page.locator("#runs-part summary").click()
+        expect(page.locator("#runs tr")).to_have_count(1)
+        shot = Image.open(BytesIO(page.screenshot(full_page=True)))
+        shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+            ROOT / "docs/pictures/page-replay.png", optimize=True
+        )
     page.context.close()
     assert not faults
 

@@ -4,9 +4,10 @@ import gzip
 from pathlib import Path
 
 import pytest
-from logs import MACHINE, some_frames, write_mcap
+from logs import MACHINE, MACHINE_TEXT, some_frames, write_mcap
 from recorded_run import SECOND, START_NS, write_run
 
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.catalogue import has_results, listing, run_files
 from tilth.replay.readers.log import ForeignLog
 from tilth.schemas.flow import Status
@@ -39,6 +40,13 @@ def test_files_of_one_run_are_one_and_others_are_others(tmp_path: Path) -> None:
     (elsewhere / one[0].name).write_bytes(one[0].read_bytes())
     names = [run.name for run in run_files([tmp_path, elsewhere])]
     assert len(names) == len(set(names)) == 3
+
+
+def test_logs_of_replays_are_runs_of_their_own(tmp_path: Path) -> None:
+    paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
+    for number, path in enumerate(paths):
+        LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("replay", 1, START_NS + number * DAY)).close()
+    assert [run.name for run in run_files(paths)] == ["one", "two"]
 
 
 def test_nothing_to_play_is_said(tmp_path: Path) -> None:

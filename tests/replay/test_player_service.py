@@ -161,6 +161,17 @@ def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) 
     assert heard.state.at_s == 120.0 and heard.last("event").text == MARKS[-1][1]
 
 
+def test_what_holds_where_it_stands_is_said_again(start: Start) -> None:
+    heard = start()
+    until(lambda: heard.state.state == PlayState.PLAYING)
+    assert heard.order("pause") == "" and heard.order("seek", at_s=50.0) == ""
+    t_ns = {"pose": START_NS + 50 * SECOND, "soil_tire": START_NS + 50 * SECOND}
+    for _ in range(2):
+        heard.rows.clear()
+        until(lambda: heard.last("pose") is not None and heard.last("soil_tire") is not None)
+    assert _are_there(heard, t_ns)
+
+
 @pytest.mark.parametrize(
     ("order", "why"),
     [
