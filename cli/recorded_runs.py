@@ -15,9 +15,9 @@ from rich.progress import Progress
 from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import free_endpoint, open_session, why
-from tilth.replay.catalogue import RunFiles, listing, run_files
+from tilth.replay.catalogue import CatalogueRun, listing, run_files
 from tilth.replay.player_service import PlayerService, Sources
-from tilth.replay.prepared import Opened, Opening
+from tilth.replay.prepared import OpenedRun, Opening
 from tilth.replay.readers.log import LogError
 from tilth.schemas.machine import Machine, MachineError, Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -63,7 +63,7 @@ def play(args: argparse.Namespace, stack: ExitStack) -> str:
     return endpoints[0]
 
 
-def _opened(opening: Opening, run: RunFiles) -> Opened:
+def _opened(opening: Opening, run: CatalogueRun) -> OpenedRun:
     """With a progress bar where there is somebody to see it. Raises LogError."""
     try:
         with ExitStack() as stack:
@@ -78,7 +78,7 @@ def _bar(stack: ExitStack) -> Callable[[str, float], None]:
     return lambda text, share: bar.update(task, description=text, completed=share)
 
 
-def _any_machine(opening: Opening, runs: list[RunFiles]) -> Machine:
+def _any_machine(opening: Opening, runs: list[CatalogueRun]) -> Machine:
     """Of the newest run that has one."""
     for run in reversed(runs):
         try:
@@ -88,7 +88,7 @@ def _any_machine(opening: Opening, runs: list[RunFiles]) -> Machine:
     raise WrongUse("no machine file is in these logs; give --machine M.toml")
 
 
-def _listing(opening: Opening, run: RunFiles) -> pb.RunListing:
+def _listing(opening: Opening, run: CatalogueRun) -> pb.RunListing:
     try:
         return listing(run, opening.prepared(run))
     except (LogError, MachineError) as error:

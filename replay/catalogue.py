@@ -23,7 +23,7 @@ _PART: Final = re.compile(r"(?<=\dZ)_\d{3,}$")  # at the end of a name, of a fil
 
 
 @dataclass(frozen=True, slots=True)
-class RunFiles:
+class CatalogueRun:
     """A run's files, in their order."""
 
     name: str
@@ -31,10 +31,10 @@ class RunFiles:
     notes: tuple[str, ...] = ()
 
 
-def run_files(paths: Sequence[Path]) -> list[RunFiles]:
+def run_files(paths: Sequence[Path]) -> list[CatalogueRun]:
     """The runs in these files and folders, the newest last. Files of one run are put together; so are files
     that others wrote, given by name. Raises LogError where there is none."""
-    found: list[RunFiles] = []
+    found: list[CatalogueRun] = []
     for path in paths:
         if path.is_dir():
             found += _in_folder(path)
@@ -43,27 +43,27 @@ def run_files(paths: Sequence[Path]) -> list[RunFiles]:
     return _named_apart(found)
 
 
-def _in_folder(folder: Path) -> list[RunFiles]:
+def _in_folder(folder: Path) -> list[CatalogueRun]:
     stored = stored_runs(folder)
     found = []
     for run in stored:
         notes = list[str]()
         with suppress(ValueError, OSError):
             notes = run.sidecar().notes
-        found.append(RunFiles(run.name, run.files, tuple(notes)))
+        found.append(CatalogueRun(run.name, run.files, tuple(notes)))
     known = {path for run in stored for path in run.files}
     for path in sorted(folder.iterdir()):
         if path in known or not path.is_file() or path.suffix in BESIDE:
             continue
         with suppress(LogError):
             open_log(path).file.close()
-            found.append(RunFiles(path.stem, (path,)))
+            found.append(CatalogueRun(path.stem, (path,)))
     if not found:
         raise ForeignLog(f"{folder}: no run is in it; name the folder that the logs are in")
     return found
 
 
-def _add_file(found: list[RunFiles], path: Path) -> None:
+def _add_file(found: list[CatalogueRun], path: Path) -> None:
     """Raises LogError."""
     with suppress(EmptyLog):
         open_log(path).file.close()
@@ -72,7 +72,7 @@ def _add_file(found: list[RunFiles], path: Path) -> None:
         if _run_id(other.paths[0]) == run:
             found[number] = replace(other, paths=(*other.paths, path))
             return
-    found.append(RunFiles(_PART.sub("", path.stem), (path,)))
+    found.append(CatalogueRun(_PART.sub("", path.stem), (path,)))
 
 
 def _run_id(path: Path) -> str:
@@ -89,7 +89,7 @@ def _is_mcap(path: Path) -> bool:
     return log.form == MCAP
 
 
-def _named_apart(found: Sequence[RunFiles]) -> list[RunFiles]:
+def _named_apart(found: Sequence[CatalogueRun]) -> list[CatalogueRun]:
     names = [run.name for run in found]
     return [
         replace(run, name=f"{run.name} ({number})") if names.count(run.name) > 1 else run
@@ -102,7 +102,7 @@ def has_results(paths: Sequence[Path]) -> bool:
     return any(_is_mcap(path) and glance(path).pose is not None for path in paths)
 
 
-def listing(run: RunFiles, prepared: Path | None = None) -> pb.RunListing:
+def listing(run: CatalogueRun, prepared: Path | None = None) -> pb.RunListing:
     """What is told of a run. prepared: what a replay gave of it, where that is there. Raises OSError."""
     glances = {path: glance(path) for path in run.paths if _is_mcap(path)}
     row = pb.RunListing(name=run.name)

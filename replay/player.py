@@ -26,7 +26,7 @@ class PlayState(StrEnum):
     FAILED = "failed"
 
 
-class Player:
+class RunPlayer:
     """Of one run; at its beginning, paused."""
 
     def __init__(self, run: RecordedRun) -> None:

@@ -19,8 +19,8 @@ import zenoh
 from google.protobuf.message import DecodeError, Message
 
 from tilth.logger.zenoh.sink import ZenohSink
-from tilth.replay.player import Player, PlayState
-from tilth.replay.prepared import Opened
+from tilth.replay.player import PlayState, RunPlayer
+from tilth.replay.prepared import OpenedRun
 from tilth.replay.readers.log import LogError
 from tilth.replay.recorded import Recorded
 from tilth.schemas.machine import Machine, MachineError
@@ -48,7 +48,7 @@ class Sources:
     """
 
     names: Sequence[str]
-    open: Callable[[str, Callable[[str, float], None]], Opened]
+    open: Callable[[str, Callable[[str, float], None]], OpenedRun]
     listings: Callable[[], pb.RunListings]
 
 
@@ -61,20 +61,20 @@ class PlayerService:
         """machine: under whose name it is there before a run is open. clock: seconds, never steps."""
         self._session, self._sources, self._clock = session, sources, clock
         self._orders: queue.Queue[tuple[pb.PlayerOrder, zenoh.Query]] = queue.Queue(MOST_ORDERS)
-        self._came: queue.SimpleQueue[Opened | str] = queue.SimpleQueue()  # opened, or why not
+        self._came: queue.SimpleQueue[OpenedRun | str] = queue.SimpleQueue()  # opened, or why not
         self._stop = threading.Event()
         self._loading = 0  # the last run that was asked for
         self._prepared: tuple[str, float] = ("", 0.0)
         self._state = pb.PlayerState(state=PlayState.IDLE, rate=1.0)
         self._said_s = float("-inf")
         self._jumps = 0  # of runs that were open before
-        self._player: Player | None = None
+        self._player: RunPlayer | None = None
         self._overview = self._places = self._said = b""
         self._sink: ZenohSink | None = None
         self._appear(machine)
         self._thread = threading.Thread(target=self._run, name="tilth.player", daemon=True)
 
-    def start(self, opened: Opened | None = None) -> None:
+    def start(self, opened: OpenedRun | None = None) -> None:
         """opened: what plays at once."""
         if opened is not None:
             self._came.put(opened)
@@ -173,7 +173,7 @@ class PlayerService:
 
         def load() -> None:
             try:
-                opened: Opened | str = self._sources.open(name, progress)
+                opened: OpenedRun | str = self._sources.open(name, progress)
             except Stopped:
                 return
             except (LogError, MachineError) as error:
@@ -185,7 +185,7 @@ class PlayerService:
 
         threading.Thread(target=load, name="tilth.open", daemon=True).start()
 
-    def _take_opened(self, opened: Opened | str) -> list[Recorded]:
+    def _take_opened(self, opened: OpenedRun | str) -> list[Recorded]:
         self._prepared = ("", 0.0)
         if self._player is not None:
             self._jumps += self._player.jumps
@@ -196,7 +196,7 @@ class PlayerService:
             self._state = pb.PlayerState(state=PlayState.FAILED, rate=1.0, jumps=self._jumps, text=opened)
             return []
         self._appear(opened.machine)
-        self._player = player = Player(opened.run)
+        self._player = player = RunPlayer(opened.run)
         self._overview, self._places = _overview(opened), _places(opened)
         self._state = pb.PlayerState(run=opened.name, text=opened.run.text)
         rows = player.seek(0, self._clock())
@@ -274,7 +274,7 @@ def _refuse(query: zenoh.Query, why: str) -> None:
         query.drop()
 
 
-def _overview(opened: Opened) -> bytes:
+def _overview(opened: OpenedRun) -> bytes:
     found = pb.Places(run=opened.name)
     for row in opened.run.overview:
         kind = row.topic.removeprefix("/")
@@ -282,7 +282,7 @@ def _overview(opened: Opened) -> bytes:
     return found.SerializeToString()
 
 
-def _places(opened: Opened) -> bytes:
+def _places(opened: OpenedRun) -> bytes:
     found = pb.Places(run=opened.name)
     for place in opened.run.places:
         found.rows.add(at_s=place.at_ns / 1e9, kind=place.kind, t_ns=place.t_ns, text=place.text)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
-from tilth.replay.catalogue import RunFiles, has_results
+from tilth.replay.catalogue import CatalogueRun, has_results
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
@@ -25,7 +25,7 @@ READING: Final = "reading the run"
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
+class OpenedRun:
     """A run that can be played."""
 
     name: str
@@ -44,7 +44,7 @@ class Opening:
     buses: tuple[str, ...] = ()
     say: Say = lambda text: None
 
-    def prepared(self, run: RunFiles) -> Path | None:
+    def prepared(self, run: CatalogueRun) -> Path | None:
         """Where the results of a replay are kept, if it has no others. Raises LogError, MachineError,
         OSError."""
         if has_results(run.paths):
@@ -53,12 +53,12 @@ class Opening:
         machine, text = self.given or machine_in(run.paths)
         return prepared_path(self.kept, run.paths, machine, text)
 
-    def machine(self, run: RunFiles) -> Machine:
+    def machine(self, run: CatalogueRun) -> Machine:
         """Raises LogError where it has none and none was given, MachineError."""
         machine, _ = self.given or machine_in(run.paths, plausible=False)
         return machine.model_copy(update={"zenoh": Zenoh(prefix=self.prefix)})
 
-    def open(self, run: RunFiles, progress: Callable[[str, float], None]) -> Opened:
+    def open(self, run: CatalogueRun, progress: Callable[[str, float], None]) -> OpenedRun:
         """progress takes a text and the share that is done; what it raises ends this. Raises LogError,
         MachineError, OSError."""
         target, paths = self.prepared(run), run.paths
@@ -70,9 +70,9 @@ class Opening:
         if not recorded.has_poses:
             recorded.close()
             raise EmptyLog(f"{run.paths[0]}: no pose is in it, so there is nothing to show")
-        return Opened(run.name, recorded, self.machine(run))
+        return OpenedRun(run.name, recorded, self.machine(run))
 
-    def _prepare(self, run: RunFiles, target: Path, progress: Progress) -> None:
+    def _prepare(self, run: CatalogueRun, target: Path, progress: Progress) -> None:
         machine, text = self.given or machine_in(run.paths)
         try:
             buses = bus_names(self.buses, machine)

@@ -13,7 +13,7 @@ PAUSE_NS: Final = 2_000_000_000  # straight for so long, or without a pose, ends
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class DrivenTurn:
     """Times ns; angle rad, to the right positive."""
 
     begin_ns: int
@@ -25,10 +25,10 @@ class Turn:
         return f"{'right' if self.angle > 0 else 'left'}, {math.degrees(abs(self.angle)):.0f}°"
 
 
-def turns(rows: Iterable[tuple[int, float]]) -> list[Turn]:
+def turns(rows: Iterable[tuple[int, float]]) -> list[DrivenTurn]:
     """Of (time in ns, yaw rate in rad/s, to the right positive), in the order of time."""
-    found: list[Turn] = []
-    turn: Turn | None = None
+    found: list[DrivenTurn] = []
+    turn: DrivenTurn | None = None
     last_ns = 0
     for t_ns, yaw_rate in rows:
         turning = abs(yaw_rate) >= LEAST_RADPS
@@ -38,7 +38,7 @@ def turns(rows: Iterable[tuple[int, float]]) -> list[Turn]:
         if turning:
             step_ns = min(t_ns - last_ns, PAUSE_NS) if turn else 0
             begin_ns, angle = (turn.begin_ns, turn.angle) if turn else (t_ns, math.copysign(1e-9, yaw_rate))
-            turn = Turn(begin_ns, t_ns, angle + yaw_rate * step_ns * 1e-9)
+            turn = DrivenTurn(begin_ns, t_ns, angle + yaw_rate * step_ns * 1e-9)
         last_ns = t_ns
     found += [turn] if turn else []
     return [turn for turn in found if abs(turn.angle) >= LEAST_RAD]

@@ -8,7 +8,7 @@ from logs import MACHINE, MACHINE_TEXT, SECOND
 from recorded_run import START_NS, write_run
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart
-from tilth.replay.player import Player, PlayState
+from tilth.replay.player import PlayState, RunPlayer
 from tilth.replay.recorded import Recorded, RecordedRun
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
@@ -24,8 +24,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RecordedRun]:
 
 
 @pytest.fixture
-def player(run: RecordedRun) -> Player:
-    one = Player(run)
+def player(run: RecordedRun) -> RunPlayer:
+    one = RunPlayer(run)
     one.seek(0, NOW_S)
     return one
 
@@ -34,7 +34,7 @@ def seconds(rows: list[Recorded]) -> list[float]:
     return [row.at_ns / SECOND for row in rows]
 
 
-def test_all_comes_once_and_in_order_each_at_its_time(run: RecordedRun, player: Player) -> None:
+def test_all_comes_once_and_in_order_each_at_its_time(run: RecordedRun, player: RunPlayer) -> None:
     player.play(NOW_S)
     heard: list[Recorded] = []
     for tick in range(610):
@@ -47,7 +47,7 @@ def test_all_comes_once_and_in_order_each_at_its_time(run: RecordedRun, player: 
 
 
 @pytest.mark.parametrize("rate", [1.0, 7.5, 100.0])
-def test_a_speed_is_times_real_time(player: Player, rate: float) -> None:
+def test_a_speed_is_times_real_time(player: RunPlayer, rate: float) -> None:
     player.set_rate(rate, NOW_S)
     player.play(NOW_S)
     rows = player.due(NOW_S + 20.0 / rate)
@@ -55,7 +55,7 @@ def test_a_speed_is_times_real_time(player: Player, rate: float) -> None:
     assert player.at_ns(NOW_S + 20.0 / rate) == pytest.approx(20 * SECOND, abs=SECOND / 1000)
 
 
-def test_another_speed_goes_on_from_where_it_is(player: Player) -> None:
+def test_another_speed_goes_on_from_where_it_is(player: RunPlayer) -> None:
     player.play(NOW_S)
     player.set_rate(10.0, NOW_S + 5.0)
     assert player.at_ns(NOW_S + 7.0) == pytest.approx(25 * SECOND, abs=100)
@@ -65,7 +65,7 @@ def test_another_speed_goes_on_from_where_it_is(player: Player) -> None:
     assert player.rate == 10.0
 
 
-def test_nothing_comes_while_it_is_paused(player: Player) -> None:
+def test_nothing_comes_while_it_is_paused(player: RunPlayer) -> None:
     player.play(NOW_S)
     assert player.due(NOW_S + 5.0)
     player.pause(NOW_S + 5.0)
@@ -76,7 +76,7 @@ def test_nothing_comes_while_it_is_paused(player: Player) -> None:
     assert player.at_ns(NOW_S + 501.0) == 6 * SECOND
 
 
-def test_a_jump_lands_on_the_last_values_before_it(run: RecordedRun, player: Player) -> None:
+def test_a_jump_lands_on_the_last_values_before_it(run: RecordedRun, player: RunPlayer) -> None:
     for at_s in (30.55, 10.0, 59.99, 0.0):
         state = player.seek(round(at_s * SECOND), NOW_S)
         assert state == run.before(round(at_s * SECOND)) and {row.topic for row in state} == {
@@ -92,12 +92,12 @@ def test_a_jump_lands_on_the_last_values_before_it(run: RecordedRun, player: Pla
 
 
 @pytest.mark.parametrize(("asked_s", "there_s"), [(-5.0, 0.0), (1e6, 60.0)])
-def test_a_jump_stays_within_the_run(player: Player, asked_s: float, there_s: float) -> None:
+def test_a_jump_stays_within_the_run(player: RunPlayer, asked_s: float, there_s: float) -> None:
     player.seek(round(asked_s * SECOND), NOW_S)
     assert player.at_ns(NOW_S) == there_s * SECOND
 
 
-def test_at_its_end_it_stays_and_plays_again_from_the_beginning(player: Player) -> None:
+def test_at_its_end_it_stays_and_plays_again_from_the_beginning(player: RunPlayer) -> None:
     player.seek(55 * SECOND, NOW_S)
     player.play(NOW_S)
     player.due(NOW_S + 10.0)
@@ -119,7 +119,7 @@ def test_a_long_silence_is_not_waited_for(tmp_path: Path) -> None:
         writer.message("/event", event.t_ns, CHANNEL["/event"].encode(event))
     writer.close()
     run = RecordedRun([path])
-    player = Player(run)
+    player = RunPlayer(run)
     player.seek(0, NOW_S)
     player.play(NOW_S)
     heard = [
