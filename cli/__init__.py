@@ -35,6 +35,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("fit", "the parameters of each run in logs, and of all together"),
     ("compare", "what differs beyond chance between two logs or fits"),
     ("export", "write what logs hold to Parquet, CSV or MAT files"),
+    ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),

@@ -1,0 +1,92 @@
+"""What is computed for a report from its runs: fits, predictions, tests of residuals, frequency responses.
+
+As sections take them (fitted.py, checked.py, answered.py): plain and SI. What cannot be computed is absent,
+and `sentences` of the result say why.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all
+from tilth.analysis.fit.result import as_json as fit_json
+from tilth.analysis.report.document import plain
+from tilth.analysis.runs.run import Run
+from tilth.analysis.runs.segments import DrivenSegment
+from tilth.analysis.validation import held_out
+from tilth.analysis.validation.validate import hold_out, residual_tests, responses
+
+Progress = Callable[[str, int, int], None]  # what, done, of all
+MOST_FITTED: Final = 24
+"""Segments of all runs. Of more those with the largest wheel angles are fitted, in their order: a day of
+headland turns would take hours, and its first dozen tells the rest."""
+
+
+def answers_of(
+    runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]], progress: Progress
+) -> dict[str, Any]:
+    """ "fit", "held_out", "residuals", "response" and "notes". given: of each run the segments that the user
+    named. Raises LogError, OSError."""
+    try:
+        wanted = _wanted(runs, given)
+        chosen, notes = _fewer(wanted)
+        fitted = fit_all(chosen, progress=lambda done, of: progress("fitting", done, of))
+    except CannotFit as error:
+        return {"notes": [f"Nothing was fitted: {error}."]}
+    found: dict[str, Any] = {"fit": plain(fit_json(fitted)), "notes": notes}
+    if fitted.joint is None:
+        return found
+    found["held_out"] = {"subsets": plain(held_out.as_json(hold_out(fitted)))}
+    found["residuals"] = _residuals(fitted)
+    found["response"] = _response(fitted)
+    return found
+
+
+def _wanted(runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]]) -> tuple[Wanted, ...]:
+    if any(given):
+        return tuple(
+            Wanted(run, k, segment)
+            for k, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
+            for segment in rows
+        )
+    return choose(runs)
+
+
+def _fewer(wanted: Sequence[Wanted]) -> tuple[tuple[Wanted, ...], list[str]]:
+    """At most MOST_FITTED of them, and what is left out, in a sentence."""
+    if len(wanted) <= MOST_FITTED:
+        return tuple(wanted), []
+    by_angle = sorted(wanted, key=lambda one: -abs(one.segment.largest_angle))[:MOST_FITTED]
+    kept = {id(one) for one in by_angle}
+    note = f"{MOST_FITTED} of {len(wanted)} segments were fitted, those with the largest wheel angles."
+    return tuple(one for one in wanted if id(one) in kept), [note]
+
+
+def _residuals(fitted: Fitted) -> list[dict[str, Any]]:
+    """Each test of each output of each segment; passed ones of all segments of an output as one."""
+    rows: list[dict[str, Any]] = []
+    for found in residual_tests(fitted):
+        for test in (found.white, found.by_wheel, found.size):
+            row = plain(test)
+            row["output"] = f"{found.segment}: {found.output}"
+            rows.append({**row, "test": type(test).__name__})
+    return [row for row in rows if row["outcome"] == "failed"] + _counted(rows)
+
+
+def _counted(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per test one row that says how many passed."""
+    found = []
+    for name in dict.fromkeys(row["test"] for row in rows):
+        of_test = [row for row in rows if row["test"] == name]
+        passed = sum(row["outcome"] == "passed" for row in of_test)
+        outcome = "passed" if passed == len(of_test) else "undecided"
+        sentence = f"{passed} of {len(of_test)} outputs of segments passed."
+        row = {"output": "all", "test": name, "outcome": outcome, "p_value": None, "sentence": sentence}
+        found.append(row)
+    return found
+
+
+def _response(fitted: Fitted) -> dict[str, Any] | None:
+    """Of the first run that gives one, else why the first gives none."""
+    every = [plain(one) for one in responses(fitted).values()]
+    good = [one for one in every if not one.get("reason")]
+    return next(iter(good or every), None)

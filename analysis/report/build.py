@@ -1,0 +1,39 @@
+"""All sections of a report from all of its data."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from tilth.analysis.report.answered import response_section
+from tilth.analysis.report.checked import held_out_section, residuals_section
+from tilth.analysis.report.document import DriveReport, ReportSection
+from tilth.analysis.report.fitted import fit_section
+from tilth.analysis.report.glance import glance_section
+from tilth.analysis.report.made import made_section, short_section
+from tilth.analysis.report.published import nuisances_section, published_section
+
+
+def report_of(data: Mapping[str, Any]) -> DriveReport:
+    """data, plain and SI: "runs": [as `gather.facts_of`], "command": str; and, where they were computed,
+    "fit" (fitted.py), "held_out", "residuals" (checked.py), "response" (answered.py). What is absent is left
+    out.
+    """
+    runs = data["runs"]
+    prior = runs[0]["machine"]["prior"]
+    found: list[ReportSection | None] = [
+        short_section(runs),
+        *(_run_section(run, k, len(runs)) for k, run in enumerate(runs, 1)),
+        fit_section(data.get("fit"), prior),
+        held_out_section(data.get("held_out")),
+        residuals_section(data.get("residuals")),
+        response_section(data.get("response")),
+        made_section(data),
+    ]
+    title = f"Drive report: {runs[0]['id']}" if len(runs) == 1 else f"Drive report: {len(runs)} runs"
+    return DriveReport(title, tuple(section for section in found if section), data)
+
+
+def _run_section(run: Mapping[str, Any], number: int, of: int) -> ReportSection:
+    id = f"run{number}"
+    sections = (glance_section(run, id), published_section(run, id), nuisances_section(run, id))
+    title = f"Run {number}: {run['id']}" if of > 1 else f"Run {run['id']}"
+    return ReportSection(id, title, (), tuple(section for section in sections if section))

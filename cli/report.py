@@ -1,0 +1,223 @@
+"""`tilth report`: one HTML file of a drive, with its numbers beside it, for any computer and for paper."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+from tilth.analysis.report.given import GivenTimes, given_segments, given_times
+from tilth.analysis.runs.run import Run, open_runs
+from tilth.cli import WrongUse, add_bus_names
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+from tilth.replay.readers.rig import bus_names, machine_in
+from tilth.schemas.invocation import command, installing
+from tilth.schemas.machine import Machine
+
+Steps = Callable[[str, int, int], None]  # what, done, of all
+SUFFIXES = (".html", ".htm")
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "report",
+        help="tell what was driven and found, in one HTML file",
+        description="Write what logs tell into one HTML file that opens anywhere, with every number in a "
+        "JSON file beside it: the run at a glance, segments, parameters with their uncertainty, what is not "
+        "determined, what differs from the machine file. Logs of a run become one part of the report.",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="of any kind that replay reads")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.html", help="a new file")
+    parser.add_argument("--pdf", action="store_true", help="FILE.pdf as well")
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="each figure as SVG and PDF into a new folder"
+    )
+    parser.add_argument(
+        "--machine",
+        type=Path,
+        metavar="M.toml",
+        help="instead of the one in the log; needed where tilth did not write it",
+    )
+    parser.add_argument(
+        "--segment",
+        action="append",
+        default=[],
+        type=_times,
+        metavar="[N:]A:B",
+        help="report these seconds of the N-th log instead of the segments found; may be given several times",
+    )
+    add_bus_names(parser)
+    parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
+
+
+def _times(text: str) -> GivenTimes:
+    try:
+        return given_times(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 if a log is cut off or damaged, or gives no poses."""
+    _check_outputs(args)
+    try:
+        machine = read_machine(args.machine) if args.machine else None
+        with ExitStack() as stack:
+            runs = open_runs(
+                args.logs,
+                machine=machine,
+                buses=_buses(args, machine),
+                progress=_progress(stack, args),
+                say=_say,
+            )
+        driven = [one for one in runs if one.poses.rows]
+        for one in runs:
+            if not one.poses.rows:
+                _say(_no_poses(one))
+        if not driven:
+            return 1
+        segments = _given(driven, args)
+        with ExitStack() as stack:
+            answers = _answers(driven, segments, _steps(stack, args))
+        return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except PermissionError:
+        raise  # cli.main knows what to say
+    except OSError as error:
+        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}; nothing was written")
+        return 1
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Before a long replay. Raises WrongUse."""
+    out: Path = args.out
+    if out.suffix.lower() not in SUFFIXES:
+        raise WrongUse(f"--out {out}: give a name that ends in .html")
+    names = (".json", ".pdf") if args.pdf else (".json",)
+    for path in (out, *map(out.with_suffix, names)):
+        if path.exists():
+            raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
+    for folder in (out.parent, *([args.figures.parent] if args.figures else [])):
+        if not folder.is_dir():
+            raise WrongUse(f"{folder}: there is no such folder; make it, or give another")
+    if args.figures is not None and _holds_something(args.figures):
+        raise WrongUse(f"--figures {args.figures}: give a new or an empty folder")
+    if any(times.log > len(args.logs) for times in args.segment):
+        raise WrongUse(f"--segment: there are {len(args.logs)} logs; give the number of one of them")
+    if args.pdf:
+        from tilth.analysis.report.paper import NoTypst, require_typst
+
+        try:
+            require_typst()
+        except NoTypst:
+            raise WrongUse(f"--pdf needs typst: {installing('report')}") from None
+
+
+def _holds_something(folder: Path) -> bool:
+    """A folder with something in it, or a file."""
+    return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+
+
+def _buses(args: argparse.Namespace, machine: tuple[Machine, str] | None) -> dict[str, str]:
+    if not args.bus:
+        return {}
+    try:
+        return bus_names(args.bus, (machine or machine_in(args.logs))[0])
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+
+
+def _progress(stack: ExitStack, args: argparse.Namespace) -> Callable[[int, int], None]:
+    if not sys.stderr.isatty() or args.json:
+        return lambda done, of: None
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    task = bar.add_task("replay", total=None)
+    return lambda done, of: bar.update(task, completed=done, total=of)
+
+
+def _no_poses(one: Run) -> str:
+    path = one.sources[0]
+    return (
+        f"{path}: no pose could be computed from it, so there is nothing to report; "
+        f"`{command('replay', str(path))}` says what was rejected; give the right machine file with --machine"
+    )
+
+
+def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
+    try:
+        return [given_segments(one, args.logs, args.segment) for one in runs]
+    except ValueError as error:
+        raise WrongUse(f"--segment: {error}") from None
+
+
+def _answers(runs: Sequence[Run], segments: list[Any], steps: Steps) -> dict[str, Any]:
+    from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
+
+    found = answers_of(runs, segments, steps)
+    for note in found["notes"]:
+        _say(note)
+    return found
+
+
+def _steps(stack: ExitStack, args: argparse.Namespace) -> Steps:
+    if not sys.stderr.isatty() or args.json:
+        return lambda what, done, of: None
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    tasks: dict[str, TaskID] = {}
+
+    def show(what: str, done: int, of: int) -> None:
+        task = tasks.setdefault(what, bar.add_task(what, total=of)) if what not in tasks else tasks[what]
+        bar.update(task, completed=done, total=of)
+
+    return show
+
+
+def _write(
+    runs: Sequence[Run], segments: list[Any], answers: dict[str, Any], args: argparse.Namespace
+) -> int:
+    from tilth.analysis.report.build import report_of  # matplotlib takes a second: wrong use is told before
+    from tilth.analysis.report.document import as_json
+    from tilth.analysis.report.gather import facts_of
+    from tilth.analysis.report.made import warnings_of
+    from tilth.analysis.report.writing import json_text, write
+
+    facts = [facts_of(one, given) for one, given in zip(runs, segments, strict=True)]
+    report = report_of({"command": command("report", *_words(args)), "runs": facts, **answers})
+    content = as_json(report)
+    try:
+        written = write(report, content, args.out, with_pdf=args.pdf, figures=args.figures)
+    except FileExistsError as error:
+        raise WrongUse(
+            f"{error.filename}: exists; a report is never overwritten, give another name"
+        ) from None
+    for one in facts:
+        for text in warnings_of(one):
+            _say(f"{one['id']}: {text}")
+    shown = [path for path in written if args.figures is None or path.parent != args.figures]
+    _say(f"wrote {', '.join(map(str, shown))}" + (f", and figures in {args.figures}" if args.figures else ""))
+    if args.json:
+        print(json_text(content), end="")
+    return 1 if any(one["skipped"] or not one["origin"]["whole"] for one in facts) else 0
+
+
+def _words(args: argparse.Namespace) -> list[str]:
+    """The command line, as it would be given again."""
+    words = [*map(str, args.logs), "--out", str(args.out)]
+    words += ["--pdf"] if args.pdf else []
+    for option in ("figures", "machine"):
+        if getattr(args, option) is not None:
+            words += [f"--{option}", str(getattr(args, option))]
+    for log, start_s, end_s in args.segment:
+        words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
+    return words + [word for name in args.bus for word in ("--bus", name)]
+
+
+def _say(text: str) -> None:
+    print(f"tilth report: {text}", file=sys.stderr)

@@ -1,0 +1,86 @@
+"""Fits, predictions, tests of residuals and responses: sections of plain data, and none without data."""
+
+import math
+from typing import Any
+
+import pytest
+from report_parts import WHY, fit, held_out, residuals, response
+
+from tilth.analysis.report.answered import TABLE_ROWS, drawn, response_section
+from tilth.analysis.report.checked import held_out_section, residuals_section
+from tilth.analysis.report.document import HELD_OUT, ReportFigure, ReportTable, ReportText, parts_of
+from tilth.analysis.report.fitted import fit_section
+
+
+def table(section: Any) -> ReportTable:
+    return next(one for one in parts_of((section,)) if isinstance(one, ReportTable))
+
+
+def texts(section: Any) -> list[str]:
+    return [one.text for one in parts_of((section,)) if isinstance(one, ReportText)]
+
+
+def test_fits_by_segment_and_together() -> None:
+    section = fit_section(fit())
+    rows = [[cell.text for cell in row] for row in table(section).rows]
+    assert [row[0] for row in rows] == ["s1", "s2", "s3", "all together"]
+    assert rows[0][1:6] == ["1", "30.0", "58.0", "step", "231 ± 54"] and rows[3][5] == "220 ± 22"
+    assert rows[2][10] == "unestimated"
+    assert texts(section)[0] == (
+        "The segments agree within their uncertainty (χ² 14.2 with 11 degrees of freedom, p 0.220)."
+    )
+    assert f"sigma_i of s3: {WHY}." in texts(section)
+
+
+def test_fits_without_a_joint_one() -> None:
+    section = fit_section(fit() | {"joint": None, "agreement": None})
+    assert section is not None and section.sections == () and len(table(section).rows) == 3
+
+
+def test_held_out_cells_are_marked_in_words() -> None:
+    rows = table(held_out_section(held_out())).rows
+    assert [cell.mark == HELD_OUT for cell in rows[0][1:]] == [False, False, True, True, True, True]
+    assert all((cell.mark == HELD_OUT) == ("held out" in cell.text) for row in rows for cell in row)
+    assert rows[2][0].text == "s1, s2, s3" and rows[0][3].value == pytest.approx(0.41)
+    assert "3 predictions of drives that were not fitted" in texts(held_out_section(held_out()))[0]
+
+
+def test_a_prediction_that_failed_has_no_number() -> None:
+    found = held_out()
+    found["subsets"][0]["cells"][1] |= {"tractor_m": None, "implement_m": None}
+    assert table(held_out_section(found)).rows[0][3].text == "– (held out)"
+
+
+def test_residuals() -> None:
+    section = residuals_section(residuals())
+    assert texts(section) == ["Not passed: r_t (independent of the wheel angle)."]
+    assert [row[3].text for row in table(section).rows] == ["0.300", "< 0.001", "–"]
+
+
+def test_the_response_in_decibel_and_degrees() -> None:
+    found = drawn(response())
+    first = found["outputs"][0]
+    assert first["gain_db"][0] == pytest.approx(20 * math.log10(0.9), abs=0.1)
+    assert first["gain_low_db"][-1] is None and first["phase_deg"][-1] == pytest.approx(-180.0, abs=20.0)
+    assert all(abs(a - b) < 90 for a, b in zip(first["phase_deg"], first["phase_deg"][1:], strict=False))
+    assert first["models"][0]["gain_db"][0] == pytest.approx(first["gain_db"][0] + 20 * math.log10(0.8))
+    section = response_section(response())
+    figures = [one for one in parts_of((section,)) if isinstance(one, ReportFigure)]  # type: ignore[arg-type]
+    assert [one.id for one in figures] == ["response-r_t", "response-r_i"]
+    assert len(table(section).rows) == TABLE_ROWS and table(section).rows[-1][2].text.startswith("−∞ … ")
+
+
+def test_only_what_is_excited_is_shown() -> None:
+    found = response()
+    found["excited"] = [hz < 1.0 for hz in found["hz"]]
+    assert max(drawn(found)["hz"]) < 1.0
+
+
+def test_a_response_that_could_not_be_measured_says_why() -> None:
+    section = response_section({"reason": "nobody steers", "hz": []})
+    assert texts(section) == ["Not measured: nobody steers."]
+
+
+@pytest.mark.parametrize("section", [fit_section, held_out_section, residuals_section, response_section])
+def test_nothing_without_data(section: Any) -> None:
+    assert section(None) is None
