@@ -142,8 +142,11 @@ def _information(segment: Told) -> Array:
 def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement) -> Array:
     """Widened as a fit's is (likelihood._covariance), and by the spread where segments do not agree."""
     every = [one for segment in told for one in segment]
-    scores = np.diag(sd**-2.0) + sum(one.scores for one in every)
-    out = likelihood.widened(covariance, scores)
+    prior = np.diag(sd**-2.0)
+    still = np.asarray(np.linalg.inv(prior + sum(one.information for one in every)), np.float64)  # no drift
+    wide = likelihood.widened(still, prior + sum(one.scores for one in every))
+    by = np.sqrt(np.diag(wide) / np.diag(still))
+    out = covariance * np.outer(by, by)
     colour = 1.0 + likelihood.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
     factors = np.ones(len(out))
     factors[SIX] = colour * math.sqrt(agreement.widening)
