@@ -84,7 +84,8 @@ def test_it_fits_the_screen_and_follows_the_scheme(
             assert shown.evaluate("document.documentElement.scrollWidth") <= width
             grounds[scheme] = shown.evaluate("getComputedStyle(document.documentElement).backgroundColor")
             if (scheme, width) == ("light", 1100) and request.config.getoption("--refresh"):
-                clip: Any = {"x": 0, "y": 0, "width": width, "height": 1500}
+                top = shown.evaluate("document.getElementById('run1-map').getBoundingClientRect().top")
+                clip: Any = {"x": 0, "y": top - 10, "width": width, "height": 1500}
                 shot = Image.open(BytesIO(shown.screenshot(clip=clip, full_page=True)))
                 small = shot.quantize(64, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
                 small.save(PICTURE, optimize=True)
