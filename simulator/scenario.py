@@ -313,6 +313,7 @@ class Scenario:
     purpose: str = ""  # one sentence: what it is good for
     seconds: Duration = 90.0
     seed: Annotated[int, Field(ge=0)] = 1
+    rig_seed: Annotated[int, Field(ge=0)] | None = None  # of rig and sensors' constant errors; None: the seed
     machine: str | None = None  # machine file, from this file's folder; None: the packaged one
     plant: Literal["planar", "spatial"] = "planar"  # spatial needs the extra of that name
     speed: Speeds = 4.5

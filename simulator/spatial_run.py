@@ -13,7 +13,7 @@ from tilth.simulator.scenario import STEP_S
 from tilth.simulator.spatial.height_field import height_field
 from tilth.simulator.spatial.plant import AT, Space, run, settled_plant
 from tilth.simulator.spatial.vehicle import Masses, Vehicle, vehicle_of
-from tilth.simulator.tractor import BodyTrack, Setting, Truth
+from tilth.simulator.tractor import BodyTrack, Setting, Truth, rig_seed
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 def vehicle_in(setting: Setting) -> Vehicle:
     """The rig of a run in space, drawn where the scenario says so."""
     masses = Masses(*(getattr(setting.rig, name) for name in Masses._fields))
-    return vehicle_of(masses, setting.scenario, generator(setting.seed, noise.SPATIAL))
+    drawn = generator(rig_seed(setting.scenario, setting.seed), noise.SPATIAL)
+    return vehicle_of(masses, setting.scenario, drawn)
 
 
 def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], None] | None) -> Truth:

@@ -139,18 +139,24 @@ def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) 
     believed = rig_of(machine)
     nuisances = _nuisances(machine, scenario, seed)
     parameters = draw(machine, seed, scenario)
-    rig = _rig(machine, scenario, believed, parameters, nuisances, generator(seed, noise.GEOMETRY))
+    drawn = generator(rig_seed(scenario, seed), noise.GEOMETRY)
+    rig = _rig(machine, scenario, believed, parameters, nuisances, drawn)
     time: Array = np.arange(round(seconds / STEP_S) + 1, dtype=np.float64) * STEP_S
     land = terrain(scenario.ground, scenario.roll_deg, rig, generator(seed, noise.GROUND))
     soil = field(scenario.soil, parameters, rig, generator(seed, noise.SOIL))
     return Setting(seed, scenario, believed, parameters, nuisances, rig, time, land, soil)
 
 
+def rig_seed(scenario: Scenario, seed: int) -> int:
+    """Seed of what runs of one rig have in common: the rig, its sensors' constant errors, the six."""
+    return seed if scenario.rig_seed is None else scenario.rig_seed
+
+
 def draw(machine: Machine, seed: int, scenario: Scenario) -> dict[str, float]:
     """The six soil-tyre parameters of a run, before any change of soil."""
     tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
     priors = [t.cornering_stiffness for t in tyres] + [t.relaxation_length for t in tyres]
-    rng = generator(seed, noise.PARAMETERS)
+    rng = generator(rig_seed(scenario, seed), noise.PARAMETERS)
     factors = np.exp(rng.normal(0.0, PARAMETER_LOG_SD, len(PARAMETERS)))
     factors = np.clip(factors, 1.0 - PARAMETER_LIMIT, 1.0 + PARAMETER_LIMIT)
     drawn = {name: float(p * f) for name, p, f in zip(PARAMETERS, priors, factors, strict=True)}
@@ -198,7 +204,7 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
     clock_offset, clock_skew: host clock minus UTC at the start, s, and its growth, s/s.
     roll_<sd|zero|delay>_<mount>: of a receiver's own roll, rad, rad and s.
     """
-    rng = generator(seed, noise.NUISANCES)
+    rng = generator(rig_seed(scenario, seed), noise.NUISANCES)
     zero, tractor, implement, offset, skew = rng.standard_normal(5) * [ZERO_SD_DEG, 1.0, 1.0, 0.2, 15e-6]
     survey, wheel = scenario.survey, scenario.wheel
     most = scenario.noise * PAIR_LIMIT_DEG
@@ -229,7 +235,8 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
 
 def _roll_sensor(scenario: Scenario, mount: Mount, seed: int) -> dict[str, float]:
     """Errors of one receiver's roll, as `_nuisances`."""
-    given, rng = scenario.roll_sensor, generator(seed, noise.ROLL, list(Mount).index(mount))
+    given, stream = scenario.roll_sensor, list(Mount).index(mount)
+    rng = generator(rig_seed(scenario, seed), noise.ROLL, stream)
     drawn = tuple(rng.uniform(low, high) for low, high in ROLL_DRAWN)
     sd, zero, delay = drawn if given.draw else ROLL_PLAIN
     return {

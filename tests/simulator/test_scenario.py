@@ -26,7 +26,7 @@ from tilth.simulator.scenario import (
 )
 from tilth.simulator.traffic import simulate
 
-FILES = sorted((ROOT / "examples" / "scenarios").glob("*.toml"))
+FILES = sorted((ROOT / "examples" / "scenarios").rglob("*.toml"))
 TEXT = (ROOT / "examples" / "scenarios" / "bad_day.toml").read_text()
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 

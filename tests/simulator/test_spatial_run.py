@@ -188,6 +188,14 @@ def test_a_pilot_keeps_a_row_and_turns_at_its_end(machine: Machine) -> None:
     assert abs(abs(truth.states[-1, 2]) - np.pi) < 0.2  # it comes back
 
 
+@needs_engine
+def test_runs_of_one_rig_have_one_vehicle_and_each_its_ground(machine: Machine) -> None:
+    drawn = replace(SPACE, rig_seed=9, spatial=Spatial(draw=True))
+    one, other = (drive(machine, seed, 2.0, drawn).space for seed in (1, 2))
+    assert one is not None and other is not None and one.vehicle == other.vehicle
+    assert not np.array_equal(one.motion.tyres, other.motion.tyres)
+
+
 def test_scenarios_go_through_json() -> None:
     for scenario in (SPATIAL, parse_scenario(FILE.read_text())):
         assert from_json(as_json(scenario)) == scenario

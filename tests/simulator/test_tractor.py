@@ -21,6 +21,7 @@ from tilth.simulator.scenario import (
     FaultKind,
     Ground,
     ReceiverLink,
+    RollSensor,
     Scenario,
     Soil,
     SurveyErrors,
@@ -65,6 +66,17 @@ def test_given_parameters_are_taken(machine: Machine) -> None:
     truth = drive(machine, 1, 0.1, Scenario(soil=Soil(parameters={"C_ar": 400e3, "sigma_i": 0.9})))
     assert (truth.parameters["C_ar"], truth.parameters["sigma_i"]) == (400e3, 0.9)
     assert truth.parameters["C_af"] == drive(machine, 1, 0.1).parameters["C_af"]
+
+
+def test_runs_of_one_rig_differ_in_drive_and_noise_only(machine: Machine) -> None:
+    scenario = Scenario(rig_seed=9, roll_sensor=RollSensor(draw=True))
+    one, other = (drive(machine, seed, 5.0, scenario) for seed in (1, 2))
+    assert one.rig == other.rig and one.nuisances == other.nuisances and one.parameters == other.parameters
+    assert one.parameters == draw(machine, 9, Scenario())  # as of a run with that seed
+    assert not np.array_equal(one.tractor.forward_velocity, other.tractor.forward_velocity)
+    first, second = (_plane(reports(machine, truth, machine.receiver[0], 0.1)) for truth in (one, other))
+    assert not np.array_equal(first, second)
+    assert drive(machine, 1, 5.0, replace(scenario, rig_seed=None)).rig != one.rig
 
 
 def test_true_stiffness_is_the_slope_at_zero_slip_under_the_static_load(quiet: Truth) -> None:
