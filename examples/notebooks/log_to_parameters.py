@@ -16,6 +16,7 @@ from tilth.analysis.fit.result import as_json
 from tilth.analysis.runs import segments
 from tilth.analysis.validation.validate import hold_out
 from tilth.cli import main
+from tilth.schemas.spread import of_logarithm
 
 folder = Path(tempfile.mkdtemp(prefix="tilth-notebook-"))
 scenario = folder / "two_steps.toml"
@@ -42,7 +43,7 @@ fitted = fit_all(choose([run]))
 answer = as_json(fitted)
 for name, row in answer["joint"]["parameters"].items():
     each = [one["parameters"][name]["value"] for one in answer["runs"]]
-    said = f"{row['value']:10.4g} ± {1.96 * row['sd']:.2g} (95 %)" if row["value"] else row["reason"]
+    said = of_logarithm(row["value"], row["sd"]) if row["value"] else row["reason"]
     print(f"{name:8} {said}   each: {', '.join('-' if v is None else f'{v:.4g}' for v in each)}")
 print(answer["agreement"]["sentence"])
 
