@@ -27,7 +27,7 @@ from tilth.analysis.runs.reading import RunClock
 from tilth.analysis.runs.table import Table
 
 LATEST_NS: Final = 2_000_000_000  # that a row stands in the log after its instant; a pose waits for 0.5 s
-TICKS: Final = 8192  # written at once
+TICKS: Final = 2048  # written at once
 MOST_TICKS: Final = 1 << 31
 AGE: Final = "age_s"
 _DIVIDER: Final = "__"  # between sender and column; no channel has it in its name

@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from tilth.analysis.export.clock import MOST_TICKS, ChannelSenders, ClockTable, Ticks, ages, ticks_of
 from tilth.analysis.export.columns import ExportColumn, ExportRows, rows_of, rows_of_frames
 from tilth.analysis.export.facts import described, facts_of
@@ -26,9 +28,11 @@ from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.table import Table
 from tilth.replay.readers.arrays import frame_parts
 from tilth.replay.readers.log import EmptyLog
+from tilth.schemas.frame_columns import FrameColumns
 
 CLOCK: Final = "clock"  # the file of all channels
 ABOUT: Final = "export.json"
+FRAMES_AT_ONCE: Final = 50_000
 SPREADSHEET_ROWS: Final = 1_048_576  # that spreadsheets show
 
 
@@ -202,7 +206,7 @@ class _Passes:
         plan, reader = self._plan, self._run.reader
         reader.skipped.clear()
         lead_s = 0.0 if plan.clock_ns is None else max(ages([*plan.channels]).values())
-        for topic, table in reader.tables(self._topics, self._heard):
+        for topic, table in reader.tables([*self._topics], self._heard):
             if plan.cut:
                 table = table.between(plan.from_s - lead_s, plan.until_s)
             if table.rows:
@@ -212,19 +216,28 @@ class _Passes:
     def frames(self) -> Iterator[ExportRows]:
         """Raw frames."""
         plan, buses = self._plan, dict[str, int]()
-        before = self._before
+        for part in self._frame_parts(buses):
+            rows = rows_of_frames(part, tuple(buses), self._run.reader.clock)
+            if plan.cut:
+                t_s = rows.named("t_s")
+                rows = rows.take((t_s >= plan.from_s) & (t_s < plan.until_s))
+            yield rows
+
+    def _frame_parts(self, buses: dict[str, int]) -> Iterator[FrameColumns]:
+        """Some chunks at once: a small part costs more than its rows."""
+        gathered: list[FrameColumns] = []
         for file in self._run.files:
             try:
                 for part in frame_parts(file.path, buses, self._of_frames, self._heard):
-                    rows = rows_of_frames(part, tuple(buses), self._run.reader.clock)
-                    if plan.cut:
-                        t_s = rows.named("t_s")
-                        rows = rows.take((t_s >= plan.from_s) & (t_s < plan.until_s))
-                    yield rows
+                    gathered.append(part)
+                    if sum(len(one.t_ns) for one in gathered) >= FRAMES_AT_ONCE:
+                        yield _joined(gathered)
+                        gathered.clear()
             except EmptyLog:  # results alone
                 pass
             self._before += file.path.stat().st_size
-        self._before = before + self._size
+        if gathered:
+            yield _joined(gathered)
 
     def skipped(self) -> Counter[str]:
         """What could not be read: of two passes over the same, the one that saw more."""
@@ -232,6 +245,10 @@ class _Passes:
         for what, count in self._of_frames.items():
             found[what] = max(found[what], count)
         return found
+
+
+def _joined(parts: Sequence[FrameColumns]) -> FrameColumns:
+    return FrameColumns._make(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _each_channel(run: Run, plan: ExportPlan, passes: _Passes, files: _Files) -> None:

@@ -29,7 +29,8 @@ from tilth.analysis.export.columns import (
 from tilth.schemas.invocation import installing
 
 Facts = Mapping[str, Any]
-ROW_GROUP_BYTES: Final = 4 << 20
+ROW_GROUP_BYTES: Final = 4 << 20  # at least
+COLUMN_BYTES: Final = 1 << 16  # of a column, at least: each in each group costs a kilobyte until the end
 MAT_BYTES: Final = 2 << 30  # of a variable; the format can say 4 GiB, and readers stop at 2
 _MAT_RESERVED: Final = ("units", "texts", "meta")
 _MAT_WIDTH: Final = {DOUBLE: 8, WHOLE: 8, TRUTH: 8, TEXT: 4, DATA: 8, INSTANT: 0}  # bytes of a value
@@ -133,6 +134,7 @@ class ParquetFile:
             for column in columns
         ]
         self._schema = self._arrow.schema(fields, metadata={"tilth": json.dumps(facts)})
+        self._enough = max(ROW_GROUP_BYTES, COLUMN_BYTES * len(columns))
         self._waiting: list[Any] = []
         self._bytes = 0
         writer = importlib.import_module("pyarrow.parquet").ParquetWriter
@@ -152,7 +154,7 @@ class ParquetFile:
         ]
         self._waiting.append(self._arrow.Table.from_arrays(arrays, schema=self._schema))
         self._bytes += self._waiting[-1].nbytes
-        if self._bytes >= ROW_GROUP_BYTES:
+        if self._bytes >= self._enough:
             self._flush()
 
     def _array(self, kind: str, values: NDArray[Any], absent: Mask | None) -> Any:

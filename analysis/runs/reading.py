@@ -5,7 +5,7 @@ A log that was cut off is read as far as it is whole; damaged chunks are left ou
 
 import io
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,14 +15,13 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.layout import ChannelLayout, TableColumn, layout_of
 from tilth.analysis.runs.table import TEXTS, Table, Values, joined
 from tilth.estimator.compiled import kernel
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, is_finished, unpacked
+from tilth.logger.log.mcap_file import DAMAGE, HEAD, summarised, unpacked
 from tilth.replay.readers.log import OpenLog
 from tilth.replay.readers.mcap_reader import framed
 from tilth.schemas import message_columns as wire
@@ -64,46 +63,46 @@ class ChannelReader:
 
     def batches(self, topic: str) -> Iterator[Table]:
         """The same, a table for each chunk of a file that has any of it."""
-        for data, found in self._messages((topic,)):
-            yield self._table(topic, data, found[topic])
+        for data, places in self._messages((topic,)):
+            yield self._table(topic, data, places)
 
     def tables(
-        self, topics: Collection[str], heard: Callable[[int], None] = _nobody
+        self, topics: Sequence[str], heard: Callable[[int], None] = _nobody
     ) -> Iterator[tuple[str, Table]]:
         """(topic, table) of several topics, from one pass over the files, in the order of each topic.
 
         heard: takes how many bytes of the files were read. Raises OSError.
         """
         gathered: list[bytes] = []
-        places: dict[str, list[Places]] = {}
+        found: list[Places] = []
         size = 0
-        for data, found in self._messages(topics, heard):
-            for topic, at in found.items():
-                places.setdefault(topic, []).append(at + np.array([0, 0, size, size]))
+        for data, places in self._messages(topics, heard):
+            found.append(places + np.array([0, 0, size, size]))
             gathered.append(data)
             size += len(data)
             if size >= _GATHERED:
-                yield from self._tables(gathered, places)
-                gathered, places, size = [], {}, 0
-        yield from self._tables(gathered, places)
+                yield from self._tables(topics, b"".join(gathered), np.concatenate(found))
+                gathered, found, size = [], [], 0
+        if gathered:
+            yield from self._tables(topics, b"".join(gathered), np.concatenate(found))
 
-    def _tables(
-        self, gathered: Sequence[bytes], places: dict[str, list[Places]]
-    ) -> Iterator[tuple[str, Table]]:
-        data = b"".join(gathered)
-        for topic, found in places.items():
-            yield topic, self._table(topic, data, np.concatenate(found))
+    def _tables(self, topics: Sequence[str], data: bytes, places: Places) -> Iterator[tuple[str, Table]]:
+        for k, topic in enumerate(topics):
+            its = places[places[:, 0] == k]
+            if len(its):
+                yield topic, self._table(topic, data, its)
 
     def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """(t_ns of the record, Protobuf bytes) of a topic."""
-        for data, found in self._messages((topic,)):
-            for _, t_ns, start, stop in found[topic].tolist():
+        for data, places in self._messages((topic,)):
+            for _, t_ns, start, stop in places.tolist():
                 yield t_ns, data[start:stop]
 
     def _messages(
-        self, wanted: Collection[str], heard: Callable[[int], None] = _nobody
-    ) -> Iterator[tuple[bytes, dict[str, Places]]]:
-        """(records of a chunk, topic -> places [n, 4] as wire.messages_of fills them) where there are any."""
+        self, wanted: Sequence[str], heard: Callable[[int], None] = _nobody
+    ) -> Iterator[tuple[bytes, Places]]:
+        """(records of a chunk, places [n, 4] as wire.messages_of fills them) where there are any; instead of
+        the channel stands which of the wanted topics it is."""
         before = 0
         for path in self.paths:
             topics = topics_of(path)
@@ -114,12 +113,15 @@ class ChannelReader:
                 for start, stop in defined[:, 2:].tolist():
                     channel = Channel.read(ReadDataStream(io.BytesIO(data[start:stop])))
                     topics[channel.id] = channel.topic
-                chosen = np.zeros(max(topics, default=0) + 1, np.bool_)
-                chosen[[channel for channel, topic in topics.items() if topic in wanted]] = True
-                count, cut = _messages_of(numbers, chosen, places)
+                which = np.full(max(topics, default=0) + 1, -1, np.int64)
+                for id, topic in topics.items():
+                    if topic in wanted:
+                        which[id] = wanted.index(topic)
+                count, cut = _messages_of(numbers, which >= 0, places)
                 self.skipped["damaged_chunk"] += cut
                 if count:
-                    yield data, _by_topic(places[:count], topics)
+                    places[:count, 0] = which[places[:count, 0]]
+                    yield data, places[:count]
             before += path.stat().st_size
 
     def _table(self, topic: str, data: bytes, places: NDArray[np.int64]) -> Table:
@@ -213,17 +215,6 @@ def _from(heard: Callable[[int], None], before: int, read: int) -> None:
     heard(before + read)
 
 
-def _by_topic(places: Places, topics: Mapping[int, str]) -> dict[str, Places]:
-    """The places of each topic, in their order."""
-    channels = np.unique(places[:, 0]).tolist()
-    parts: dict[str, list[int]] = {}
-    for channel in channels:  # a topic has several where a file was joined of others
-        parts.setdefault(topics[channel], []).append(channel)
-    if len(parts) == 1:
-        return {topic: places for topic in parts}
-    return {topic: places[np.isin(places[:, 0], its)] for topic, its in parts.items()}
-
-
 def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _nobody) -> Iterator[bytes]:
     """The records of each chunk of a file. heard: takes how many of its bytes were read. Raises OSError."""
     with path.open("rb") as file:
@@ -239,12 +230,13 @@ def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _no
 
 def topics_of(path: Path) -> dict[int, str]:
     """Channel -> topic, by the index of a finished file; {} of another."""
+    found: dict[int, str] = {}
     with path.open("rb") as file:
-        if not is_finished(file, path.stat().st_size):
-            return {}
-        file.seek(0)
         try:
-            summary = make_reader(file).get_summary()
+            for opcode, body in summarised(file, path.stat().st_size):
+                if opcode == Opcode.CHANNEL:
+                    channel = Channel.read(ReadDataStream(io.BytesIO(body)))
+                    found[channel.id] = channel.topic
         except DAMAGE:
             return {}
-    return {} if summary is None else {id: channel.topic for id, channel in summary.channels.items()}
+    return found

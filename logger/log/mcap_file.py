@@ -78,6 +78,18 @@ def is_finished(file: BinaryIO, size: int) -> bool:
     return head == end[FOOTER_SIZE:] == MAGIC and HEAD.unpack_from(end) == (Opcode.FOOTER, 20)
 
 
+def summarised(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+    """(opcode, body) of the schemas and channels that the summary at the end of a whole file repeats; none of
+    another. mcap's own reader keeps the index of chunks too, kilobytes for each. Raises OSError."""
+    if not is_finished(file, size):
+        return
+    file.seek(size - len(MAGIC) - FOOTER_SIZE + HEAD.size)
+    start = int.from_bytes(file.read(8), "little")
+    for place in walk(file, size, start) if len(MAGIC) <= start < size else ():
+        if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield place.opcode, body_of(file, place)
+
+
 def unpacked(body: bytes) -> bytes:
     """The records of a chunk, its checksum verified. Raises one of DAMAGE."""
     chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))

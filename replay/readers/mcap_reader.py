@@ -11,10 +11,9 @@ from typing import BinaryIO
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel, Metadata, Schema
 
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, unpacked, walk
+from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, summarised, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC, SNAPSHOT_TOPIC
 from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged, OpenLog, Record
 from tilth.schemas.flow import Frame
@@ -134,20 +133,14 @@ def from_summary(channels: Channels, file: BinaryIO) -> bool:
 
     False where there is no such index: the chunks define the channels as well.
     """
-    file.seek(max(0, channels.log.size - len(MAGIC)))
-    if file.read() != MAGIC:
-        return False
-    file.seek(0)
+    found = False
     try:
-        summary = make_reader(file).get_summary()
+        for opcode, body in summarised(file, channels.log.size):
+            channels.definition(opcode, body)
+            found |= opcode == Opcode.CHANNEL
     except DAMAGE:
         return False
-    if summary is None:
-        return False
-    channels.schemas.update((schema.id, schema.name) for schema in summary.schemas.values())
-    for channel in summary.channels.values():
-        channels.add(channel)
-    return len(summary.channels) > 0
+    return found
 
 
 def no_frames(log: OpenLog) -> EmptyLog | ForeignLog:

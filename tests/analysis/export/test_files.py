@@ -112,6 +112,7 @@ def test_parquet_says_units_and_where_it_comes_from(tmp_path: Path) -> None:
 
 def test_parquet_is_written_as_it_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "ROW_GROUP_BYTES", 1)
+    monkeypatch.setattr(files, "COLUMN_BYTES", 1)
     path = tmp_path / "a.parquet"
     file = ParquetFile(path, COLUMNS, FACTS)
     sizes = []
