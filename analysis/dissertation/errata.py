@@ -1,5 +1,6 @@
 """What chapters 3 and 5 of the dissertation print, what is right, and what the printed form would give."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -137,11 +138,11 @@ def _of_chapter_5() -> list[Erratum]:
     ]  # fmt: skip
 
 
-def errata_table() -> str:
+def errata_table(rows: Iterable[Erratum]) -> str:
     """In Markdown."""
     return "\n".join(
         "| " + " | ".join(row) + " |"
-        for row in (("where", "printed", "right", "what computation says"), ("---",) * 4, *errata())
+        for row in (("where", "printed", "right", "what computation says"), ("---",) * 4, *rows)
     )
 
 

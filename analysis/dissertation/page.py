@@ -8,8 +8,9 @@ from pathlib import Path
 from string import Template
 
 from tilth.analysis import plots
-from tilth.analysis.dissertation import closed_loop, errata, open_loop
+from tilth.analysis.dissertation import closed_loop, errata, field_page, field_tables, open_loop
 from tilth.analysis.dissertation.compared import ComparedFigure, compared, number
+from tilth.analysis.dissertation.field_errata import field_errata
 from tilth.analysis.dissertation.figures import DRAWINGS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -19,7 +20,7 @@ PAGE = Template("""\
 # The dissertation's figures, and ours
 
 M. Karkee, *Modeling, identification and analysis of tractor and single axle towed implement system*, 2009,
-chapters 3 and 5. Written by `$command`, not by hand. Parameters are those of its Table 5.1
+chapters 3, 5 and 7. Written by `$command`, not by hand. Parameters are those of its Table 5.1
 ([jd7930-parker500-ch5.toml](../deploy/machines/jd7930-parker500-ch5.toml)) unless said otherwise.
 
 A printed number agrees where ours rounds to it, or, where it is given as "about", within what the last
@@ -136,6 +137,8 @@ speed:
 
 $wiring_speeds
 
+$fields
+
 ## Printed and right
 
 $errata
@@ -175,7 +178,8 @@ def page() -> str:
         wirings=closed_loop.wiring_table(),
         wiring_speeds=closed_loop.wiring_speeds(),
         servo=number(closed_loop.SERVO, 1),
-        errata=errata.errata_table(),
+        fields=field_page.section(field_tables.read()),
+        errata=errata.errata_table([*errata.errata(), *field_errata()]),
     )
 
 

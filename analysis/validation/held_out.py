@@ -126,6 +126,20 @@ def table(
     )
 
 
+def way(machine: Machine, run: Predictable, point: Array) -> tuple[Array, Array]:
+    """Where tractor and implement went, and where parameters say: each (instants, 5), time in s, north and
+    east as measured, north and east as predicted, m, of the middle between the body's receivers.
+
+    point: [n] of unknowns.NAMES.
+    """
+    setup = rig_setup(machine)
+    errors = _open_loop(run.record, setup, run.start, _with_noise(point, run.noise))
+    tractor, implement = (_way(run.record.rows, errors, body) for body in (0, 1))
+    for one in (tractor, implement):
+        one[:, 3:] = one[:, 1:3] - one[:, 3:]
+    return tractor, implement
+
+
 def as_json(subsets: Sequence[Subset]) -> list[dict[str, Any]]:
     """The table as it stands in a report; numbers that do not exist are None."""
     return [
@@ -209,17 +223,24 @@ def _first_state(record: Record, setup: RigSetup, start: Array, point: Array) ->
 
 def _squares(rows: Array, errors: Array, body: int) -> Array:
     """(instants, 2): time in s, and squared distance in m^2 of a body, the mean over its receivers."""
-    per_tick: dict[float, list[list[float]]] = {}
+    way = _way(rows, errors, body)
+    return np.column_stack([way[:, 0], np.sum(way[:, 3:] ** 2, axis=1)])
+
+
+def _way(rows: Array, errors: Array, body: int) -> Array:
+    """(instants, 5): time in s, north and east of a body as measured, m, and both less the predicted ones;
+    the mean over its receivers."""
+    per_tick: dict[float, list[list[tuple[float, float]]]] = {}
     for kind, row, error in zip(rows[:, KIND], rows, errors, strict=True):
         if kind in (NORTH, EAST) and row[PLACE] // 2 == body:
             both = per_tick.setdefault(float(row[TICK]), [[], []])
-            both[int(kind == EAST)].append(float(error))
-    found = [
-        (tick * TICK_NS * 1e-9, float(np.mean(north)) ** 2 + float(np.mean(east)) ** 2)
-        for tick, (north, east) in per_tick.items()
-        if north and east
-    ]
-    return np.array(found).reshape(-1, 2)
+            both[int(kind == EAST)].append((float(row[VALUE]), float(error)))
+    found = []
+    for tick, (north, east) in per_tick.items():
+        if north and east:
+            (x, x_error), (y, y_error) = np.mean(north, axis=0), np.mean(east, axis=0)
+            found.append((tick * TICK_NS * 1e-9, x, y, x_error, y_error))
+    return np.array(found).reshape(-1, 5)
 
 
 def _interval(squares: Array) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from logs import MACHINE
 from recorded import STEPS, recorded, shared_cache
 
 import tilth.analysis
+from tilth.analysis.dissertation import chapter7
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.validation import held_out
 from tilth.analysis.validation.held_out import Subset, predictable, subsets
@@ -61,6 +62,20 @@ def test_wrong_tyres_predict_worse(fitted: Fitted) -> None:
     assert good.tractor_m < 0.3 and bad.tractor_m > 3.0 * good.tractor_m and bad.gain < good.gain
 
 
+def test_the_way_is_that_of_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
+    run = predictable(MACHINE, "one", driven_of(fitted.wanted[0], shared_cache()), fitted.fits[0].mean)
+    assert run is not None
+    tractor, implement = held_out.way(MACHINE, run, fitted.fits[1].mean)
+    cell = table[2].cells[0]  # the second run's parameters over the first run
+    for path, rms in ((tractor, cell.tractor_m), (implement, cell.implement_m)):
+        apart = np.sum((path[:, 1:3] - path[:, 3:]) ** 2, axis=1)
+        assert np.sqrt(np.mean(apart)) == pytest.approx(rms, rel=1e-9)
+        assert np.all(np.diff(path[:, 0]) > 0.0) and path[-1, 0] > 15.0
+    there = [np.interp(tractor[:, 0], implement[:, 0], implement[:, k]) for k in (1, 2)]
+    behind = np.hypot(*(tractor[:, 1:3].T - there))[5:-5]  # where both have begun and none has ended
+    assert np.all((behind > 5.0) & (behind < 7.0))
+
+
 def test_what_is_too_short_cannot_be_predicted(fitted: Fitted) -> None:
     driven = driven_of(fitted.wanted[0], shared_cache())
     assert predictable(MACHINE, "x", driven[:30], fitted.fits[0].mean) is None
@@ -77,6 +92,17 @@ def test_numbers_that_do_not_exist_are_none(table: tuple[Subset, ...]) -> None:
 def test_subsets(count: int, rows: int) -> None:
     found = subsets([str(k) for k in range(count)])
     assert len(found) == rows == len(set(found)) and len(found[-1]) == count
+
+
+def test_a_group_of_the_dissertations_runs_is_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
+    rows = chapter7.group(fitted, shared_cache())["subsets"]
+    assert [row["runs"] for row in rows] == [[], [1], [2], [1, 2]] and "values" not in rows[0]
+    for row, subset in zip(rows, table, strict=True):
+        assert row["cells"] == [[cell.tractor_m, cell.implement_m] for cell in subset.cells]
+    assert fitted.joint is not None
+    assert rows[3]["values"][0] == pytest.approx(np.exp(fitted.joint.mean[0])) and rows[3]["p"] > 0.01
+    single = fitted.fits[1].estimates["pem"].parameters[1]
+    assert (rows[2]["values"][1], rows[2]["sds"][1]) == (single.value, single.sd)
 
 
 def test_nothing_told_nothing_held_out() -> None:
