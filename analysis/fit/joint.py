@@ -87,11 +87,11 @@ def linearise(
         raise ValueError("no segment to join")
     point = _start(machine, fits)
     terms: list[Terms] = []
-    for _ in range(MOST_STEPS):
+    for k in range(MOST_STEPS):
         terms = list(each(terms_at, [machine] * len(windows), windows, [point] * len(windows)))
-        moved, size = newton(machine, terms, point)
-        if size < SETTLED:
-            break
+        moved, size = newton(machine, terms, point, 1.0 if k < MOST_STEPS // 2 else 0.5)
+        if size < SETTLED or k == MOST_STEPS - 1:
+            break  # the terms are those of the point
         point = moved
     told, first = [], 0
     for fit in fits:
@@ -117,15 +117,18 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
     prior_mean, prior_sd = unknowns.prior(machine)
     shared = places(machine)
     sd, away = prior_sd[shared], (all_of.point - prior_mean)[shared]
-    mean, covariance = -away, np.diag(sd**2)  # of the change from the common point
+    mean = -away  # of the change from the common point
+    weight, covariance = np.diag(sd**2), np.diag(sd**2)  # by the likelihood, by steering
     for k, segment in enumerate(told):
         if k:
             share = retained_share(between[k - 1])
             mean[SIX] = share * (mean[SIX] + away[SIX]) - away[SIX]
-            drift(covariance, np.arange(6), share, sd)
-        before = np.asarray(np.linalg.inv(covariance), np.float64)
-        covariance = np.asarray(np.linalg.inv(before + _information(segment)), np.float64)
-        mean = covariance @ (before @ mean - sum(one.gradient for one in segment))
+            for one in (weight, covariance):
+                drift(one, np.arange(6), share, sd)
+        before = _inverse(weight)
+        weight = _inverse(before + _information(segment))
+        covariance = _inverse(_inverse(covariance) + sum(one.by_steering for one in segment))
+        mean = weight @ (before @ mean - sum(one.gradient for one in segment))
     agreement = agree(machine, told, between)
     covariance = _published(covariance, told, sd, agreement)
     whole_mean, whole = prior_mean.copy(), np.zeros((len(NAMES), len(NAMES)))
@@ -133,6 +136,10 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
     whole[np.ix_(shared, shared)] = covariance
     whole += pem.of_masses(np.diag(prior_sd**2))
     return Joint(whole_mean, whole, prior_sd, agreement, sum(all_of.seconds[k] for k in rows))
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
 def _information(segment: Told) -> Array:
@@ -143,8 +150,8 @@ def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Ag
     """Widened as a fit's is (likelihood._covariance), and by the spread where segments do not agree."""
     every = [one for segment in told for one in segment]
     prior = np.diag(sd**-2.0)
-    still = np.asarray(np.linalg.inv(prior + sum(one.information for one in every)), np.float64)  # no drift
-    wide = likelihood.widened(still, prior + sum(one.scores for one in every))
+    still = _inverse(prior + sum(one.by_steering for one in every))  # without drift
+    wide = likelihood.widened(still, prior + sum(one.steering_scores for one in every))
     by = np.sqrt(np.diag(wide) / np.diag(still))
     out = covariance * np.outer(by, by)
     colour = 1.0 + likelihood.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
