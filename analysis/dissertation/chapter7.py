@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tilth.analysis.dissertation import experiments
 from tilth.analysis.dissertation.experiments import FIELDS, MANOEUVRES, PLANTS, REPLICATES, Experiment
+from tilth.analysis.dissertation.true_values import true_point
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.fit.joint import join
 from tilth.analysis.fit.result import as_json
@@ -29,6 +30,7 @@ from tilth.analysis.validation.held_out import Cell, Predictable
 from tilth.analysis.validation.validate import hold_out
 from tilth.estimator.filters import unknowns
 from tilth.schemas.flow import PARAMETERS
+from tilth.simulator.tractor import setting_of
 
 Array = NDArray[np.float64]
 
@@ -45,7 +47,9 @@ def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str,
         for manoeuvre in MANOEUVRES:
             runs = [Experiment(plant, field, manoeuvre, number) for number in REPLICATES]
             fitted = fit(runs, cache, jobs)
-            groups.append({"plant": plant, "field": field, "manoeuvre": manoeuvre, **group(fitted, cache)})
+            named = {"plant": plant, "field": field, "manoeuvre": manoeuvre}
+            true = by_truth(runs[0], fitted, cache) if plant == "planar" else {}
+            groups.append({**named, **true, **group(fitted, cache)})
             if (field, manoeuvre) == (FIELDS[0], "steps"):
                 ways.append({"plant": plant, **paths(fitted, cache)})
         wholes.append({"plant": plant, "field": field, **whole(plant, field, cache, jobs)})
@@ -78,6 +82,15 @@ def group(fitted: Fitted, cache: Path) -> dict[str, Any]:
             row |= _joint(fitted, chosen)
         rows.append(row | {"cells": [_errors(cell) for cell in subset.cells]})
     return {"subsets": rows}
+
+
+def by_truth(run: Experiment, fitted: Fitted, cache: Path) -> dict[str, Any]:
+    """How what is true of these runs, which are of one rig, predicts each."""
+    machine = fitted.wanted[0].run.machine
+    point = true_point(machine, setting_of(machine, run.seed, 1.0, run.scenario))
+    runs = [predictable(fitted, k, cache) for k in range(len(fitted.wanted))]
+    (_, predicted) = held_out.table(machine, runs, {("truth",): point})
+    return {"by_truth": [_errors(cell) for cell in predicted.cells]}
 
 
 def _joint(fitted: Fitted, chosen: Sequence[int] | None = None) -> dict[str, Any]:

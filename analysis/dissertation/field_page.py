@@ -59,7 +59,8 @@ $coverage
 $states
 
 Held-out predictions over all of them, median and range. In print they are 0.05 to 1.34 m by two runs, and
-1.1 to 2.0 m by N2:
+1.1 to 2.0 m by N2. Over 30 s nothing corrects a prediction, and uneven ground turns the rig by what nobody
+measures: on the planar plant even all that is true predicts no better than the last row of it says.
 
 $predictions
 """)

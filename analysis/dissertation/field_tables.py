@@ -254,6 +254,9 @@ def prediction_table(found: Numbers) -> str:
         )  # fmt: skip
         lists = [(name, [of(found, plant, size, body) for body in (0, 1)]) for name, size, of in kinds]
         lists.append(("chirps and random steering by steps", [across(found, plant, b) for b in (0, 1)]))
+        true = [cell for one in found["groups"] if one["plant"] == plant for cell in one.get("by_truth", ())]
+        if true:
+            lists.append(("by all that is true", [[cell[b] for cell in true] for b in (0, 1)]))
         for name, bodies in lists:
             rows.append([f"{plant}, {name}", str(len(bodies[0])), *map(_quantiles, bodies), _near(bodies)])
     return table(("", "runs predicted", "tractor, m", "implement, m", f"≤ {NEAR_M:.2f} m"), rows)

@@ -6,7 +6,7 @@ explain (likelihood.steering_jacobian), as in pem. Noise levels stay as each win
 A fit of pem goes on from the likelihood's maximum to where innovations are not correlated with what steering
 explains, and comes back if that is too far away. Over several windows it went too far unnoticed: of 12 times
 three runs of chapter7.json the joint C_af was up to 4.7 sds off and worse than any of its members, with up to
-1,800 nats less likelihood of a run; the maximum over the same windows was within 2 sds of all true values.
+1,800 nats less likelihood of a run; the maximum over the same windows was within 2.2 sds of all true values.
 """
 
 from collections.abc import Sequence
