@@ -108,7 +108,7 @@ def _started(program: str, environment: Mapping[str, str]) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in argv (without the program's name; sys.argv where None). Returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
-    started_as(_started(sys.argv[0], os.environ))
+    started_as(_started(sys.argv[0], os.environ), [sys.executable, "-P", "-m", "tilth.cli.background"])
     parser = _Parser(
         prog=command(),
         description="Records a tractor's CAN buses and estimates how the soil holds the tyres.",

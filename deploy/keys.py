@@ -21,6 +21,7 @@ DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
 DAYS: Final = 3 * 365
+ORDERS: Final = ("mark", "report/make")  # keys that change something: not for readers
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LARGEST: Final = 1_048_576  # bytes of one message that the daemon takes in; a mark has a few hundred
 
@@ -143,16 +144,16 @@ def read_register(folder: Path) -> Register:
 
 
 def access_control(register: Register) -> dict[str, Any]:
-    """Zenoh's access control for the daemon's session: readers hear, operators mark as well."""
+    """Zenoh's access control for the daemon's session: readers hear, operators give orders as well."""
     keys = [f"{register.base}/**"]
     rules = [
         _rule("ask", "allow", _ASK, "ingress", keys),
         _rule("tell", "allow", _TELL, "egress", keys),
         # Zenoh holds this rule against the very key only; a query on a wildcard comes through, and the daemon
-        # takes no mark from one.
-        _rule("no marks", "deny", ("query",), "ingress", [f"{register.base}/mark"]),
+        # takes none from one.
+        _rule("no orders", "deny", ("query",), "ingress", [f"{register.base}/{key}" for key in ORDERS]),
     ]
-    may = {"operator": ["ask", "tell"], "reader": ["ask", "tell", "no marks"]}
+    may = {"operator": ["ask", "tell"], "reader": ["ask", "tell", "no orders"]}
     subjects, policies = [], []
     for role in ROLES:
         names = [party.name for party in register.parties if party.role == role]

@@ -25,6 +25,7 @@ from tilth.logger.log.run_log import Recording
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Events, Outlets
 from tilth.logger.run_parts import RunParts, build_status, summary_of
+from tilth.logger.run_report import RunReport
 from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
@@ -81,12 +82,16 @@ class Daemon:
         )
         outlets = Outlets(recording, display, self._events, clock)
         marks = MarkLog(fold, clock, outlets)
+        run_report = RunReport(outlets, clock, self._report)
         sensors = Sensors(machine)
-        self.parts = RunParts(clock, supervisor, estimation, buses, outlets, marks, sensors, counts)
+        self.parts = RunParts(
+            clock, supervisor, estimation, buses, outlets, marks, run_report, sensors, counts
+        )
         if not fold.ready:
             self._log_ready(estimation.preparing.text)
         if suffix is not None:
-            outlets.open_zenoh(lambda: ZenohSink(machine, suffix, mark=marks.marks.take))
+            answers = {"mark": marks.marks.take, **run_report.answers}
+            outlets.open_zenoh(lambda: ZenohSink(machine, suffix, answers=answers))
         self._status = pb.Status()  # the last
         self._next_second_ns = counts.started_ns
         self._next_show_ns = counts.started_ns
@@ -116,6 +121,7 @@ class Daemon:
             parts.outlets.show(self._status, parts.estimation.fold.estimates[RECOMMENDED])
         parts.outlets.put_events()
         parts.marks.turn()
+        parts.run_report.turn()
         ended_ns = parts.clock.t_ns()
         parts.counts.turned(ended_ns - began_ns)
         parts.supervisor.turned(ended_ns)
@@ -133,6 +139,7 @@ class Daemon:
             last.callback(parts.outlets.put_events)
             last.callback(parts.marks.turn)
             last.callback(parts.outlets.recording.close)
+            last.callback(parts.run_report.close)
             last.callback(parts.estimation.worker.close)
             last.callback(parts.estimation.preparing.close)
             last.callback(parts.outlets.put_events)

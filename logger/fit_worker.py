@@ -38,7 +38,8 @@ def rehearse(machine: Machine) -> None:
 
 def main() -> None:
     """Answer jobs from stdin on stdout until stdin ends."""
-    os.nice(NICE)
+    with contextlib.suppress(OSError):  # a system that does not allow it has the fits all the same
+        os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     requests = sys.stdin.buffer

@@ -8,6 +8,7 @@ from tilth.logger.live_estimation import LiveEstimation
 from tilth.logger.log.mcap_log import software
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Outlets
+from tilth.logger.run_report import RunReport
 from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status import bus_status, health_of, log_status, problems_of, rejected
 from tilth.logger.supervisor import Supervisor
@@ -23,6 +24,7 @@ class RunParts:
     buses: Buses
     outlets: Outlets
     marks: MarkLog
+    run_report: RunReport
     sensors: Sensors
     counts: LoopCounts
 

@@ -24,6 +24,7 @@ MESSAGES: Final[dict[str, type[Message]]] = {
     "soil_tire": pb.SoilTireEstimate,
     "event": pb.Event,
     "player": pb.PlayerState,
+    "report": pb.ReportState,
 }
 MANY: Final = frozenset({"pose", "soil_tire"})  # kinds of which a single one may be missed
 WAITING: Final = 2000  # messages that may wait to be taken; a player sends a thousand a second at most
@@ -31,6 +32,8 @@ KINDS_OF_REFUSAL: Final = 20
 GONE_S: Final = 10.0  # then another daemon may be followed
 MARK_S: Final = 5.0  # longest wait until a mark is in the log
 ORDER_S: Final = 10.0  # the same of an order to a player; it may have to read
+FILE_S: Final = 60.0  # longest wait for a report's file
+LARGEST_REPORT: Final = 32 * 1024 * 1024  # bytes
 LIST_S: Final = 120.0  # the same for what it says of its runs: it looks into many logs
 LARGEST_LIST: Final = 64 * 1024 * 1024  # bytes of that
 
@@ -143,6 +146,29 @@ class DaemonData:
         return MarkAnswer(
             False, f"the daemon did not confirm it within {MARK_S:.0f} s: look whether it records"
         )
+
+    def make_report(self) -> str:
+        """Ask for the report of the run so far: "" where it has begun, or why not. Not in the loop's own
+        thread."""
+        if not self.base:
+            return "no daemon has been heard yet"
+        for reply in self._session.get(f"{self.base}/report/make", timeout=ORDER_S):
+            return "" if reply.ok is not None else _refusal(reply)
+        return "the daemon does not make it: it is an older one, or this page's key may not ask for it"
+
+    def report_file(self) -> bytes:
+        """The last report that was made, HTML. Not in the loop's own thread. Raises Refused."""
+        try:
+            replies = self._session.get(f"{self.base}/report/file", timeout=FILE_S) if self.base else ()
+        except zenoh.ZError:  # this page ends
+            replies = ()
+        for reply in replies:
+            if reply.ok is None:
+                raise Refused(_refusal(reply))
+            if len(reply.ok.payload) > LARGEST_REPORT:
+                raise Refused("the report is too large to be shown here")
+            return reply.ok.payload.to_bytes()
+        raise Refused("the daemon does not answer")
 
     def order(self, order: pb.PlayerOrder) -> str:
         """Tell a player what to do, and wait until it is done: "", or why it is not. Not in the loop's own

@@ -25,7 +25,7 @@ from tilth.monitor.origin import Refusal
 from tilth.schemas import channels
 
 # The rig is said once, when a daemon begins, and would be missed; viewers have the drawing instead.
-SERVED: Final = tuple(row for row in channels.CHANNELS if row.key is not None and row.topic != "/rig")
+SERVED: Final = tuple(row for row in channels.CHANNELS if row.key is not None and row.logged)
 BACK_NS: Final = 5_000_000_000  # further back than any message is late: another run, or a clock that stepped
 DESKTOP: Final = ("file://",)  # viewers with a window of their own; no page of a network has this origin
 LATEST_NS: Final = 1 << 63

@@ -40,6 +40,8 @@ POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+REPORT_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+"""Of a report, which a daemon sends: its own styles and pictures, in an origin of its own, and no script."""
 HEADERS: Final = (
     ("content-security-policy", POLICY),
     ("x-content-type-options", "nosniff"),
@@ -56,6 +58,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/tiles.js", "tiles.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
     ("/player.js", "player.js", "text/javascript"),
+    ("/report.js", "report.js", "text/javascript"),
     ("/runs.js", "runs.js", "text/javascript"),
     ("/steering.js", "steering.js", "text/javascript"),
     ("/traces.js", "traces.js", "text/javascript"),
@@ -130,7 +133,10 @@ class Guard:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def headed(message: Message) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] += [(name.encode(), value.encode()) for name, value in HEADERS]
+                own = {name for name, _ in message["headers"]}
+                message["headers"] += [
+                    (name.encode(), value.encode()) for name, value in HEADERS if name.encode() not in own
+                ]
             await send(message)
 
         if scope["type"] not in ("http", "websocket"):
@@ -174,8 +180,24 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         refused = await run_in_threadpool(daemon_data.order, wanted)
         return JSONResponse({"done": not refused, "text": refused})
 
+    async def make_report(request: Request) -> Response:
+        try:
+            await _json(request, "a request for a report")
+        except ValueError as error:
+            return JSONResponse({"done": False, "text": str(error)}, 400)
+        refused = await run_in_threadpool(daemon_data.make_report)
+        return JSONResponse({"done": not refused, "text": refused})
+
+    async def report_file(request: Request) -> Response:
+        try:
+            data = await run_in_threadpool(daemon_data.report_file)
+        except Refused as refused:
+            return PlainTextResponse(f"{refused}\n", 503)
+        return Response(data, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
+
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
     routes += [Route("/mark", mark, methods=["POST"]), Route("/player", order, methods=["POST"])]
+    routes += [Route("/report", make_report, methods=["POST"]), Route("/report.html", report_file)]
     for name, asked in (("runs", runs_of), ("places", places_of)):
         routes.append(Route(f"/player/{name}", _told(daemon_data, asked)))
     app = Starlette(routes=[*routes, WebSocketRoute("/live", viewers.serve)], lifespan=lifespan)

@@ -23,7 +23,7 @@ from tilth.schemas.channels import CHANNELS
 from tilth.schemas.proto import tilth_pb2 as pb
 
 # What can be published again. The rig is said by whoever publishes, from the machine file.
-TOPICS: Final = frozenset(row.topic for row in CHANNELS if row.key is not None) - {"/rig"}
+TOPICS: Final = frozenset(row.topic for row in CHANNELS if row.key is not None and row.logged)
 STATES: Final = TOPICS - {"/event"}  # of these the last one holds until the next
 STEP_NS: Final = 1_000_000_000  # further back than that is a step of the clock
 KEPT_CHUNKS: Final = 16  # unpacked ones

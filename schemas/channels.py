@@ -28,6 +28,7 @@ class Channel:
     encode: Callable[[Any], bytes]
     key: str | None = None  # below <prefix>/<machine>/; None: logged only
     identical: bool = True  # replay gives the same bytes on the same machine
+    logged: bool = True
 
     @property
     def encoding(self) -> str:
@@ -216,7 +217,15 @@ CHANNELS: tuple[Channel, ...] = (
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
-    Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False),
+    Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False, logged=False),
+    Channel(
+        "/report",
+        pb.ReportState,
+        pb.ReportState.SerializeToString,
+        key="report",
+        identical=False,
+        logged=False,
+    ),
 )
 
 # How far a field may differ between two kinds of machine, in its own unit: linear algebra libraries round

@@ -6,7 +6,8 @@ Values are dropped rather than waited for: nothing here may cost a frame.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import zenoh
 
@@ -27,13 +28,13 @@ class ZenohSink:
         machine: Machine,
         prefix_suffix: str = "",
         now_ns: Callable[[], int] = time.monotonic_ns,
-        mark: Callable[[zenoh.Query], None] | None = None,
+        answers: Mapping[str, Callable[[zenoh.Query], None]] = MappingProxyType({}),
         session: zenoh.Session | None = None,
     ) -> None:
         """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
 
-        now_ns: the clock that tells a value's age. mark: takes queries on the key `mark`. session: one that
-        is there, and stays open. Raises zenoh.ZError where no session can be had.
+        now_ns: the clock that tells a value's age. answers: key -> takes queries on it, such as `mark`.
+        session: one that is there, and stays open. Raises zenoh.ZError where no session can be had.
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
         self.failures = 0
@@ -53,8 +54,8 @@ class ZenohSink:
         self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
         self.put("/rig", CHANNEL["/rig"].encode(machine))
         self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
-        if mark is not None:
-            self._session.declare_queryable(f"{self.base}/mark", mark, complete=True)
+        for key, take in answers.items():
+            self._session.declare_queryable(f"{self.base}/{key}", take, complete=True)
         self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
 
     @property

@@ -3,6 +3,7 @@
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
 import { PlayerBar } from "./player.js";
+import { RunReport } from "./report.js";
 import { Runs } from "./runs.js";
 import { Steering } from "./steering.js";
 import { element, put, Tiles } from "./tiles.js";
@@ -19,7 +20,7 @@ const byId = (id) => document.getElementById(id);
 const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
 const steering = new Steering(byId("steering"), () => traces.times);
-const bar = new PlayerBar(), runs = new Runs();
+const bar = new PlayerBar(), runs = new Runs(), report = new RunReport();
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
@@ -59,7 +60,7 @@ function take(message) {
   if (said.shown) showKnown();
   else if (whole) forgetKnown();
   if (said.pose) showPose(said.pose);
-  if (whole || said.status || said.player) show(); // else soon enough by the clock
+  if (whole || said.status || said.player || said.report) show(); // else soon enough by the clock
 }
 
 function show() {
@@ -71,6 +72,7 @@ function show() {
   showAges();
   bar.show(heard.player);
   runs.show(heard.player, heard.machine);
+  report.show(heard.report, Boolean(reached() && heard.alive), Boolean(heard.player));
   tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
   map.setOld(!live("pose"));
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));

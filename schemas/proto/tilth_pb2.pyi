@@ -442,6 +442,18 @@ class Rig(_message.Message):
     antennas: _containers.RepeatedCompositeFieldContainer[Antenna]
     def __init__(self, name: _Optional[str] = ..., a: _Optional[float] = ..., b: _Optional[float] = ..., c: _Optional[float] = ..., d: _Optional[float] = ..., e: _Optional[float] = ..., m_t: _Optional[float] = ..., m_i: _Optional[float] = ..., I_t: _Optional[float] = ..., I_i: _Optional[float] = ..., h_t: _Optional[float] = ..., h_i: _Optional[float] = ..., priors: _Optional[_Iterable[_Union[Prior, _Mapping]]] = ..., antennas: _Optional[_Iterable[_Union[Antenna, _Mapping]]] = ...) -> None: ...
 
+class ReportState(_message.Message):
+    __slots__ = ("state", "text", "began_ns", "ended_ns")
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    BEGAN_NS_FIELD_NUMBER: _ClassVar[int]
+    ENDED_NS_FIELD_NUMBER: _ClassVar[int]
+    state: str
+    text: str
+    began_ns: int
+    ended_ns: int
+    def __init__(self, state: _Optional[str] = ..., text: _Optional[str] = ..., began_ns: _Optional[int] = ..., ended_ns: _Optional[int] = ...) -> None: ...
+
 class PlayerState(_message.Message):
     __slots__ = ("run", "state", "at_s", "length_s", "rate", "jumps", "t_ns", "text", "share")
     RUN_FIELD_NUMBER: _ClassVar[int]

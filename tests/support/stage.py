@@ -217,7 +217,7 @@ def main() -> None:
         orders["text"], orders["event"] = query.payload.to_string(), "mark"
         query.reply(query.key_expr, b"")
 
-    sink = ZenohSink(parse_machine(text_on(port)), "replay", mark=mark)
+    sink = ZenohSink(parse_machine(text_on(port)), "replay", answers={"mark": mark})
     ended = take_orders(orders)
     ready()
     every_s, scale, changed_s, points = 0.1 * rate, 1.0, 0.0, drive(0.1)

@@ -16,7 +16,7 @@ from tilth.analysis.runs.run import topics
 from tilth.schemas.channels import CHANNEL
 
 CLOCK = RunClock(0, 0)
-LOGGED = [topic for topic in topics() if topic not in ("/status", "/rig", "/ready")]
+LOGGED = [topic for topic in topics() if CHANNEL[topic].logged and topic not in ("/status", "/ready")]
 
 
 def reader(*paths: Path) -> ChannelReader:

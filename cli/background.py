@@ -1,0 +1,29 @@
+"""Runs a command behind all else that the computer does: `python -P -m tilth.cli.background report …`.
+
+With the lowest priority, and the first to end where memory runs out. So a report of a run costs the recorder
+nothing that it needs.
+"""
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+from typing import Final
+
+from tilth.cli import main
+
+NICE: Final = 19
+FIRST_TO_END: Final = "1000"
+
+
+def step_back() -> None:
+    """As far as this system has such things."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(NICE)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END, encoding="ascii")
+
+
+if __name__ == "__main__":
+    step_back()
+    sys.exit(main())

@@ -1,0 +1,170 @@
+"""Makes the report of the run so far on request: starts `tilth report` over what is on the disk.
+
+Asked for by queries below <prefix>/<machine>/: `report/make` is answered with a tilth.ReportState when it has
+begun, `report/file` with the HTML of the last one. How it goes is published on `report`. The daemon's loop
+only hands over: what may wait for a disk is done in a thread of its own.
+"""
+
+import subprocess
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Final
+
+import zenoh
+
+from tilth.logger.clock import Clock
+from tilth.logger.outlets import Outlets
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.invocation import command, in_background
+from tilth.schemas.proto import tilth_pb2 as pb
+
+LONGEST_S: Final = 3600.0  # of making one
+MOST_WAITING: Final = 4  # queries that are not answered yet
+LARGEST: Final = 32 * 1024 * 1024  # bytes of a file that is sent
+FOLDER: Final = "reports"  # in the log's folder
+TOPIC: Final = "/report"
+BUSY: Final = "a report is being made already; it is ready in a moment"
+
+
+class RunReport:
+    """At most one at a time. `turn` it in the daemon's loop."""
+
+    def __init__(self, outlets: Outlets, clock: Clock, report: Callable[[str, str], None]) -> None:
+        """report: kind and text of an event, from any thread."""
+        self._outlets, self._clock, self._report = outlets, clock, report
+        self._asked: deque[zenoh.Query] = deque()
+        self._states = deque([pb.ReportState()])  # to be published; first that there is none
+        self._process: subprocess.Popen[bytes] | None = None
+        self._thread: threading.Thread | None = None
+        self._last: Path | None = None  # the report that is ready
+        self._ends = False
+
+    @property
+    def answers(self) -> dict[str, Callable[[zenoh.Query], None]]:
+        """Key -> takes queries on it."""
+        return {"report/make": self.make, "report/file": self.send}
+
+    def make(self, query: zenoh.Query) -> None:
+        """Take a query on `report/make`; none by a wildcard. In a thread of Zenoh's."""
+        if "*" in str(query.key_expr):
+            return
+        if len(self._asked) >= MOST_WAITING:
+            query.reply_err(BUSY)
+            return
+        self._asked.append(query)
+
+    def send(self, query: zenoh.Query) -> None:
+        """Answer a query on `report/file`. In a thread of Zenoh's."""
+        if "*" in str(query.key_expr):
+            return
+        if self._last is None:
+            query.reply_err("no report has been made in this run yet")
+            return
+        try:
+            if self._last.stat().st_size > LARGEST:
+                query.reply_err(f"{self._last}: too large to be sent; open it on the recorder's computer")
+            else:
+                query.reply(query.key_expr, self._last.read_bytes(), encoding=zenoh.Encoding.TEXT_HTML)
+        except OSError as error:
+            query.reply_err(f"{self._last}: {(error.strerror or str(error)).lower()}")
+
+    def turn(self) -> None:
+        """Begin what is asked for, publish how it goes."""
+        while self._asked:
+            _answer(self._asked.popleft(), self._begin())
+        while self._states:
+            self._outlets.publish(TOPIC, self._states.popleft().SerializeToString())
+
+    def close(self) -> None:
+        """A report that is not ready by now is not made: `tilth report` makes it of the whole run."""
+        self._ends = True
+        if self._process is not None:
+            self._process.terminate()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+
+    def _begin(self) -> pb.ReportState | str:
+        """The state where it has begun, else why not."""
+        if self._thread is not None and self._thread.is_alive():
+            return BUSY
+        logs = self._outlets.recording.files
+        if not logs:
+            return "nothing has been recorded yet"
+        if not in_background("report"):
+            return f"this program makes no reports; use `{command('report', *map(str, logs))}`"
+        state = pb.ReportState(state="making", began_ns=self._clock.t_ns())
+        self._states.append(state)
+        self._thread = threading.Thread(
+            target=self._make, args=(logs, state.began_ns), name="tilth.report", daemon=True
+        )
+        self._thread.start()
+        return state
+
+    def _make(self, logs: Sequence[Path], began_ns: int) -> None:
+        out, why = self._run(logs)
+        if self._ends:
+            return
+        state = pb.ReportState(state="failed" if why else "ready", began_ns=began_ns)
+        state.text, state.ended_ns = why or out.name, self._clock.t_ns()
+        if why:
+            self._report("report", f"no report of the run so far: {why}")
+        else:
+            self._last = out
+            self._report("report", f"report of the run so far: {out}")
+        self._states.append(state)
+
+    def _run(self, logs: Sequence[Path]) -> tuple[Path, str]:
+        """The report's path, and why it is not there, "" where it is."""
+        folder = logs[0].parent / FOLDER
+        out = folder
+        try:
+            folder.mkdir(exist_ok=True)
+            out = _unused(folder, logs[0].stem.rpartition("_")[0])
+            with tempfile.TemporaryFile() as said:
+                words = in_background("report", *map(str, logs), "--out", str(out))
+                self._process = subprocess.Popen(
+                    words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
+                )
+                try:
+                    status = self._process.wait(LONGEST_S)
+                except subprocess.TimeoutExpired:
+                    self._process.kill()
+                    self._process.wait()
+                    return out, f"it was not ready within {LONGEST_S / 60.0:.0f} minutes"
+                # An open log is cut off for who reads it: that is told in the report, and is no failure.
+                return out, "" if out.exists() else _why(_read(said), status)
+        except OSError as error:
+            return out, f"{error.filename or folder}: {(error.strerror or str(error)).lower()}"
+        finally:
+            self._process = None
+
+
+def _answer(query: zenoh.Query, begun: pb.ReportState | str) -> None:
+    with suppress(zenoh.ZError):  # who asked has gone
+        if isinstance(begun, str):
+            query.reply_err(begun)
+        else:
+            query.reply(query.key_expr, begun.SerializeToString(), encoding=CHANNEL[TOPIC].encoding)
+        query.drop()
+
+
+def _unused(folder: Path, run: str) -> Path:
+    number = 1
+    while (path := folder / f"{run}_report_{number}.html").exists():
+        number += 1
+    return path
+
+
+def _read(said: IO[bytes]) -> str:
+    said.seek(0)
+    return said.read(65536).decode(errors="replace")
+
+
+def _why(said: str, status: int) -> str:
+    """The last line of what a command said."""
+    lines = [line for line in said.splitlines() if line.strip()]
+    return lines[-1].removeprefix("tilth report: ")[:500] if lines else f"it ended with status {status}"
