@@ -40,7 +40,7 @@ SHARE: Final = 0.01  # of a parameter's value (6.16)
 
 
 class LocalSensitivities(NamedTuple):
-    """At one speed; arrays are (parameters, outputs.NAMES), per cent of an output per per cent of a parameter.
+    """At one speed; arrays are (parameters, outputs.NAMES), per cent of output per per cent of parameter.
 
     signed: with the sign of the change, see outputs.deviations, over the same denominators as `derivative`.
     """

@@ -1,7 +1,7 @@
 """What a rig answers to a step of the wheels, and how a change of the answer is measured.
 
-Source: Karkee (2009), section 6.2.2.1: the six outputs that its overall sensitivity is the mean of (6.17), and
-how each change is made a share. The others are what else people ask: the articulation, the implement's own
+Source: Karkee (2009), section 6.2.2.1: the six outputs that its overall sensitivity is the mean of (6.17),
+and how each change is made a share. The others are what else people ask: the articulation, the implement's own
 path, steady turning, and how far the implement strays from a line under a regulator.
 
 Equations 6.10 and 6.11 are summed over the samples, which are STEP_S apart.
@@ -52,7 +52,7 @@ OUTPUTS: Final = (
     Output("steady_r", "yaw rate in the steady turn", ""),
     Output("steady_articulation", "articulation in the steady turn", ""),
     Output(
-        "off_tracking", "how far inside the tractor's path the implement's axle runs in the steady turn", "m"
+        "off_tracking", "how far the implement's axle runs inside the tractor's path, in the steady turn", "m"
     ),
     Output("cross_track", "cross-track error of the implement's axle on its way back to the line", "m"),
 )
@@ -64,7 +64,7 @@ _STEADY: Final = ("steady_v", "steady_r", "steady_articulation", "off_tracking")
 
 
 class Response(NamedTuple):
-    """The answer to the step; or the difference of two answers, or the derivative of one, in the same places."""
+    """The answer to the step; or, in the same places, the difference of two or the derivative of one."""
 
     velocities: Array  # (n, 4): v (m/s), r_t, r_i (rad/s), articulation (rad) at each sample
     headings: Array  # (2,): psi_t, psi_i at the end, rad

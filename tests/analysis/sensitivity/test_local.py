@@ -74,7 +74,7 @@ def test_parameters_that_a_model_does_not_have_do_nothing() -> None:
 
 
 def test_signs() -> None:
-    """Stiffer front tyres turn the rig faster, stiffer rear ones slower; both swing the path with the turn."""
+    """Stiffer front tyres turn the rig faster, stiffer rear ones slower."""
     found = local_sensitivities(RELAXATION, TABLE_7_2, 4.5, parameters=("C_af", "C_ar"))
     signs = np.sign(found.signed[:, [NAMES.index(name) for name in ("steady_r", "psi_t", "r_t")]])
     np.testing.assert_array_equal(signs, [[1, 1, 1], [-1, -1, -1]])
@@ -82,7 +82,7 @@ def test_signs() -> None:
 
 
 def test_the_horizon_is_twice_the_settling_time() -> None:
-    """Rounded, the printed 30 and 6 s; the printed 3 s at 7.5 m/s is that of the shorter tyres of table 5.1."""
+    """Near the printed 30 and 6 s; the printed 3 s at 7.5 m/s is that of table 5.1's relaxation lengths."""
     shorter = TABLE_7_2._replace(sigma_f=0.75, sigma_r=1.0, sigma_i=0.75)
     seconds = [case_of(RELAXATION, TABLE_7_2, speed).seconds for speed in outputs.SPEEDS]
     np.testing.assert_allclose(seconds, [29.66, 6.14, 3.8], atol=0.01)
