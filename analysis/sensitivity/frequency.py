@@ -1,4 +1,4 @@
-"""Sensitivities in the frequency domain: how gain and phase of each transfer function change with a parameter.
+"""Sensitivities in the frequency domain: how gain and phase of a transfer function change with a parameter.
 
 Karkee (2009) names them as future work (8.2). With the resolvent R = (jω − A)⁻¹ and G = C R B + D,
 
@@ -24,7 +24,7 @@ Complex = NDArray[np.complex128]
 
 TRANSFERS: Final = ("r_t", "r_i", "v", "articulation")
 """Outputs over the wheel angle."""
-OMEGA: Final[Array] = np.geomspace(0.1, 30.0, 120)
+OMEGA: Final[Array] = np.geomspace(0.1, 30.0, 100)
 """rad/s."""
 
 

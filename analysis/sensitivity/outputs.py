@@ -1,8 +1,8 @@
 """What a rig answers to a step of the wheels, and how a change of the answer is measured.
 
 Source: Karkee (2009), section 6.2.2.1: the six outputs that its overall sensitivity is the mean of (6.17),
-and how each change is made a share. The others are what else people ask: the articulation, the implement's own
-path, steady turning, and how far the implement strays from a line under a regulator.
+and how each change is made a share. The others are what else people ask: the articulation, the implement's
+own path, steady turning, and how far the implement strays from a line under a regulator.
 
 Equations 6.10 and 6.11 are summed over the samples, which are STEP_S apart.
 """

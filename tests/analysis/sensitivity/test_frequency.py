@@ -1,4 +1,4 @@
-"""Sensitivities of transfer functions: equal to differences, to what is known of slow steering, and to time."""
+"""Sensitivities of transfer functions: equal to differences, and to what symmetry and slow steering say."""
 
 import numpy as np
 import pytest
