@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tilth.analysis.rig_report import steady_turn
 from tilth.analysis.sensitivity.frequency import OMEGA, TRANSFERS, frequency_sensitivities
@@ -20,12 +21,12 @@ def test_equal_to_central_differences(model: Model, speed: float) -> None:
     """To 1e-6, of gains and phases, every parameter and transfer function."""
     found = frequency_sensitivities(model, TABLE_7_2, speed)
 
-    def log_response(rig: Rig) -> np.ndarray:
+    def log_response(rig: Rig) -> NDArray[np.complex128]:
         return np.log(frequency_response(system(model, rig, speed, outputs=TRANSFERS), OMEGA)[:, :, 0])
 
     for k, name in enumerate(MACHINE_PARAMETERS):
         up, down = (log_response(scaled(TABLE_7_2, {name: np.exp(way * H)})) for way in (1, -1))
-        apart = up - down
+        apart: NDArray[np.complex128] = up - down
         apart -= 2j * np.pi * np.round(apart.imag / (2 * np.pi))  # a logarithm jumps where a phase wraps
         np.testing.assert_allclose(found.gain[:, :, k], apart.real / (2 * H), rtol=0, atol=1e-6)
         np.testing.assert_allclose(found.phase[:, :, k], apart.imag / (2 * H), rtol=0, atol=1e-6)
@@ -36,7 +37,7 @@ def test_the_nonlinear_model_in_small_motions() -> None:
     model = model_named("nonlinear")
     found = frequency_sensitivities(model, TABLE_7_2, 4.5, parameters=VARIED)
 
-    def log_gain(rig: Rig) -> np.ndarray:
+    def log_gain(rig: Rig) -> NDArray[np.float64]:
         return np.log(np.abs(frequency_response(system(model, rig, 4.5, outputs=TRANSFERS), OMEGA)[:, :, 0]))
 
     for k, name in enumerate(VARIED):
@@ -49,7 +50,7 @@ def test_slow_steering_is_a_steady_turn() -> None:
     model = model_named("relaxation")
     found = frequency_sensitivities(model, TABLE_7_2, 4.5, omega=np.array([1e-3]), outputs=("r_t",))
 
-    def log_rate(rig: Rig) -> np.ndarray:
+    def log_rate(rig: Rig) -> NDArray[np.float64]:
         turn = steady_turn(model, rig, 4.5)
         assert turn is not None
         return np.log([abs(turn["yaw_rate"])])
@@ -75,7 +76,7 @@ def test_a_larger_rig_at_a_larger_speed_bends_alike() -> None:
     powers = {**dict.fromkeys(once, 1.0), "I_t": 2.0, "I_i": 2.0}
     total = sum(power * found.gain[:, 0, found.parameters.index(name)] for name, power in powers.items())
 
-    def log_gain(speed: float) -> np.ndarray:
+    def log_gain(speed: float) -> NDArray[np.float64]:
         sys = system(model, TABLE_7_2, speed, outputs=("articulation",))
         return np.log(np.abs(frequency_response(sys, omega)[:, 0, 0]))
 
