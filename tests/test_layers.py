@@ -16,7 +16,17 @@ ROOMS = {
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),
-    "analysis": ("runs", "response", "fit", "validation", "", "export", "report", "dissertation"),
+    "analysis": (
+        "runs",
+        "response",
+        "fit",
+        "validation",
+        "",
+        "export",
+        "report",
+        "sensitivity",
+        "dissertation",
+    ),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {
