@@ -1,4 +1,4 @@
-"""Keys for a shared vehicle network: who may hear a machine's daemon, who may mark, and nobody else.
+"""Keys for a shared network: who hears a machine's daemon, who orders something of it, and nobody else.
 
 A folder holds the authority (ca.pem, ca.key) and one Zenoh configuration file per party, certificates inside:
 daemon.json for the recorder, <name>.json for each person or program. daemon.json is the register as well: its

@@ -27,7 +27,7 @@ MOST_WAITING: Final = 4  # queries that are not answered yet
 LARGEST: Final = 32 * 1024 * 1024  # bytes of a file that is sent
 FOLDER: Final = "reports"  # in the log's folder
 TOPIC: Final = "/report"
-BUSY: Final = "a report is being made already; it is ready in a moment"
+BUSY: Final = "a report is being made already; wait until it is ready"
 
 
 class RunReport:

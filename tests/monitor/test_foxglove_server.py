@@ -251,7 +251,7 @@ def serving() -> Iterator[tuple[FoxgloveServer, zenoh.Session]]:
 
 
 def _served() -> dict[str, str]:
-    rows = [row for row in CHANNELS if row.key is not None and row.key != "rig"]
+    rows = [row for row in CHANNELS if row.key is not None and row.logged]
     return {row.topic: row.message.DESCRIPTOR.full_name for row in rows}
 
 

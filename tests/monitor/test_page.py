@@ -35,6 +35,7 @@ SIZES: dict[str, dict[str, Any]] = {
 }
 MOUNTS = ("Tractor front", "Tractor rear", "Implement front", "Implement rear", "Wheel angle")
 SOON_MS = 60_000  # a busy computer takes its time; a quiet one does not wait
+REPORT_MS = 3 * SOON_MS  # behind all else
 COLOURS_OF_THE_MAP = """(() => {
     const map = document.querySelector("#map"), seen = new Set();
     const dots = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
@@ -173,6 +174,8 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         expect(page.locator("#events")).to_contain_text("wet spot begins", timeout=SOON_MS)
         page.keyboard.press("Escape")
 
+        expect_a_report(page)
+
         rig.kill()
         expect_run(page, "DAEMON GONE", "bad")
         expect(state_of(page, "Tractor front")).to_have_attribute("data-state", "unknown")
@@ -188,6 +191,18 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         with closing(Monitor("--connect", rig.endpoint, port=int(monitor.address.rpartition(":")[2]))):
             expect_run(page, "● RECORDING", "good")
             page.context.close()
+
+
+def expect_a_report(page: Page) -> None:
+    """The button makes one of the run so far; it opens beside the page, which goes on."""
+    page.get_by_role("button", name="Report of this run so far").click()
+    expect(page.locator("#report-told")).to_contain_text("Open the report", timeout=REPORT_MS)
+    with page.expect_popup() as opens:
+        page.get_by_role("link", name="Open the report").click()
+    expect(opens.value.locator("h1")).to_contain_text("jd7930-parker500")
+    expect(opens.value.locator("svg").first).to_be_visible()
+    opens.value.close()
+    expect_run(page, "● RECORDING", "good")
 
 
 @pytest.mark.parametrize("size", SIZES)

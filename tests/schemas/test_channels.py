@@ -48,7 +48,7 @@ def test_topics_and_keys_are_used_once() -> None:
     methods = {f"soil_tire/{row.method}" for row in ESTIMATORS}
     places = {f"gnss/{mount.value}" for mount in flow.Mount}
     drawn = {"drawing/frames", "drawing/bodies"}
-    assert set(keys) == {"pose", "soil_tire", "event", "status", "rig", *methods, *places, *drawn}
+    assert set(keys) == {"pose", "soil_tire", "event", "status", "rig", "report", *methods, *places, *drawn}
 
 
 @pytest.mark.parametrize(("name", "kind"), KINDS, ids=lambda k: k if isinstance(k, str) else "")

@@ -11,7 +11,7 @@ import pytest
 from paths import ROOT
 
 from tilth.cli import _started
-from tilth.schemas.invocation import command, installing, started_as
+from tilth.schemas.invocation import command, in_background, installing, started_as
 
 TILTH = Path(sys.executable).with_name("tilth")
 
@@ -46,6 +46,12 @@ def test_words_are_quoted_for_a_shell() -> None:
     started_as(["/opt/my tilth/bin/tilth"])
     assert command("run") == "'/opt/my tilth/bin/tilth' run"
     assert installing("mf4") == "pip install 'tilth[mf4]'"
+
+
+def test_only_a_program_that_says_how_starts_others_behind_all_else() -> None:
+    assert in_background("report", "a.mcap") == []
+    started_as(["tilth"], ["python", "-m", "behind"])
+    assert in_background("report", "my logs/a.mcap") == ["python", "-m", "behind", "report", "my logs/a.mcap"]
 
 
 @pytest.mark.parametrize("uv", [False, True])

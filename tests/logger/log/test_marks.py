@@ -2,15 +2,14 @@
 
 import calendar
 import shutil
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import zenoh
 from loopback import PATIENCE_S, free_port, machine_text, records_of, rig, session, udp_bus, until
+from turned import turning
 
 from tilth.cli import main
 from tilth.logger.clock import LEAST_TIMES
@@ -21,25 +20,6 @@ from tilth.logger.run_parts import all_rejected
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEY = "tilth/jd7930-parker500/mark"
-
-
-@contextmanager
-def turning(daemon: Daemon) -> Iterator[Daemon]:
-    """The daemon, going round in a thread of its own."""
-    stop = threading.Event()
-
-    def turn() -> None:
-        while not stop.is_set():
-            daemon.turn(0.01)
-        daemon.close()
-
-    thread = threading.Thread(target=turn)
-    thread.start()
-    try:
-        yield daemon
-    finally:
-        stop.set()
-        thread.join()
 
 
 @pytest.fixture
