@@ -10,6 +10,7 @@ from tilth.analysis.report.fitted import fit_section
 from tilth.analysis.report.glance import glance_section
 from tilth.analysis.report.made import made_section, short_section
 from tilth.analysis.report.published import nuisances_section, published_section
+from tilth.analysis.report.wording import clock
 
 
 def report_of(data: Mapping[str, Any]) -> DriveReport:
@@ -28,12 +29,19 @@ def report_of(data: Mapping[str, Any]) -> DriveReport:
         response_section(data.get("response")),
         made_section(data),
     ]
-    title = f"Drive report: {runs[0]['id']}" if len(runs) == 1 else f"Drive report: {len(runs)} runs"
+    title = f"Drive report: {_called(runs[0])}" if len(runs) == 1 else f"Drive report: {len(runs)} runs"
     return DriveReport(title, tuple(section for section in found if section), data)
 
 
 def _run_section(run: Mapping[str, Any], number: int, of: int) -> ReportSection:
     id = f"run{number}"
     sections = (glance_section(run, id), published_section(run, id), nuisances_section(run, id))
-    title = f"Run {number}: {run['id']}" if of > 1 else f"Run {run['id']}"
+    title = f"Run {number}: {_called(run)}" if of > 1 else f"Run {run['id']}"
     return ReportSection(id, title, (), tuple(section for section in sections if section))
+
+
+def _called(run: Mapping[str, Any]) -> str:
+    """The machine and when it drove, as people call a run; its id where its time is not known."""
+    if run["start_utc_s"] is None:
+        return str(run["id"])
+    return f"{run['machine']['name']}, {clock(run['start_utc_s'], '%Y-%m-%d %H:%M UTC')}"

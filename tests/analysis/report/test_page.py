@@ -168,7 +168,14 @@ def test_several_runs_are_told_apart(facts: dict[str, Any]) -> None:
     text = page(report_of({"runs": [facts, facts], "command": ""}))
     read(text)
     ids = re.findall(r'\bid="([^"]+)"', text)
-    assert len(ids) == len(set(ids)) and "Run 2: field-1" in text
+    assert len(ids) == len(set(ids))
+    assert f"Run 2: {facts['machine']['name']}, 20" in text and text.count("field-1") > 1
+
+
+def test_a_run_is_called_as_people_call_it(facts: dict[str, Any]) -> None:
+    named = report_of({"runs": [facts | {"start_utc_s": 1_795_000_000.0}], "command": ""})
+    assert named.title == f"Drive report: {facts['machine']['name']}, 2026-11-18 11:06 UTC"
+    assert report_of({"runs": [facts | {"start_utc_s": None}], "command": ""}).title.endswith(facts["id"])
 
 
 def test_a_small_file(report: DriveReport) -> None:
