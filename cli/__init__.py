@@ -42,6 +42,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
+    ("sensitivity", "say which parameters of a rig matter, for what"),
     ("monitor", "show a running daemon in a browser"),
     ("foxglove", "show a running daemon in Foxglove or Lichtblick"),
 )

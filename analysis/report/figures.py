@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from tilth.analysis.report import drive_figures, result_figures
 from tilth.analysis.report.document import ReportFigure
 from tilth.analysis.report.figure_look import GRID, INK, LOOK, PAPER, QUIET
+from tilth.analysis.report.sensitivity_figures import SENSITIVITY_DRAWINGS
 
 DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "path": drive_figures.path,
@@ -25,7 +26,8 @@ DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "intervals": result_figures.intervals,
     "response": result_figures.response,
 }
-"""By the kind of a figure."""
+"""Of a drive, by the kind of a figure."""
+ALL_DRAWINGS: Final = {**DRAWINGS, **SENSITIVITY_DRAWINGS}
 PAGE_COLOURS: Final = {INK: "var(--ink)", GRID: "var(--grid)", QUIET: "var(--quiet)", PAPER: "var(--paper)"}
 PT_PER_REM: Final = 8.5  # of a figure at its widest: its letters are then about as large as the page's
 _ID = re.compile(r' id="([^"]+)"')
@@ -36,7 +38,7 @@ def svg(figure: ReportFigure, *, text: bool = False) -> str:
     """A whole SVG file. text: text as text, in the reader's font; else as outlines, the same everywhere."""
     with matplotlib.rc_context({**LOOK, "svg.fonttype": "none" if text else "path"}):
         stream = StringIO()
-        DRAWINGS[figure.kind](figure.data).savefig(
+        ALL_DRAWINGS[figure.kind](figure.data).savefig(
             stream, format="svg", metadata={"Date": None, "Title": figure.id}
         )
     return stream.getvalue()
@@ -47,7 +49,7 @@ def pdf(figure: ReportFigure) -> bytes:
     with matplotlib.rc_context(LOOK):
         stream = BytesIO()
         dates = {"CreationDate": None, "ModDate": None, "Title": figure.id}
-        DRAWINGS[figure.kind](figure.data).savefig(stream, format="pdf", metadata=dates)
+        ALL_DRAWINGS[figure.kind](figure.data).savefig(stream, format="pdf", metadata=dates)
     return stream.getvalue()
 
 

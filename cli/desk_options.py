@@ -1,0 +1,105 @@
+"""What commands that ask models at a desk share: options, names, and the writing of a report."""
+
+import argparse
+import difflib
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tilth.cli import WrongUse
+from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.schemas.machine import Machine
+
+SUFFIXES = (".html", ".htm")
+
+
+def between(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """A type for argparse: a number from low to high."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"give a number from {low:g} to {high:g} {unit}, not {text}")
+        return value
+
+    return number
+
+
+def share(text: str) -> float:
+    """Of 0.1 or 10%: 0.1. Raises ValueError where it is not positive and finite."""
+    value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError
+    return value
+
+
+def names(option: str, given: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Of an option that may be repeated and may hold several names between commas; all where it is not given.
+
+    Raises WrongUse with the nearest right name.
+    """
+    words = [word.strip() for text in given for word in text.split(",") if word.strip()]
+    for word in words:
+        check_name(option, word, known)
+    return tuple(dict.fromkeys(words)) or tuple(known)
+
+
+def check_name(option: str, word: str, known: Iterable[str]) -> None:
+    """Raises WrongUse with the nearest right name."""
+    there = list(known)
+    if word in there:
+        return
+    lower = {name.lower(): name for name in there}
+    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
+    hint = f'; did you mean "{lower[near[0]]}"?' if near else "."
+    raise WrongUse(f"{option} {word}: there is no such name{hint} There are {', '.join(there)}")
+
+
+def check_out(out: Path | None) -> None:
+    """Before anything is computed. Raises WrongUse."""
+    if out is None:
+        return
+    if out.suffix.lower() not in SUFFIXES:
+        raise WrongUse(f"--out {out}: give a name that ends in .html")
+    for path in (out, out.with_suffix(".json")):
+        if path.exists():
+            raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
+    if not out.parent.is_dir():
+        raise WrongUse(f"{out.parent}: there is no such folder; make it, or give another")
+
+
+def made_by(machine: Machine, text: str) -> dict[str, Any]:
+    """What a report says of its origin."""
+    return {"machine_sha256": machine_sha256(machine, text), "software": software()}
+
+
+def write_report(
+    of: str, build: Callable[[Mapping[str, Any]], Any], data: Mapping[str, Any], out: Path
+) -> int:
+    """Write the HTML file and the JSON beside it, both or none. The exit status: 1 where that fails.
+
+    of: the command, for its words. Raises WrongUse where a file has come to be there meanwhile.
+    """
+    from tilth.analysis.report.document import as_json  # matplotlib takes a second: only who writes pays
+    from tilth.analysis.report.writing import write
+
+    report = build(data)
+    try:
+        written = write(report, as_json(report), out)
+    except FileExistsError as error:
+        raise WrongUse(
+            f"{error.filename}: exists; a report is never overwritten, give another name"
+        ) from None
+    except PermissionError:
+        raise  # cli.main knows what to say
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        print(f"tilth {of}: {error.filename or out}: {reason}; nothing was written", file=sys.stderr)
+        return 1
+    print(f"tilth {of}: wrote {', '.join(map(str, written))}", file=sys.stderr)
+    return 0

@@ -1,0 +1,187 @@
+"""`tilth sensitivity`: which parameters of a rig matter, for which output, at which speed."""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from tilth.analysis.rig_report import SPEED_RANGE
+from tilth.analysis.sensitivity.local_answer import (
+    OVERALL,
+    LocalQuestion,
+    another_point,
+    changed_curves,
+    frequency_answer,
+    local_answer,
+)
+from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP_S
+from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
+from tilth.cli import WrongUse, say_unusual
+from tilth.cli.desk_options import between, check_out, made_by, names, write_report
+from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.invocation import command
+
+STEPS = ("1%", "exact")
+ACROSS = 4  # columns of long names in a terminal
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "sensitivity",
+        help="say which parameters of a rig matter, for what",
+        description="Say how much each output of a rig changes with each parameter of its machine file, "
+        "after the wheels turn by 10 degrees: per cent of the output for each per cent of the parameter.",
+    )
+    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument(
+        "--speed",
+        action="append",
+        type=between(*SPEED_RANGE, "m/s"),
+        metavar="M/S",
+        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
+    )
+    parser.add_argument(
+        "--model",
+        action="append",
+        choices=[model.name for model in MODELS],
+        help="may be given several times (relaxation)",
+    )
+    parser.add_argument(
+        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
+    )
+    parser.add_argument(
+        "--parameters",
+        action="append",
+        default=[],
+        metavar="NAME,…",
+        help=f"of {', '.join(MACHINE_PARAMETERS)} (all)",
+    )
+    parser.add_argument(
+        "--step", choices=STEPS, default=STEPS[0], help="the dissertation's step (1%%), or derivatives"
+    )
+    parser.add_argument(
+        "--seconds",
+        action="append",
+        type=between(2 * STEP_S, LONGEST * STEP_S, "s"),
+        metavar="N",
+        help="of simulation; once for all speeds, or once for each (twice the settling time)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where the rig is unstable at some of the speeds."""
+    question = question_of(args)
+    check_out(args.out)
+    machine, text = read_machine(args.machine)
+    say_unusual("sensitivity", machine)
+    rig = rig_of(machine)
+    try:
+        answer: dict[str, Any] = {"machine": machine.machine.name, **local_answer(rig, question)}
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    for one in answer["refused"]:
+        _say(one["reason"])
+    # What samples the whole box joins `answer` here, for each entry of "speeds".
+    if args.json:
+        print(json.dumps(answer, allow_nan=False))
+    elif args.out is None:
+        _show(answer)
+    status = 1 if answer["refused"] else 0
+    if args.out is not None:
+        status = max(status, _write(args, answer, rig, question, made_by(machine, text)))
+    return status
+
+
+def question_of(args: argparse.Namespace) -> LocalQuestion:
+    """Raises WrongUse."""
+    speeds = tuple(dict.fromkeys(args.speed or SPEEDS))
+    seconds = tuple(args.seconds or [None])
+    if len(seconds) not in (1, len(speeds)):
+        raise WrongUse(
+            f"--seconds: given {len(seconds)} times for {len(speeds)} speeds; give it once, or once for each"
+        )
+    return LocalQuestion(
+        tuple(model_named(name) for name in dict.fromkeys(args.model or ["relaxation"])),
+        speeds,
+        seconds * (len(speeds) if len(seconds) == 1 else 1),
+        names("--outputs", args.outputs, NAMES),
+        names("--parameters", args.parameters, MACHINE_PARAMETERS),
+        args.step == "exact",
+    )
+
+
+def _write(
+    args: argparse.Namespace,
+    answer: Mapping[str, Any],
+    rig: Rig,
+    question: LocalQuestion,
+    made: dict[str, Any],
+) -> int:
+    from tilth.analysis.sensitivity.local_page import local_report
+
+    data: dict[str, Any] = {
+        **answer, "command": command("sensitivity", *_words(args)), "made": made,
+        "another": {}, "curves": {}, "frequency": {},
+    }  # fmt: skip
+    for model in question.models:
+        entries = [entry for entry in answer["speeds"] if entry["model"] == model.name]
+        if not entries:
+            continue
+        speeds = [entry["speed"] for entry in entries]
+        same = question._replace(
+            models=(model,), speeds=tuple(speeds), seconds=tuple(entry["seconds"] for entry in entries)
+        )
+        data["another"][model.name] = another_point(rig, same)
+        data["curves"][model.name] = changed_curves(rig, model, entries)
+        data["frequency"][model.name] = frequency_answer(rig, model, speeds, question.parameters)
+    return write_report("sensitivity", local_report, data, args.out)
+
+
+def _words(args: argparse.Namespace) -> list[str]:
+    """The command line, as it would be given again."""
+    words = [str(args.machine)]
+    for option in ("speed", "model", "outputs", "parameters", "seconds"):
+        for value in getattr(args, option) or []:
+            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    return [*words, "--step", args.step, "--out", str(args.out)]
+
+
+def _show(answer: Mapping[str, Any]) -> None:
+    console = Console(highlight=False)
+    console.print(
+        f"{answer['machine']}: per cent of the output for each per cent of the parameter "
+        f"({'derivatives' if answer['step'] == 'exact' else 'a step of 1 %'}), after the wheels turned by 10°"
+    )
+    for entry in answer["speeds"]:
+        title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"
+        six = [name for name in entry["outputs"] if name in SIX]
+        console.print(_table(title, entry["local"], [*six, OVERALL]))
+        others = [name for name in entry["outputs"] if name not in SIX]
+        for start in range(0, len(others), ACROSS):
+            console.print(_table("", entry["local"], others[start : start + ACROSS]))
+
+
+def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTable:
+    """The most important parameter first; those that do nothing are left out."""
+    table = RichTable(title=title or None, title_justify="left")
+    for heading in ("", *outputs):
+        table.add_column(heading, overflow="fold", justify="right" if heading else "left")
+    for name, row in sorted(local.items(), key=lambda pair: -(pair[1][OVERALL] or 0.0)):
+        if any(row[output] for output in outputs):
+            table.add_row(name, *("–" if row[one] is None else f"{row[one]:.3f}" for one in outputs))
+    return table
+
+
+def _say(text: str) -> None:
+    print(f"tilth sensitivity: {text}", file=sys.stderr)
