@@ -1,4 +1,4 @@
-"""Answers of many rigs to a step of the wheels, side by side, and how far each change of a parameter moves them.
+"""Answers of many rigs to a step of the wheels, side by side, and how far each parameter moves them.
 
 Source: Karkee (2009), section 6.2.2: for each point of a grid the rig and each of its changed rigs are
 simulated (6.16), and the changes of six outputs are made shares of the answer. The linear model is made
@@ -31,6 +31,8 @@ PACKED: Final = 7  # states
 _SIDE_BY_SIDE: Final = 4  # points; each with its changed rigs
 _TERMS: Final = 22  # of the exponential's series, for a norm of 2 at most
 _TWO_PI: Final = 2 * math.pi
+_TURN: Final = 1 / _TWO_PI
+_WHOLE: Final = 1.5 * 2.0**52  # added and taken away again: rounds to a whole number
 
 
 @kernel
@@ -170,29 +172,43 @@ def _march(f: Array, speed: float, samples: int, step_s: float, lanes: int, sums
     y = np.zeros((8, width))
     cosine = np.ones(width)
     sine = np.zeros(width)
+    turn_sine = np.zeros(width)
+    turn_cosine = np.zeros(width)
     sums[:, :] = 0.0
     sums[3, :] = speed * step_s  # at t = 0
     for _ in range(samples - 1):
         for i in range(8):
+            # In two parts, and not in one: a compiler makes vectors of a loop over few rows only.
             for at in range(width):
-                y[i, at] = x[i, at] + (
-                    f[i, 7, at]
-                    + f[i, 0, at] * x[0, at] + f[i, 1, at] * x[1, at] + f[i, 2, at] * x[2, at]
-                    + f[i, 3, at] * x[3, at] + f[i, 4, at] * x[4, at] + f[i, 5, at] * x[5, at]
-                    + f[i, 6, at] * x[6, at]
+                y[i, at] = (
+                    f[i, 0, at] * x[0, at] + f[i, 1, at] * x[1, at]
+                    + f[i, 2, at] * x[2, at] + f[i, 3, at] * x[3, at]
                 )  # fmt: skip
+            for at in range(width):
+                y[i, at] += (
+                    f[i, 4, at] * x[4, at] + f[i, 5, at] * x[5, at] + f[i, 6, at] * x[6, at] + f[i, 7, at]
+                )
+            for at in range(width):
+                y[i, at] += x[i, at]
+        # The heading turns by t, folded into half a turn: sine and cosine by their series.
         for at in range(width):
-            # The heading turns by t, folded into half a turn: sine and cosine by their series.
             t = y[7, at] - x[7, at]
-            t -= _TWO_PI * math.floor(t / _TWO_PI + 0.5)
+            t -= _TWO_PI * ((t * _TURN + _WHOLE) - _WHOLE)
             q = t * t
-            s = t * (1 + q * (-1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 - q / 39916800)))))
-            c = 1 + q * (-1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 - q / 3628800))))
-            turned = cosine[at] * c - sine[at] * s
-            sine[at] = sine[at] * c + cosine[at] * s
+            turn_sine[at] = t * (
+                1 + q * (-1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 - q * (1 / 39916800)))))
+            )
+            turn_cosine[at] = 1 + q * (
+                -1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 - q * (1 / 3628800))))
+            )
+        for at in range(width):
+            turned = cosine[at] * turn_cosine[at] - sine[at] * turn_sine[at]
+            sine[at] = sine[at] * turn_cosine[at] + cosine[at] * turn_sine[at]
             cosine[at] = turned
-            sums[3, at] += (speed * turned - y[0, at] * sine[at]) * step_s
-            sums[4, at] += (speed * sine[at] + y[0, at] * turned) * step_s
+        for at in range(width):
+            sums[3, at] += (speed * cosine[at] - y[0, at] * sine[at]) * step_s
+        for at in range(width):
+            sums[4, at] += (speed * sine[at] + y[0, at] * cosine[at]) * step_s
         for k in range(3):
             for at in range(lanes):
                 sums[k, at] += y[k, at] * y[k, at]
@@ -228,7 +244,9 @@ def packed_systems(
             changed = values.copy()
             if variant:
                 changed[columns[variant - 1]] *= 1 + share
-            whole, push = model.matrices(rig._replace(**dict(zip(FIELDS, changed.tolist(), strict=True))), speed)
+            whole, push = model.matrices(
+                rig._replace(**dict(zip(FIELDS, changed.tolist(), strict=True))), speed
+            )
             packed = -np.eye(PACKED)
             packed[np.ix_(used, used)] = whole[np.ix_(bent, bent)]
             packed[6] = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
