@@ -234,7 +234,7 @@ def packed_systems(
         return a, b
     if model.states[:3] != ("v", "r_t", "r_i"):
         raise ValueError(
-            f"the {model.name} model has no velocities of its own to follow: take the dynamic, the relaxation "
+            f"the {model.name} model has no velocities of its own to follow: take the dynamic, relaxation "
             "or the nonlinear model"
         )
     core = [k for k, name in enumerate(model.states) if name not in ("y_t", "psi_t", "psi_i")]
