@@ -1,0 +1,85 @@
+"""Batches: the same with any number of processes, and after an interruption."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tilth.analysis.sensitivity import run_batches
+from tilth.analysis.sensitivity.accumulators import mean
+from tilth.analysis.sensitivity.designs import DISSERTATION, grid
+from tilth.analysis.sensitivity.local import local_sensitivities, overall
+from tilth.analysis.sensitivity.outputs import Unstable
+from tilth.analysis.sensitivity.run_batches import Part, Plan, global_answer, part_of, run
+from tilth.analysis.sensitivity.slopes import VARIED
+from tilth.estimator.models.family import model_named
+from tilth.estimator.models.parameters import TABLE_7_2
+
+PLAN = Plan("relaxation", TABLE_7_2, 7.5, 0.5, DISSERTATION, levels=2)  # 256 points
+
+
+def _same(a: Part, b: Part) -> None:
+    for x, y in zip((*a.every, *a.stable, a.unstable), (*b.every, *b.stable, b.unstable), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_two_processes_find_what_one_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 50 * 100)  # three batches
+    one, _ = run(PLAN, tmp_path / "one", workers=1)
+    seen: list[tuple[int, int]] = []
+    two, already = run(PLAN, tmp_path / "two", workers=2, progress=lambda *at: seen.append(at))
+    _same(one, two)
+    assert (already, seen[0], seen[-1]) == (0, (0, 3), (3, 3))
+
+
+def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 50 * 64)
+
+    def stop(done: int, of: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(PLAN, tmp_path, workers=1, progress=stop)
+    went_on, already = run(PLAN, tmp_path, workers=1)
+    assert already == 2
+    whole, already = run(PLAN, tmp_path / "other", workers=1)
+    assert already == 0
+    _same(went_on, whole)
+    assert not list(tmp_path.rglob("*.unfinished"))
+
+
+def test_the_answer_is_the_mean_of_the_local_ones() -> None:
+    """Held to the overall local sensitivity at each stable corner, one by one."""
+    plan = PLAN._replace(seconds=0.2)
+    part = part_of(plan, 116, 140)
+    found, unstable = [], 0
+    relaxation = model_named("relaxation")
+    for at in grid(DISSERTATION, 116, 140, 2):
+        rig = TABLE_7_2._replace(**dict(zip(DISSERTATION.names, at.tolist(), strict=True)))
+        try:
+            local = local_sensitivities(relaxation, rig, 7.5, seconds=0.2, parameters=VARIED)
+        except Unstable:
+            unstable += 1
+        else:
+            found.append(overall(local.step))
+    assert part.unstable[0].sum() == unstable > 0
+    np.testing.assert_allclose(mean(part.stable), np.mean(found, axis=0), rtol=1e-7)
+
+
+def test_the_answer_names_the_side_that_is_unstable() -> None:
+    answer = global_answer(PLAN, part_of(PLAN, 0, PLAN.points))
+    assert 0 < answer["unstable_share"] < 0.5
+    assert "C_af high" in answer["unstable_where"] and "C_ar low" in answer["unstable_where"]
+    for row in answer["global"].values():
+        assert row["q05"] < row["median"] < row["q95"]
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    opened = Path.open
+    monkeypatch.setattr(Path, "open", lambda self, *args: opened(Path("/dev/full"), *args))
+    with pytest.raises(OSError, match="No space"):
+        run(PLAN._replace(seconds=0.05), tmp_path, workers=1)
+    assert not list(tmp_path.rglob("*.npz"))
