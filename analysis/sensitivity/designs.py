@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 BLOCK: Final = 1024  # points drawn from one seed
 
 
-class Box(NamedTuple):
+class ParameterBox(NamedTuple):
     """A range of each parameter, SI; all above zero."""
 
     names: tuple[str, ...]
@@ -23,7 +23,7 @@ class Box(NamedTuple):
     high: tuple[float, ...]
 
 
-DISSERTATION: Final = Box(
+DISSERTATION: Final = ParameterBox(
     ("C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i", "m_i", "I_i"),
     (20e3, 50e3, 10e3, 0.1, 0.15, 0.1, 1100.0, 3200.0),
     (450e3, 980e3, 340e3, 2.2, 3.0, 2.2, 7000.0, 21000.0),
@@ -32,7 +32,7 @@ DISSERTATION: Final = Box(
 LEVELS: Final = 5
 
 
-def checked(box: Box) -> Box:
+def checked(box: ParameterBox) -> ParameterBox:
     """The same box. Raises ValueError, one sentence, where a range is empty or not above zero."""
     for name, low, high in zip(*box, strict=True):
         if not 0 < low < high < float("inf"):
@@ -42,24 +42,24 @@ def checked(box: Box) -> Box:
     return box
 
 
-def grid_size(box: Box, levels: int = LEVELS) -> int:
+def grid_size(box: ParameterBox, levels: int = LEVELS) -> int:
     """Points of the full grid."""
     return int(levels ** len(box.names))
 
 
-def grid_levels(box: Box, start: int, stop: int, levels: int = LEVELS) -> NDArray[np.int64]:
+def grid_levels(box: ParameterBox, start: int, stop: int, levels: int = LEVELS) -> NDArray[np.int64]:
     """Level of each parameter at the points start to stop - 1, (n, k); the last changes fastest."""
     shape = (levels,) * len(box.names)
     return np.stack(np.unravel_index(np.arange(start, stop), shape), axis=1).astype(np.int64)
 
 
-def grid(box: Box, start: int, stop: int, levels: int = LEVELS) -> Array:
+def grid(box: ParameterBox, start: int, stop: int, levels: int = LEVELS) -> Array:
     """Points start to stop - 1 of the grid, (n, k)."""
     low, high = np.array(box.low), np.array(box.high)
     return np.asarray(low + (high - low) * grid_levels(box, start, stop, levels) / (levels - 1))
 
 
-def uniform(box: Box, seed: int, start: int, stop: int) -> Array:
+def uniform(box: ParameterBox, seed: int, start: int, stop: int) -> Array:
     """Random points of the box, (n, k)."""
     low, high = np.array(box.low), np.array(box.high)
     return np.asarray(low + (high - low) * _by_block(seed, start, stop, len(low), normal=False))

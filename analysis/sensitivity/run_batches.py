@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tilth.analysis.sensitivity import accumulators
 from tilth.analysis.sensitivity.accumulators import Kept, mean, quantile, spread
-from tilth.analysis.sensitivity.designs import LEVELS, Box, checked, grid, grid_levels, grid_size
+from tilth.analysis.sensitivity.designs import LEVELS, ParameterBox, checked, grid, grid_levels, grid_size
 from tilth.analysis.sensitivity.local import SHARE
 from tilth.analysis.sensitivity.outputs import STEP_S, STILL, WHEEL_ANGLE
 from tilth.estimator.models.family import model_named
@@ -30,14 +30,14 @@ LANE_SAMPLES: Final = 12_000_000  # points times samples of a batch: some second
 MADE_WITH: Final = 1  # raise it when the measure changes: batches kept before are then computed anew
 
 
-class Plan(NamedTuple):
+class GlobalPlan(NamedTuple):
     """What is computed. rig: gives what is not varied. seconds: simulated at each point."""
 
     model: str
     rig: Rig
     speed: float  # m/s
     seconds: float
-    box: Box
+    box: ParameterBox
     levels: int = LEVELS
 
     @property
@@ -64,7 +64,7 @@ class Part(NamedTuple):
     unstable: NDArray[np.int64]  # (k, levels)
 
 
-def part_of(plan: Plan, start: int, stop: int) -> Part:
+def part_of(plan: GlobalPlan, start: int, stop: int) -> Part:
     """Of the points start to stop - 1."""
     columns = np.array([FIELDS.index(name) for name in plan.box.names])
     rigs = np.tile(
@@ -82,7 +82,7 @@ def part_of(plan: Plan, start: int, stop: int) -> Part:
 
 
 def run(
-    plan: Plan, folder: Path, *, workers: int, progress: Done = lambda done, of: None
+    plan: GlobalPlan, folder: Path, *, workers: int, progress: Done = lambda done, of: None
 ) -> tuple[Part, int]:
     """(of the whole grid, batches that were there already). Raises OSError, ValueError."""
     checked(plan.box)
@@ -118,11 +118,11 @@ def run(
     return total, already
 
 
-def _end(plan: Plan, start: int) -> int:
+def _end(plan: GlobalPlan, start: int) -> int:
     return min(start + plan.batch, plan.points)
 
 
-def _keep(plan: Plan, start: int, stop: int, folder: Path) -> None:
+def _keep(plan: GlobalPlan, start: int, stop: int, folder: Path) -> None:
     """Write a batch under its final name once it is whole."""
     part = part_of(plan, start, stop)
     unfinished = folder / f"{start}.{os.getpid()}.unfinished"
@@ -141,7 +141,7 @@ def _read(file: Path) -> Part:
     return Part(Kept(*arrays[:5]), Kept(*arrays[5:10]), arrays[10])
 
 
-def global_answer(plan: Plan, part: Part) -> dict[str, Any]:
+def global_answer(plan: GlobalPlan, part: Part) -> dict[str, Any]:
     """For JSON: overall sensitivity to each parameter over all points, and over the stable ones."""
     count = int(part.unstable[0].sum())
     return {
@@ -159,7 +159,7 @@ def global_answer(plan: Plan, part: Part) -> dict[str, Any]:
     }
 
 
-def _numbers(plan: Plan, kept: Kept) -> dict[str, Any]:
+def _numbers(plan: GlobalPlan, kept: Kept) -> dict[str, Any]:
     columns = {
         "mean": mean(kept),
         "sd": spread(kept),
@@ -177,7 +177,7 @@ def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _where(plan: Plan, part: Part) -> str:
+def _where(plan: GlobalPlan, part: Part) -> str:
     """Which parameters make rigs unstable, and which side of their range."""
     total = part.unstable[0].sum()
     if not total:

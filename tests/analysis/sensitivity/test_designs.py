@@ -5,7 +5,7 @@ import pytest
 
 from tilth.analysis.sensitivity.designs import (
     DISSERTATION,
-    Box,
+    ParameterBox,
     checked,
     grid,
     grid_levels,
@@ -14,7 +14,7 @@ from tilth.analysis.sensitivity.designs import (
     uniform,
 )
 
-TWO = Box(("C_af", "m_i"), (1.0, 10.0), (2.0, 30.0))
+TWO = ParameterBox(("C_af", "m_i"), (1.0, 10.0), (2.0, 30.0))
 
 
 def test_the_grid_has_every_corner_once() -> None:
@@ -53,4 +53,4 @@ def test_a_covariance_that_is_none_is_refused(wrong: list[list[float]]) -> None:
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (2.0, 1.0), (1.0, float("inf"))])
 def test_a_box_that_is_none_is_refused(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="C_af: from"):
-        checked(Box(("C_af",), (low,), (high,)))
+        checked(ParameterBox(("C_af",), (low,), (high,)))

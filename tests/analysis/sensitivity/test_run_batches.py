@@ -10,12 +10,12 @@ from tilth.analysis.sensitivity.accumulators import mean
 from tilth.analysis.sensitivity.designs import DISSERTATION, grid
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import Unstable
-from tilth.analysis.sensitivity.run_batches import Part, Plan, global_answer, part_of, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, global_answer, part_of, run
 from tilth.analysis.sensitivity.slopes import VARIED
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
-PLAN = Plan("relaxation", TABLE_7_2, 7.5, 0.5, DISSERTATION, levels=2)  # 256 points
+PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 0.5, DISSERTATION, levels=2)  # 256 points
 
 
 def _same(a: Part, b: Part) -> None:
