@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from tilth.analysis.report.given import GivenTimes, given_segments, given_times
+from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import WrongUse, add_bus_names
 from tilth.logger.machine_file import read_machine
@@ -51,6 +51,14 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="[N:]A:B",
         help="report these seconds of the N-th log instead of the segments found; may be given several times",
     )
+    parser.add_argument(
+        "--fit",
+        type=_most_fitted,
+        default=MOST_FITTED,
+        metavar="N|all",
+        help=f"fit so many of the segments found in each log ({MOST_FITTED}), those that steer most; "
+        "segments that are named are all fitted",
+    )
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
 
@@ -60,6 +68,14 @@ def _times(text: str) -> GivenTimes:
         return given_times(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _most_fitted(text: str) -> int:
+    if text == "all":
+        return ALL
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text}: give a number of segments, at least 1, or all")
+    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
             return 1
         segments = _given(driven, args)
         with ExitStack() as stack:
-            answers = _answers(driven, segments, _steps(stack, args))
+            answers = _answers(driven, segments, args.fit, _steps(stack, args))
         return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
     except LogError as error:
         _say(str(error))
@@ -157,10 +173,10 @@ def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
         raise WrongUse(f"--segment: {error}") from None
 
 
-def _answers(runs: Sequence[Run], segments: list[Any], steps: Steps) -> dict[str, Any]:
+def _answers(runs: Sequence[Run], segments: list[Any], most: int, steps: Steps) -> dict[str, Any]:
     from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
 
-    found = answers_of(runs, segments, steps)
+    found = answers_of(runs, segments, steps, most)
     for note in found["notes"]:
         _say(note)
     return found
@@ -214,6 +230,8 @@ def _words(args: argparse.Namespace) -> list[str]:
     for option in ("figures", "machine"):
         if getattr(args, option) is not None:
             words += [f"--{option}", str(getattr(args, option))]
+    if args.fit != MOST_FITTED:
+        words += ["--fit", "all" if args.fit == ALL else str(args.fit)]
     for log, start_s, end_s in args.segment:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
     return words + [word for name in args.bus for word in ("--bus", name)]

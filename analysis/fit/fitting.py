@@ -20,6 +20,7 @@ import numpy as np
 
 from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
+from tilth.analysis.fit.side_by_side import side_by_side
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import Driven, driving, identity
 from tilth.analysis.runs.kept import cache_folder, key_of
@@ -155,7 +156,8 @@ def fit_all(
     if not told:
         return Fitted(tuple(wanted), fits, (), None, None)
     between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
-    linearised = linearise(machine, [fits[k] for k in told], between)
+    with side_by_side(len(told), jobs) as each:
+        linearised = linearise(machine, [fits[k] for k in told], between, each)
     return Fitted(tuple(wanted), fits, told, linearised, join(machine, linearised))
 
 
@@ -179,6 +181,7 @@ def _fit_these(
         }
         for future in as_completed(futures):
             yield futures[future], future.result()
+        pool.shutdown()  # its threads are gone before the next ones fork
 
 
 def driven_of(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:

@@ -6,16 +6,17 @@ each window says is linear (steering_terms.py).
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from tilth.analysis.fit.segment_fit import SegmentFit
+from tilth.analysis.fit.side_by_side import Map
 from tilth.analysis.fit.steering_terms import MOST_STEPS, SETTLED, Terms, newton, places, terms_at
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
@@ -25,7 +26,6 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 Told = tuple[Terms, ...]  # of the windows of one segment
-Map = Callable[..., Iterable[Any]]
 
 LEAST_SHARE: Final = 0.2
 """Of the prior's information: directions of which a segment tells less are left out of the test whether

@@ -5,34 +5,36 @@ and `sentences` of the result say why.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any
 
 from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all
 from tilth.analysis.fit.result import as_json as fit_json
 from tilth.analysis.report.document import plain
+from tilth.analysis.report.given import MOST_FITTED
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.analysis.validation import held_out
 from tilth.analysis.validation.validate import hold_out, residual_tests, responses
 
 Progress = Callable[[str, int, int], None]  # what, done, of all
-MOST_FITTED: Final = 24
-"""Segments of all runs. Of more those with the largest wheel angles are fitted, in their order: a day of
-headland turns would take hours, and its first dozen tells the rest."""
 
 
 def answers_of(
-    runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]], progress: Progress
+    runs: Sequence[Run],
+    given: Sequence[Sequence[DrivenSegment]],
+    progress: Progress,
+    most: int = MOST_FITTED,
 ) -> dict[str, Any]:
     """ "fit", "held_out", "residuals", "response" and "notes". given: of each run the segments that the user
-    named. Raises LogError, OSError."""
+    named, which are all fitted. most: segments that are fitted of each other run. Raises LogError, OSError.
+    """
     try:
         wanted = _wanted(runs, given)
-        chosen, notes = _fewer(wanted)
+        chosen, notes = (wanted, []) if any(given) else _fewer(wanted, most)
         fitted = fit_all(chosen, progress=lambda done, of: progress("fitting", done, of))
     except CannotFit as error:
         return {"notes": [f"Nothing was fitted: {error}."]}
-    found: dict[str, Any] = {"fit": plain(fit_json(fitted)), "notes": notes}
+    found: dict[str, Any] = {"fit": plain(fit_json(fitted)) | {"notes": notes}, "notes": notes}
     if fitted.joint is None:
         return found
     found["held_out"] = {"subsets": plain(held_out.as_json(hold_out(fitted)))}
@@ -51,14 +53,19 @@ def _wanted(runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]]) -> tu
     return choose(runs)
 
 
-def _fewer(wanted: Sequence[Wanted]) -> tuple[tuple[Wanted, ...], list[str]]:
-    """At most MOST_FITTED of them, and what is left out, in a sentence."""
-    if len(wanted) <= MOST_FITTED:
-        return tuple(wanted), []
-    by_angle = sorted(wanted, key=lambda one: -abs(one.segment.largest_angle))[:MOST_FITTED]
-    kept = {id(one) for one in by_angle}
-    note = f"{MOST_FITTED} of {len(wanted)} segments were fitted, those with the largest wheel angles."
-    return tuple(one for one in wanted if id(one) in kept), [note]
+def _fewer(wanted: Sequence[Wanted], most: int) -> tuple[tuple[Wanted, ...], list[str]]:
+    """At most so many of each log, and what is left out, in a sentence."""
+    kept: set[int] = set()
+    for log in {one.log for one in wanted}:
+        of_log = [one for one in wanted if one.log == log]
+        kept |= {id(one) for one in sorted(of_log, key=lambda one: -abs(one.segment.largest_angle))[:most]}
+    chosen = tuple(one for one in wanted if id(one) in kept)
+    if len(chosen) == len(wanted):
+        return chosen, []
+    return chosen, [
+        f"{len(chosen)} of {len(wanted)} segments were fitted, those with the largest wheel angles; "
+        "--fit N or --fit all fits more, which takes some seconds for each."
+    ]
 
 
 def _residuals(fitted: Fitted) -> list[dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 fit: {"runs": [{"id", "log", "start_s", "end_s", "kind", "parameters": {C_af: {"value", "sd", "status",
 "reason"}, …}, "nuisances", "log_covariance": 6 x 6 or None, "seconds"}, …], "joint": {"parameters",
-"log_covariance", "nuisances"} or None, "agreement": {"chi2", "dof", "p", "sentence"} or None}; SI.
+"log_covariance", "nuisances"} or None, "agreement": {"chi2", "dof", "p", "sentence"} or None,
+"notes": [what else is to be said]}; SI.
 """
 
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ def fit_section(
     """prior: the machine file's, of `gather.facts_of`. None without fits."""
     if not fit or not (fit.get("runs") or fit.get("joint")):
         return None
-    parts: list[Part] = []
+    parts: list[Part] = [ReportText(text) for text in fit.get("notes") or ()]
     agreement = fit.get("agreement")
     if agreement:
         parts.append(ReportText(_agrees(agreement)))

@@ -29,10 +29,19 @@ SPACINGS: Final = 4.0  # times the usual spacing, and SHORTEST_S: a gap of a sen
 SHORTEST_S: Final = 0.5
 MOST_GAPS: Final = 5
 POSE_S: Final = 0.2
+_TOPICS: Final = (
+    "/event",
+    *(f"/measurement/{kind}" for kind in ("position", "fix", "wheel_angle")),
+    *(
+        "/soil_tire" if method == RECOMMENDED else f"/soil_tire/{method}"
+        for method in (RECOMMENDED, *METHODS)
+    ),
+)
 
 
 def facts_of(run: Run, given: Sequence[DrivenSegment] = ()) -> dict[str, Any]:
     """Of one run. given: segments that are reported instead of those found."""
+    run.reader.read_ahead(_TOPICS)
     poses = run.poses
     segments = tuple(given) or marked(poses, run.marks) or find(poses)
     estimates = {method: run.estimates(method) for method in METHODS}

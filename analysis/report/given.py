@@ -2,10 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment, between
+
+MOST_FITTED: Final = 4
+"""Segments of a run that are fitted unless more are asked for: those with the largest wheel angles, in their
+order. A day of headland turns would take hours, and what was published all the way is in the log."""
+ALL: Final = 1_000_000
 
 
 class GivenTimes(NamedTuple):

@@ -6,6 +6,7 @@ Made by the same fold as live, without its estimators; kept, since fits ask for 
 import contextlib
 import pickle
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -45,7 +46,7 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
     files = [identity(file.path) for file in run.files]
     name = key_of(*files, machine_sha256(run.machine, run.machine_text))
     kept = (cache or cache_folder()) / f"{name}.driving"
-    found = _load(kept)
+    found = _loaded(kept, kept.stat().st_mtime_ns) if kept.exists() else None
     if found is None:
         found = tuple(_drive(run, progress))
         _store(kept, found)
@@ -88,6 +89,12 @@ def identity(path: Path) -> str:
         head = file.read(_ENDS)
         file.seek(max(0, size - _ENDS))
         return key_of(size, head, file.read(_ENDS))
+
+
+@lru_cache(maxsize=1)
+def _loaded(kept: Path, _written_ns: int) -> tuple[Driven, ...] | None:
+    """Segments of a run are asked for one by one; a file that was written again is read again."""
+    return _load(kept)
 
 
 def _load(kept: Path) -> tuple[Driven, ...] | None:

@@ -55,10 +55,22 @@ class ChannelReader:
     paths: Sequence[Path]
     clock: RunClock
     skipped: Counter[str] = field(default_factory=Counter)
+    _ahead: dict[str, Table] = field(default_factory=dict)
 
     def table(self, topic: str) -> Table:
         """All of a topic. Raises OSError."""
-        parts = list(self.batches(topic))
+        if topic in self._ahead:
+            return self._ahead[topic]
+        return self._whole(topic, [table for _, table in self.tables((topic,))])
+
+    def read_ahead(self, topics: Sequence[str]) -> None:
+        """Keep the tables of these topics, from one pass over the files. Raises OSError."""
+        parts: dict[str, list[Table]] = {topic: [] for topic in topics}
+        for topic, table in self.tables(topics):
+            parts[topic].append(table)
+        self._ahead |= {topic: self._whole(topic, found) for topic, found in parts.items()}
+
+    def _whole(self, topic: str, parts: Sequence[Table]) -> Table:
         return joined(parts) if parts else self._table(topic, b"", np.zeros((0, 4), np.int64))
 
     def batches(self, topic: str) -> Iterator[Table]:

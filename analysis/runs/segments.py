@@ -214,8 +214,8 @@ def tells(segment: DrivenSegment, poses: Table, machine: Machine) -> tuple[str, 
     there = poses.between(segment.start_s, segment.end_s)
     angle, t = there["wheel_angle_rad"], there.t_s
     known = np.isfinite(angle)
-    if np.count_nonzero(known) < 3 or segment.speed < SLOWEST:
-        return ()
+    if np.count_nonzero(known) < 3 or segment.speed < SLOWEST or segment.kind == ROW:
+        return ()  # of a row the bound is never near, and costs most as rows are long
     steps = np.arange(t[known][0], t[known][-1], _STEP_S)
     wheel: Floats = np.interp(steps, t[known], angle[known])
     found = cramer_rao(

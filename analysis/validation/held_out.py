@@ -8,12 +8,13 @@ else left to the model: nothing corrects it after its start.
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.analysis.fit.side_by_side import Map
 from tilth.analysis.runs.driving import Driven
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
@@ -108,22 +109,23 @@ def predictable(machine: Machine, id: str, driven: Sequence[Driven], point: Arra
 
 
 def table(
-    machine: Machine, runs: Sequence[Predictable], estimates: dict[tuple[str, ...], Array]
+    machine: Machine, runs: Sequence[Predictable], estimates: dict[tuple[str, ...], Array], each: Map = map
 ) -> tuple[Subset, ...]:
     """Each subset's parameters over each run; the machine file's first.
 
-    estimates: ids of the runs that were fitted -> [n] of unknowns.NAMES.
+    estimates: ids of the runs that were fitted -> [n] of unknowns.NAMES. each: as `map`.
     """
     setup, prior = rig_setup(machine), unknowns.prior(machine)[0]
     rows = [((), prior), *estimates.items()]
     whole = ((), tuple(run.id for run in runs))  # of these also over horizons
-    return tuple(
-        Subset(
-            ids,
-            tuple(_cell(setup, run, point, prior, run.id not in ids, ids in whole) for run in runs),
-        )
+    before = {run.id: _likelihood(run, setup, _with_noise(prior, run.noise)) for run in runs}
+    asked = [
+        (setup, run, point, before[run.id], run.id not in ids, ids in whole)
         for ids, point in rows
-    )
+        for run in runs
+    ]
+    cells = iter(each(_cell, *zip(*asked, strict=True)) if asked else ())
+    return tuple(Subset(ids, tuple(islice(cells, len(runs)))) for ids, _ in rows)
 
 
 def way(machine: Machine, run: Predictable, point: Array) -> tuple[Array, Array]:
@@ -162,8 +164,9 @@ def subsets(ids: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _cell(
-    setup: RigSetup, run: Predictable, point: Array, prior: Array, held_out: bool, horizons: bool
+    setup: RigSetup, run: Predictable, point: Array, before: float, held_out: bool, horizons: bool
 ) -> Cell:
+    """before: log-likelihood of the run with the machine file's parameters."""
     here = _with_noise(point, run.noise)
     rows = run.record.rows
     errors = _open_loop(run.record, setup, run.start, here)
@@ -173,7 +176,7 @@ def _cell(
         run.id, held_out, _rms(squares[0]), _rms(squares[1]), *_interval(squares[0]), *_interval(squares[1]),
         fit_percent={name: _fit_percent(rows[chosen], errors[chosen], k) for name, k in _OUTPUTS.items()},
         horizon_rms={f"{s:g}": _horizon(run, setup, here, s) for s in HORIZONS_S if horizons},
-        gain=_likelihood(run, setup, here) - _likelihood(run, setup, _with_noise(prior, run.noise)),
+        gain=_likelihood(run, setup, here) - before,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from tilth.analysis.fit.fitting import Fitted, driven_of
 from tilth.analysis.fit.joint import join
 from tilth.analysis.fit.rig import fitted_rig
 from tilth.analysis.fit.segment_fit import FittedWindow
+from tilth.analysis.fit.side_by_side import side_by_side
 from tilth.analysis.response.response import DriveSamples, MeasuredResponse, measured_response
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
@@ -74,7 +75,8 @@ def hold_out(
         alone = fitted.fits[fitted.told[places[ids[0]]]].mean
         chosen = [places[id] for id in ids]
         estimates[ids] = alone if len(ids) == 1 else join(machine, fitted.linearised, chosen).mean
-    return held_out.table(machine, runs, estimates)
+    with side_by_side(len(runs) * len(estimates)) as each:
+        return held_out.table(machine, runs, estimates, each)
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,6 +121,8 @@ def test_a_contradiction_is_said_first(answer: Answer, tmp_path: Path) -> None:
         (["LOG", "--out", "DIR/a.html", "--figures", "DIR/there.html"], "new or an empty folder"),
         (["LOG", "--out", "DIR/a.html", "--segment", "5"], "give seconds"),
         (["LOG", "--out", "DIR/a.html", "--segment", "3:1:2"], "there are 1 logs"),
+        (["LOG", "--out", "DIR/a.html", "--fit", "0"], "at least 1, or all"),
+        (["LOG", "--out", "DIR/a.html", "--fit", "most"], "at least 1, or all"),
         (["LOG", "--out", "DIR/a.html", "--segment", "500:600"], "no poses between"),
         (["DIR/none.mcap", "--out", "DIR/a.html"], "none.mcap"),
         (["DIR/there.html", "--out", "DIR/a.html"], "there.html"),
