@@ -1,13 +1,14 @@
 """Whether the fits hold: drives predicted that were not fitted, and what residuals tell.
 
 held_out: {"subsets": [{"fitted": [ids], "cells": [{"run": id, "tractor_m", "implement_m", "held_out":
-bool}]}]}, RMS distances between predicted and driven paths, m; a cell that could not be computed is None in
-both.
+bool, "fit_percent": {output: %}, "horizon_rms": {s ahead: {output: SI}}, "gain": nats}]}]}, RMS distances
+between predicted and driven paths, m; what could not be computed is None or absent.
 
 residuals: a list of tests, made plain by `document.plain`: {"output", "outcome": passed, failed or undecided,
 "p_value", "sentence"}, with "test": what was tested, or the name of the class that held it (TESTS).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -28,6 +29,12 @@ TESTS: Final = {
     "SizeTest": "as large as the filter says",
 }
 """Names of tests by the class that holds one."""
+OUTPUTS: Final = {
+    "yaw_rate": ("yaw rate", "°/s", math.degrees(1.0)),
+    "velocity": ("velocity", "m/s", 1.0),
+    "heading": ("heading", "°", math.degrees(1.0)),
+}
+"""Outputs of held_out: in words, their unit here, and how many of it make one of SI."""
 
 
 def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None:
@@ -46,7 +53,41 @@ def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None
         "that was not among those fitted: only such cells tell how well the parameters predict."
     )
     table = ReportTable("held-out", caption, columns, rows)
-    return ReportSection("prediction", "Prediction of drives", (*_in_words(subsets), table))
+    parts: list[Part] = [*_in_words(subsets), table, *_outputs_table(subsets)]
+    return ReportSection("prediction", "Prediction of drives", tuple(parts))
+
+
+def _outputs_table(subsets: Sequence[Mapping[str, Any]]) -> list[ReportTable]:
+    """How well each output is predicted, of those subsets that were looked at over horizons; none without."""
+    cells = [(subset, cell) for subset in subsets for cell in subset["cells"] if cell.get("horizon_rms")]
+    values = [_by_output(cell) for _, cell in cells]
+    asked = [key for key in dict.fromkeys(key for row in values for key in row)]
+    known = [key for key in asked if any(row.get(key) is not None for row in values)]
+    if not known:
+        return []
+    rows = []
+    for (subset, cell), row in zip(cells, values, strict=True):
+        fitted = ", ".join(map(str, subset["fitted"]))
+        name = "none: machine file" if not fitted else "all" if len(subset["fitted"]) > 1 else fitted
+        shown = [ReportCell(NOTHING if (v := row.get(key)) is None else number(v, 2), v) for key in known]
+        rows.append((ReportCell(name), ReportCell(str(cell["run"])), *shown))
+    caption = (
+        "Fit: 100 % less the size of the error over 30 s as a share of what the output changes; below 0 a "
+        "constant would have done better. Ahead: RMS error that long after the last correction."
+    )
+    return [ReportTable("outputs", caption, ("fitted to", "run", *known), tuple(rows))]
+
+
+def _by_output(cell: Mapping[str, Any]) -> dict[str, float | None]:
+    """What a column is called -> its value, in the unit that the name says."""
+    found: dict[str, float | None] = {
+        f"fit of {OUTPUTS[name][0]}, %": value for name, value in (cell.get("fit_percent") or {}).items()
+    }
+    for ahead, by_name in (cell.get("horizon_rms") or {}).items():
+        for name, value in by_name.items():
+            words, unit, per_si = OUTPUTS[name]
+            found[f"{words} {ahead} s ahead, {unit}"] = None if value is None else value * per_si
+    return found | {"log-likelihood gain": cell.get("gain")}
 
 
 def _cells(subset: Mapping[str, Any], runs: Sequence[str]) -> list[ReportCell]:

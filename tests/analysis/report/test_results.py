@@ -13,7 +13,11 @@ from tilth.analysis.report.fitted import fit_section
 
 
 def table(section: Any) -> ReportTable:
-    return next(one for one in parts_of((section,)) if isinstance(one, ReportTable))
+    return tables(section)[0]
+
+
+def tables(section: Any) -> list[ReportTable]:
+    return [one for one in parts_of((section,)) if isinstance(one, ReportTable)]
 
 
 def texts(section: Any) -> list[str]:
@@ -43,6 +47,24 @@ def test_held_out_cells_are_marked_in_words() -> None:
     assert all((cell.mark == HELD_OUT) == ("held out" in cell.text) for row in rows for cell in row)
     assert rows[2][0].text == "s1, s2, s3" and rows[0][3].value == pytest.approx(0.41)
     assert "3 predictions of drives that were not fitted" in texts(held_out_section(held_out()))[0]
+
+
+def test_outputs_are_shown_in_their_units_where_they_were_looked_at() -> None:
+    assert (
+        len([one for one in parts_of((held_out_section(held_out()),)) if isinstance(one, ReportTable)]) == 1
+    )  # type: ignore[arg-type]
+    found = held_out()
+    found["subsets"][-1]["cells"][0] |= {
+        "fit_percent": {"yaw_rate": 95.5, "heading": None},
+        "horizon_rms": {"1": {"yaw_rate": math.radians(0.4)}, "5": {"yaw_rate": math.radians(0.5)}},
+        "gain": 875.0,
+    }
+    _, outputs = tables(held_out_section(found))
+    assert outputs.columns[2:] == (
+        "fit of yaw rate, %", "yaw rate 1 s ahead, °/s", "yaw rate 5 s ahead, °/s", "log-likelihood gain",
+    )  # fmt: skip
+    assert [cell.value for cell in outputs.rows[0][2:]] == pytest.approx([95.5, 0.4, 0.5, 875.0])
+    assert outputs.rows[0][0].text == "all" and len(outputs.rows) == 1
 
 
 def test_a_prediction_that_failed_has_no_number() -> None:
