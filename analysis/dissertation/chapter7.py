@@ -24,10 +24,12 @@ from tilth.analysis.dissertation.true_values import true_point
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.fit.joint import join
 from tilth.analysis.fit.result import as_json
+from tilth.analysis.report.answered import drawn
+from tilth.analysis.report.document import plain
 from tilth.analysis.runs.kept import cache_folder
 from tilth.analysis.validation import held_out
 from tilth.analysis.validation.held_out import Cell, Predictable
-from tilth.analysis.validation.validate import hold_out
+from tilth.analysis.validation.validate import hold_out, responses
 from tilth.estimator.filters import unknowns
 from tilth.schemas.flow import PARAMETERS
 from tilth.simulator.tractor import setting_of
@@ -42,7 +44,7 @@ PATH_EVERY_S: Final = 0.5  # of the paths in the file
 def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str, Any]:
     """The whole file. Raises OSError, LogError, CannotFit."""
     experiments.prepare(experiments.all_of(plants), cache, jobs)
-    groups, wholes, ways = [], [], []
+    groups, wholes, ways, measured = [], [], [], []
     for plant, field in product(plants, FIELDS):
         for manoeuvre in MANOEUVRES:
             runs = [Experiment(plant, field, manoeuvre, number) for number in REPLICATES]
@@ -52,9 +54,13 @@ def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str,
             groups.append({**named, **true, **group(fitted, cache)})
             if (field, manoeuvre) == (FIELDS[0], "steps"):
                 ways.append({"plant": plant, **paths(fitted, cache)})
+            if (field, manoeuvre) == (FIELDS[0], "random"):
+                measured.append({"plant": plant, **frequency_response(fitted)})
         wholes.append({"plant": plant, "field": field, **whole(plant, field, cache, jobs)})
     truth = {field: list(experiments.truth(field).values()) for field in FIELDS}
-    found: dict[str, Any] = _rounded({"truth": truth, "groups": groups, "wholes": wholes, "paths": ways})
+    found: dict[str, Any] = _rounded({
+        "truth": truth, "groups": groups, "wholes": wholes, "paths": ways, "responses": measured,
+    })  # fmt: skip
     return found
 
 
@@ -82,6 +88,16 @@ def group(fitted: Fitted, cache: Path) -> dict[str, Any]:
             row |= _joint(fitted, chosen)
         rows.append(row | {"cells": [_errors(cell) for cell in subset.cells]})
     return {"subsets": rows}
+
+
+def frequency_response(fitted: Fitted) -> dict[str, Any]:
+    """Of the first run: yaw rates over the wheel angle, dB and degrees, with bands; and of the models. Raises
+    ValueError where nothing was measured."""
+    first = next(iter(responses(fitted).values()))
+    if first.reason:
+        raise ValueError(first.reason)
+    found = drawn(plain(first))
+    return {"hz": found["hz"], "outputs": found["outputs"][:2]}
 
 
 def by_truth(run: Experiment, fitted: Fitted, cache: Path) -> dict[str, Any]:

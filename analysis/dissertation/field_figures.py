@@ -1,5 +1,5 @@
-"""Figures 7.4 and 7.5 of the dissertation from chapter7.json: a step run that was not fitted, as measured and
-as predicted. Figure 7.6, the frequency response of the random runs, gets its rows here, too."""
+"""Figures 7.4 to 7.6 of the dissertation from chapter7.json: a step run that was not fitted, as measured and
+as predicted, and the frequency response of a run with random steering."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -19,6 +19,11 @@ LINES: Final[Mapping[str, Mapping[str, Any]]] = {
     "N2": {"color": "#d55e00", "linestyle": "--", "label": "parameters of N2"},
     "N1+N2": {"color": "#0072b2", "linestyle": (0, (6, 1.5, 1, 1.5)), "label": "parameters of N1 + N2"},
 }
+MODELS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "machine file": LINES["initial"],
+    "estimated": {**LINES["N2"], "label": "estimated parameters"},
+}
+BAND: Final[Mapping[str, Any]] = {"color": "#bbbbbb", "linewidth": 0, "label": "95 % of the measured"}
 BODIES: Final = ("tractor", "implement")
 
 
@@ -64,5 +69,35 @@ def _distance(row: Mapping[str, Any], name: str) -> Array:
     return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
 
 
-DRAWINGS: Final[Mapping[str, Callable[[], Figure]]] = {"figure-7-4": paths, "figure-7-5": distances}
+def frequency() -> Figure:
+    """Figure 7.6: yaw rates over the wheel angle, measured with their 95 % band, and of the models."""
+    found = read()["responses"]
+    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
+    axes = figure.subplots(2, 2 * len(found), sharex=True, sharey="row", squeeze=False)
+    for k, (gain, phase) in enumerate(axes.T):
+        row, body = found[k // 2], BODIES[k % 2]
+        rate, output = 2 * np.pi * np.array(row["hz"]), row["outputs"][k % 2]
+        low, high, middle, half = (
+            np.array(output[key], np.float64)
+            for key in ("gain_low_db", "gain_high_db", "phase_deg", "phase_half_deg")
+        )
+        gain.fill_between(rate, low, high, **BAND)
+        phase.fill_between(rate, middle - half, middle + half, **BAND)
+        for panel, key in ((gain, "gain_db"), (phase, "phase_deg")):
+            panel.plot(rate, np.array(output[key], np.float64), **LINES["measured"])
+            for model in output["models"]:
+                panel.plot(rate, np.array(model[key], np.float64), **MODELS[model["name"]])
+        gain.set(title=f"{'abcd'[k]}) {body}, {row['plant']}")
+        phase.set(xlabel="steering, rad/s")
+    axes[0, 0].set_ylabel("yaw rate over wheel angle, dB")
+    axes[1, 0].set_ylabel("phase, °")
+    axes[1, 0].legend(loc="lower left")
+    return figure
+
+
+DRAWINGS: Final[Mapping[str, Callable[[], Figure]]] = {
+    "figure-7-4": paths,
+    "figure-7-5": distances,
+    "figure-7-6": frequency,
+}
 """As figures.DRAWINGS."""

@@ -50,9 +50,7 @@ def test_held_out_cells_are_marked_in_words() -> None:
 
 
 def test_outputs_are_shown_in_their_units_where_they_were_looked_at() -> None:
-    assert (
-        len([one for one in parts_of((held_out_section(held_out()),)) if isinstance(one, ReportTable)]) == 1
-    )  # type: ignore[arg-type]
+    assert len(tables(held_out_section(held_out()))) == 1
     found = held_out()
     found["subsets"][-1]["cells"][0] |= {
         "fit_percent": {"yaw_rate": 95.5, "heading": None},
