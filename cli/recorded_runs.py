@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -46,8 +46,8 @@ def play(args: argparse.Namespace, stack: ExitStack) -> str:
         raise Unplayable(str(error), error.status) from None
     machine = opened.machine if opened else _any_machine(opening, list(runs.values()))
 
-    def listings() -> pb.RunListings:
-        return pb.RunListings(rows=[_listing(opening, one) for one in reversed(runs.values())])
+    def listings() -> Iterator[pb.RunListing]:
+        return (_listing(opening, one) for one in reversed(runs.values()))
 
     sources = Sources(tuple(runs), lambda name, progress: opening.open(runs[name], progress), listings)
     here = machine.model_copy(update={"zenoh": Zenoh(prefix=args.prefix, listen=[free_endpoint(ANY_PORT)])})

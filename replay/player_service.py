@@ -10,7 +10,7 @@
 
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
@@ -44,12 +44,12 @@ class Sources:
     """What a player needs of its surroundings.
 
     open: a run by its name, LogError, MachineError or OSError where it cannot be played; it tells a share
-    done and a text. listings: what can be opened.
+    done and a text. listings: what can be opened, a run at a time.
     """
 
     names: Sequence[str]
     open: Callable[[str, Callable[[str, float], None]], OpenedRun]
-    listings: Callable[[], pb.RunListings]
+    listings: Callable[[], Iterator[pb.RunListing]]
 
 
 class PlayerService:
@@ -72,7 +72,11 @@ class PlayerService:
         self._overview = self._places = self._said = b""
         self._sink: ZenohSink | None = None
         self._appear(machine)
-        self._thread = threading.Thread(target=self._run, name="tilth.player", daemon=True)
+        # Threads that Zenoh starts from a daemon thread are daemons as well: one that comes back to Python
+        # while the interpreter ends would abort the process.
+        self._thread = threading.Thread(target=self._run, name="tilth.player", daemon=False)
+        self._lock = threading.Lock()
+        self._beside: list[threading.Thread] = []
 
     def start(self, opened: OpenedRun | None = None) -> None:
         """opened: what plays at once."""
@@ -84,8 +88,24 @@ class PlayerService:
         self._stop.set()
         self._thread.join()
         self._disappear()
+        with self._lock:
+            beside = list(self._beside)
+        for thread in beside:
+            thread.join()
+        while not self._came.empty():
+            if isinstance(opened := self._came.get(), OpenedRun):
+                opened.run.close()
         if self._player is not None:
             self._player.run.close()
+
+    def _start_beside(self, job: Callable[..., None], *values: object) -> None:
+        """In a thread that `close` waits for: the job looks at `_stop` now and then."""
+        thread = threading.Thread(target=job, args=values, name="tilth.beside", daemon=False)
+        with self._lock:
+            self._beside = [one for one in self._beside if one.is_alive()]
+            if not self._stop.is_set():
+                thread.start()
+                self._beside.append(thread)
 
     def _appear(self, machine: Machine) -> None:
         self._disappear()
@@ -183,7 +203,7 @@ class PlayerService:
             if number == self._loading:
                 self._came.put(opened)
 
-        threading.Thread(target=load, name="tilth.open", daemon=True).start()
+        self._start_beside(load)
 
     def _take_opened(self, opened: OpenedRun | str) -> list[Recorded]:
         self._prepared = ("", 0.0)
@@ -234,7 +254,7 @@ class PlayerService:
             case "/order":
                 self._take_order(query)
             case "/runs":  # many logs are looked into: others who ask are not to wait for it
-                threading.Thread(target=self._list, args=(query,), daemon=True).start()
+                self._start_beside(self._list, query)
             case "/overview":
                 _reply(query, self._overview, pb.Places)
             case "/places":
@@ -252,8 +272,13 @@ class PlayerService:
             _refuse(query, "too many orders at a time; try again in a second")
 
     def _list(self, query: zenoh.Query) -> None:
+        listings = pb.RunListings()
         try:
-            _reply(query, self._sources.listings().SerializeToString(), pb.RunListings)
+            for row in self._sources.listings():
+                if self._stop.is_set():
+                    return
+                listings.rows.append(row)
+            _reply(query, listings.SerializeToString(), pb.RunListings)
         except OSError as error:
             _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
 

@@ -1,5 +1,6 @@
 """A player on Zenoh: what is heard of it, and that it does what it is told. Real sessions over TCP."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -105,7 +106,7 @@ def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
                 return opening.open(runs[name], progress)
 
             rows = [listing(run) for run in runs.values()]
-            sources = Sources((*runs, "broken"), open_it, lambda: pb.RunListings(rows=rows))
+            sources = Sources((*runs, "broken"), open_it, lambda: iter(rows))
             endpoint = free_endpoint("tcp/127.0.0.1:0")
             here = MACHINE.model_copy(update={"zenoh": Zenoh(listen=[endpoint])})
             own, _, _ = open_session(here)
@@ -214,6 +215,16 @@ def test_another_run_is_opened_under_the_name_of_its_own_machine(start: Start) -
     until(lambda: alive(heard.other) == [f"tilth/{OTHER}/replay/alive"])
     assert heard.order("open", f"tilth/{OTHER}/replay", run=name_of(MACHINE.name)) == ""
     until(lambda: heard.state.run == name_of(MACHINE.name))
+
+
+def test_what_it_starts_is_waited_for_at_the_end(start: Start) -> None:
+    """A daemon thread of Zenoh's that comes back to Python while the interpreter ends aborts the process."""
+    before = set(threading.enumerate())
+    heard = start()
+    until(lambda: heard.last("pose") is not None)
+    started = set(threading.enumerate()) - before
+    assert {"tilth.player"} < {thread.name for thread in started}
+    assert [thread.name for thread in started if thread.daemon] == []
 
 
 def test_a_run_that_cannot_be_opened_is_told(start: Start) -> None:
