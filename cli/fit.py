@@ -128,7 +128,7 @@ def _show(answer: dict[str, Any]) -> None:
     console = Console()
     for run in answer["runs"]:
         told = ", ".join(run["determined"])
-        console.print(_table(run["id"], run["parameters"]))
+        console.print(_table(_title(run), run["parameters"]))
         if told:
             console.print(f"determined: {told}")
     if answer["joint"] is None:
@@ -137,6 +137,10 @@ def _show(answer: dict[str, Any]) -> None:
     if len(answer["runs"]) > 1:
         console.print(_table("all together", answer["joint"]["parameters"]))
         console.print(answer["agreement"]["sentence"])
+
+
+def _title(run: dict[str, Any]) -> str:
+    return f"{run['id']}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
 
 
 def _table(title: str, parameters: dict[str, Any]) -> RichTable:

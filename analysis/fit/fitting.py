@@ -8,6 +8,7 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
@@ -40,17 +41,18 @@ class CannotFit(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A segment of a run. log: which of the logs given it is in, from 1."""
+    """A segment of a run. log: which of the logs given it is in, from 1. number: which of all segments of its
+    run, from 1, straight rows included."""
 
     run: Run
     log: int
+    number: int
     segment: DrivenSegment
 
     @property
     def id(self) -> str:
-        """A name among all: run, kind or mark, time."""
-        what = self.segment.name or self.segment.kind
-        return f"{self.run.id} {what} {self.segment.start_s:.1f}-{self.segment.end_s:.1f} s"
+        """A name among all: run, number, mark or kind."""
+        return f"run {self.log} segment {self.number} ({self.segment.name or self.segment.kind})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +74,13 @@ def choose(
     given: (log, from 1; start, end in s of that log's run). kinds: only these. Raises CannotFit.
     """
     if given:
-        found = [_given(runs, *row) for row in given]
+        seen = Counter[int]()
+        found = []
+        for log, start_s, end_s in given:
+            seen[log] += 1
+            found.append(_given(runs, log, seen[log], start_s, end_s))
     else:
-        found = [Wanted(run, _number(runs, run), segment) for run in runs for segment in _of_run(run, kinds)]
+        found = [one for log, run in enumerate(runs, 1) for one in _of_run(run, log, kinds)]
     if not found:
         raise CannotFit(_nothing(runs, kinds))
     found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
@@ -88,25 +94,22 @@ def choose(
     return tuple(found)
 
 
-def _given(runs: Sequence[Run], log: int, start_s: float, end_s: float) -> Wanted:
+def _given(runs: Sequence[Run], log: int, number: int, start_s: float, end_s: float) -> Wanted:
     if not 1 <= log <= len(runs):
         raise CannotFit(f"--segment {log}:{start_s:g}:{end_s:g}: there are {len(runs)} runs")
     run = runs[log - 1]
     try:
-        return Wanted(run, log, segments.between(run.poses, start_s, end_s))
+        return Wanted(run, log, number, segments.between(run.poses, start_s, end_s))
     except ValueError as error:
         raise CannotFit(f"--segment {start_s:g}:{end_s:g}: {error}") from None
 
 
-def _of_run(run: Run, kinds: Sequence[str]) -> list[DrivenSegment]:
-    found = list(segments.marked(run.poses, run.marks)) or [
-        segment for segment in segments.find(run.poses) if segment.steers
+def _of_run(run: Run, log: int, kinds: Sequence[str]) -> list[Wanted]:
+    return [
+        Wanted(run, log, number, segment)
+        for number, segment in enumerate(segments.all_segments(run.poses, run.marks), 1)
+        if (segment.steers or segment.kind == segments.MARKED) and (not kinds or segment.kind in kinds)
     ]
-    return [segment for segment in found if not kinds or segment.kind in kinds]
-
-
-def _number(runs: Sequence[Run], run: Run) -> int:
-    return next(k for k, one in enumerate(runs, 1) if one is run)
 
 
 def _nothing(runs: Sequence[Run], kinds: Sequence[str]) -> str:

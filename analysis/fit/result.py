@@ -46,6 +46,7 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
     answer = {
         "id": one.id,
         "log": one.log,
+        "segment": one.number,
         "kind": one.segment.kind,
         "start_s": one.segment.start_s,
         "end_s": one.segment.end_s,

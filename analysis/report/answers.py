@@ -46,9 +46,9 @@ def answers_of(
 def _wanted(runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]]) -> tuple[Wanted, ...]:
     if any(given):
         return tuple(
-            Wanted(run, k, segment)
-            for k, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
-            for segment in rows
+            Wanted(run, log, number, segment)
+            for log, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
+            for number, segment in enumerate(rows, 1)
         )
     return choose(runs)
 
@@ -73,9 +73,7 @@ def _residuals(fitted: Fitted) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for found in residual_tests(fitted):
         for test in (found.white, found.by_wheel, found.size):
-            row = plain(test)
-            row["output"] = f"{found.segment}: {found.output}"
-            rows.append({**row, "test": type(test).__name__})
+            rows.append({**plain(test), "test": type(test).__name__})
     return [row for row in rows if row["outcome"] == "failed"] + _counted(rows)
 
 

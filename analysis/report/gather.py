@@ -17,7 +17,7 @@ from tilth.analysis.report.curves import (
 from tilth.analysis.report.document import plain
 from tilth.analysis.report.origin import origin_of
 from tilth.analysis.runs.run import MARK, RECOMMENDED, Run
-from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment, find, marked, tells
+from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment, all_segments, tells
 from tilth.analysis.runs.table import Table
 from tilth.estimator.filters import unknowns
 from tilth.schemas.flow import PARAMETERS, Mount, Status
@@ -43,7 +43,7 @@ def facts_of(run: Run, given: Sequence[DrivenSegment] = ()) -> dict[str, Any]:
     """Of one run. given: segments that are reported instead of those found."""
     run.reader.read_ahead(_TOPICS)
     poses = run.poses
-    segments = tuple(given) or marked(poses, run.marks) or find(poses)
+    segments = tuple(given) or all_segments(poses, run.marks)
     estimates = {method: run.estimates(method) for method in METHODS}
     recommended = run.estimates(RECOMMENDED)
     found: dict[str, Any] = plain({

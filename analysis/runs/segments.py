@@ -103,6 +103,11 @@ def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
     return tuple(found)
 
 
+def all_segments(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
+    """Those between operator marks, else all found. Wherever segments are numbered, it is by this order."""
+    return marked(poses, marks) or find(poses)
+
+
 def stretches(poses: Table) -> Iterator[NDArray[np.intp]]:
     """Rows of poses that follow each other, driven forward, with receivers that fit, for SHORTEST_S."""
     if not poses.rows:

@@ -10,6 +10,7 @@ import pytest
 from filled_log import filled_log
 from logs import MACHINE_FILE, messages, some_frames, write_mcap, write_with_can
 from one_recording import file_size_limit
+from small_disk import TILTH, on_a_small_disk
 
 from tilth.cli import main
 
@@ -71,7 +72,16 @@ def test_one_sentence_and_nothing_left(
     assert {*folder.rglob("*")} == before
 
 
-def test_a_full_disk_is_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("form", ["parquet", "csv", "mat"])
+def test_a_real_full_disk(folder: Path, tmp_path_factory: pytest.TempPathFactory, form: str) -> None:
+    disk = tmp_path_factory.mktemp("disk")
+    words = ["export", folder / "log.mcap", "--to", form, "--out", disk / "out"]
+    made = on_a_small_disk(disk, "16k", *TILTH, *words)
+    assert made.status == 1 and "no space left on device; nothing is left of it" in made.err, made
+    assert made.left == [] and "Traceback" not in made.err
+
+
+def test_a_file_that_may_not_grow_is_a_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with file_size_limit(5_000):
         assert main(["export", "log.mcap", "--to", "csv", "--out", "out"]) == 1
     assert "file too large; nothing is left of it" in capsys.readouterr().err and not Path("out").exists()

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from paths import ROOT
 from report_run import WrittenRun, write_run
+from small_disk import TILTH, on_a_small_disk
 
 from tilth.cli import main
 
@@ -149,13 +150,13 @@ def test_pdf_without_typst(
     assert status == 2 and re.search(r"--pdf needs typst: (uv|pip) .*report", err) and names(tmp_path) == []
 
 
-def test_a_full_disk(answer: Answer, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, data: bytes) -> int:
-        raise OSError(28, "No space left on device", str(path))
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    status, _, err = answer(log, "--out", tmp_path / "a.html")
-    assert status == 1 and "no space left on device; nothing was written" in err and names(tmp_path) == []
+@pytest.mark.parametrize("more", [[], ["--pdf"], ["--figures", "FIGURES"]])
+def test_a_full_disk(log: Path, tmp_path: Path, more: list[str]) -> None:
+    """There is room for the page of 230 kB, but not for what comes after it."""
+    options = [word.replace("FIGURES", str(tmp_path / "figures")) for word in more]
+    made = on_a_small_disk(tmp_path, "300k", *TILTH, "report", log, "--out", tmp_path / "a.html", *options)
+    assert made.status == 1 and "no space left on device; nothing was written" in made.err, made
+    assert made.left == [] and "Traceback" not in made.err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

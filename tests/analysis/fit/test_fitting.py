@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from tilth.analysis.fit import fitting
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.fit.result import as_json
 from tilth.analysis.fit.segment_fit import fit_segment
+from tilth.analysis.report.gather import facts_of
+from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.run import Run
 from tilth.logger.machine_file import read_machine
@@ -66,6 +69,19 @@ def test_what_is_kept_is_not_fitted_again(answer: dict[str, Any], monkeypatch: p
     done: list[tuple[int, int]] = []
     again = fit_all(choose([run]), cache=shared_cache(), progress=lambda *at: done.append(at))
     assert json.loads(json.dumps(as_json(again))) == answer and done == [(2, 2)]
+
+
+def test_segments_have_the_numbers_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A straight row counts, though nothing is fitted to it."""
+    (run,) = tilth.analysis.open(recorded().parts)
+    first, second = segments.find(run.poses)
+    found = (replace(first, kind=segments.ROW), second)
+    monkeypatch.setattr(segments, "find", lambda poses: found)
+    (wanted,) = choose([run])
+    row, shown = facts_of(run)["segments"]
+    assert (row["number"], row["kind"]) == (1, "row")
+    assert (shown["number"], shown["start_s"]) == (wanted.number, wanted.segment.start_s)
+    assert wanted.id == "run 1 segment 2 (step)"
 
 
 def test_marks_come_before_what_is_found() -> None:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -13,6 +12,7 @@ import pytest
 from loopback import logged_frames, numbered, records_of
 from one_recording import Recorder
 from paths import SUPPORT
+from small_disk import on_a_small_disk
 
 from tilth.logger.log.run_log import FLUSH_NS
 from tilth.logger.log.runs import stored_runs
@@ -22,21 +22,15 @@ from tilth.schemas.flow import Event
 from tilth.schemas.proto import tilth_pb2 as pb
 
 
-def on_a_small_disk(job: str, folder: Path) -> dict[str, Any]:
-    words = ["unshare", "--user", "--map-root-user", "--mount", sys.executable, str(SUPPORT / "full_disk.py")]
-    try:
-        done = subprocess.run([*words, str(folder), job], capture_output=True, text=True, check=False)
-    except FileNotFoundError:
-        pytest.skip("no unshare: util-linux is not installed")
-    if "unshare:" in done.stderr or "mount:" in done.stderr:
-        pytest.skip(f"this computer lets nobody mount a small disk: {done.stderr.strip()}")
-    assert done.returncode == 0, done.stderr
-    output: dict[str, Any] = json.loads(done.stdout)
+def recorded_while_full(job: str, folder: Path) -> dict[str, Any]:
+    done = on_a_small_disk(folder, "24m", sys.executable, SUPPORT / "full_disk.py", folder, job)
+    assert done.status == 0, done.err
+    output: dict[str, Any] = json.loads(done.out)
     return output
 
 
 def test_a_full_disk_stops_the_recording_alone_and_it_resumes(tmp_path: Path) -> None:
-    result = on_a_small_disk("resumes", tmp_path)
+    result = recorded_while_full("resumes", tmp_path)
     assert result["said"].startswith("not recording: ") and "disk" in result["said"]
     assert not result["recording while full"] and result["folded"] == 12_000
     assert result["first"] and result["last"]  # what had been written before, and all after there was room
@@ -47,7 +41,7 @@ def test_a_full_disk_stops_the_recording_alone_and_it_resumes(tmp_path: Path) ->
 
 
 def test_room_is_made_of_runs_that_are_copied_off_and_not_kept(tmp_path: Path) -> None:
-    result = on_a_small_disk("makes room", tmp_path)
+    result = recorded_while_full("makes room", tmp_path)
     assert result["left"] == ["20260101", "20260102"]
     deleted = [event for event in result["events"] if "deleted to make room: 3 MB" in event]
     assert ["20260103" in deleted[0], "20260104" in deleted[1], len(deleted)] == [True, True, 2]
