@@ -1,7 +1,7 @@
 """Fits the segments of runs side by side on all cores, keeps each result, and joins them.
 
 A segment that was fitted before, from the same log with the same machine file by the same version, is not
-fitted again: an interrupted fit goes on where it was.
+fitted again, nor are the same segments joined again: an interrupted fit goes on where it was.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from tilth.logger.log.mcap_log import machine_sha256
 from tilth.schemas.machine import Machine
 
 EARTH_M: Final = 6_371_000.0  # radius, for distances between runs
+Kept = TypeVar("Kept", SegmentFit, Linearised)
 Progress = Callable[[int, int], None]  # segments done, of all
 
 
@@ -147,7 +148,8 @@ def fit_all(
         machine = machine.model_copy(update={"estimation": estimation})
     folder = cache or cache_folder()
     names = [_name(one, methods) for one in wanted]
-    found = {k: kept for k, name in enumerate(names) if (kept := _load(folder / name)) is not None}
+    kept = [_load(folder / name, SegmentFit) for name in names]
+    found = {k: fit for k, fit in enumerate(kept) if fit is not None}
     progress(len(found), len(wanted))
     open_ones = [k for k in range(len(wanted)) if k not in found]
     for k, fit in _fit_these(machine, wanted, open_ones, methods, jobs, cache):
@@ -159,8 +161,12 @@ def fit_all(
     if not told:
         return Fitted(tuple(wanted), fits, (), None, None)
     between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
-    with side_by_side(len(told), jobs) as each:
-        linearised = linearise(machine, [fits[k] for k in told], between, each)
+    together = folder / f"{key_of(*(names[k] for k in told), *between)}.joint"
+    linearised = _load(together, Linearised)
+    if linearised is None:
+        with side_by_side(len(told), jobs) as each:
+            linearised = linearise(machine, [fits[k] for k in told], between, each)
+        _store(together, linearised)
     return Fitted(tuple(wanted), fits, told, linearised, join(machine, linearised))
 
 
@@ -220,21 +226,21 @@ def _name(one: Wanted, methods: Sequence[str]) -> str:
     return f"{key_of(*files, rig, times, *methods, pem.METHOD)}.fit"
 
 
-def _load(path: Path) -> SegmentFit | None:
+def _load(path: Path, kind: type[Kept]) -> Kept | None:
     try:
         with path.open("rb") as file:
             found = pickle.load(file)
     except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
         return None
-    return found if isinstance(found, SegmentFit) else None
+    return found if isinstance(found, kind) else None
 
 
-def _store(path: Path, fit: SegmentFit) -> None:
+def _store(path: Path, found: Kept) -> None:
     """Raises nothing: a cache that cannot be written costs time, no result."""
     unfinished = path.with_suffix(f".{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(pickle.dumps(fit))
+        unfinished.write_bytes(pickle.dumps(found))
         unfinished.replace(path)
     except OSError:
         with contextlib.suppress(OSError):

@@ -75,7 +75,7 @@ def test_one_sentence_and_nothing_left(
 @pytest.mark.parametrize("form", ["parquet", "csv", "mat"])
 def test_a_real_full_disk(folder: Path, tmp_path_factory: pytest.TempPathFactory, form: str) -> None:
     disk = tmp_path_factory.mktemp("disk")
-    words = ["export", folder / "log.mcap", "--to", form, "--out", disk / "out"]
+    words: list[str | Path] = ["export", folder / "log.mcap", "--to", form, "--out", disk / "out"]
     made = on_a_small_disk(disk, "16k", *TILTH, *words)
     assert made.status == 1 and "no space left on device; nothing is left of it" in made.err, made
     assert made.left == [] and "Traceback" not in made.err
