@@ -140,7 +140,8 @@ def _show(answer: dict[str, Any]) -> None:
 
 
 def _title(run: dict[str, Any]) -> str:
-    return f"{run['id']}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
+    what = run["name"] or run["kind"].replace("_", " ")
+    return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
 
 
 def _table(title: str, parameters: dict[str, Any]) -> RichTable:

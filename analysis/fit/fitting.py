@@ -52,8 +52,8 @@ class Wanted:
 
     @property
     def id(self) -> str:
-        """A name among all: run, number, mark or kind."""
-        return f"run {self.log} segment {self.number} ({self.segment.name or self.segment.kind})"
+        """A name among all: 2.34 is segment 34 of run 2."""
+        return f"{self.log}.{self.number}"
 
 
 @dataclass(frozen=True, slots=True)

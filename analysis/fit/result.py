@@ -48,6 +48,7 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
         "log": one.log,
         "segment": one.number,
         "kind": one.segment.kind,
+        "name": one.segment.name,
         "start_s": one.segment.start_s,
         "end_s": one.segment.end_s,
         "speed": one.segment.speed,

@@ -104,7 +104,7 @@ def _cells(subset: Mapping[str, Any], runs: Sequence[str]) -> list[ReportCell]:
 
 
 def _in_words(subsets: Sequence[Mapping[str, Any]]) -> list[Part]:
-    cells = [cell for subset in subsets for cell in subset["cells"] if cell.get("held_out")]
+    cells = [cell for subset in subsets for cell in subset["cells"] if subset["fitted"] and cell["held_out"]]
     known = [cell for cell in cells if cell.get("tractor_m") is not None]
     if not known:
         return [
@@ -114,7 +114,7 @@ def _in_words(subsets: Sequence[Mapping[str, Any]]) -> list[Part]:
     return [
         ReportText(
             f"{many(len(known), 'prediction')} of drives that were not fitted; the tractor's is at worst "
-            f"{number(worst['tractor_m'], 2, 'm')} from the driven path (run {worst['run']})."
+            f"{number(worst['tractor_m'], 2, 'm')} from the driven path (segment {worst['run']})."
         )
     ]
 

@@ -1,7 +1,7 @@
 """Figures of a run: the map, the drive over time, parameters over time, from the plain data of sections."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +32,9 @@ from tilth.schemas.spread import WITHIN, interval
 
 LEAST_ASIDE: Final = 0.25  # of a map's longer side: how narrow a map may become
 HIGHEST: Final = 4.8  # in, of a map
-MOST_LABELS: Final = 60  # of segments: more hide what they label
+MOST_LABELS: Final = 60  # of segments on a map: more hide what they label
+MOST_OVER_TIME: Final = 30
+ROW: Final = "row"  # kind of segments that do not steer
 PANELS: Final = (
     ("wheel_angle", "wheel angle, °", 180.0 / math.pi),
     ("speed", "speed, m/s", 1.0),
@@ -49,8 +51,9 @@ def path(data: Mapping[str, Any]) -> Figure:
     axes.plot(y, x, color=INK, linewidth=0.7)
     axes.plot(floats(data["implement"]["y"]), floats(data["implement"]["x"]), color=INK, linewidth=0.6,
               linestyle=(0, (3, 1.5)), alpha=0.75)  # fmt: skip
+    labelled = _labelled(data["segments"], MOST_LABELS)
     for segment in data["segments"]:
-        _path_segment(axes, segment, len(data["segments"]) <= MOST_LABELS)
+        _path_segment(axes, segment, segment["number"] in labelled)
     for event in data["events"]:
         axes.plot(event["y"], event["x"], marker="^", color=PURPLE, markeredgecolor=PAPER, markersize=6)
         _label(axes, str(event["number"]), event["y"], event["x"], PURPLE, -9)
@@ -63,6 +66,15 @@ def path(data: Mapping[str, Any]) -> Figure:
     _scale_bar(axes, limits)
     figure.legend(handles=_legend_of_map(data), loc="outside lower center", ncols=int(width / 1.2))
     return figure
+
+
+def _labelled(segments: Sequence[Mapping[str, Any]], most: int) -> set[int]:
+    """Numbers that are shown: all, else those of segments that steer, else as many of these as there is room
+    for."""
+    numbers = [segment["number"] for segment in segments]
+    if len(numbers) > most:
+        numbers = [segment["number"] for segment in segments if segment["kind"] != ROW]
+    return set(numbers[:: -(-len(numbers) // most) or 1])
 
 
 def _frame(x: Floats, y: Floats) -> tuple[float, float, tuple[tuple[float, float], tuple[float, float]]]:
@@ -141,6 +153,7 @@ def drive(data: Mapping[str, Any]) -> Figure:
     """Wheel angle, speed and articulation over time, segments shaded."""
     scale, label = time_scale(data["duration_s"])
     figure, axes = panels(3, 1, 4.6, sharex=True)
+    labelled = _labelled(data["segments"], MOST_OVER_TIME)
     for row, (panel, (name, title, factor)) in enumerate(zip(axes[:, 0], PANELS, strict=True)):
         curve = data[name]
         t = floats(curve["t_s"]) / scale
@@ -150,7 +163,7 @@ def drive(data: Mapping[str, Any]) -> Figure:
             panel.axvspan(
                 segment["start_s"] / scale, segment["end_s"] / scale, color=colour, alpha=0.13, linewidth=0
             )
-            if row == 0 and len(data["segments"]) <= MOST_LABELS:
+            if row == 0 and segment["number"] in labelled:
                 middle = (segment["start_s"] + segment["end_s"]) / 2 / scale
                 panel.text(middle, 1.02, str(segment["number"]), transform=panel.get_xaxis_transform(),
                            ha="center", va="bottom")  # fmt: skip

@@ -1,7 +1,7 @@
 """Fits of segments and of all together, and whether they agree.
 
-fit: {"runs": [{"id", "log", "start_s", "end_s", "kind", "parameters": {C_af: {"value", "sd", "status",
-"reason"}, …}, "nuisances", "log_covariance": 6 x 6 or None, "seconds"}, …], "joint": {"parameters",
+fit: {"runs": [{"id", "log", "start_s", "end_s", "kind", "name", "parameters": {C_af: {"value", "sd",
+"status", "reason"}, …}, "nuisances", "log_covariance": 6 x 6 or None, "seconds"}, …], "joint": {"parameters",
 "log_covariance", "nuisances"} or None, "agreement": {"chi2", "dof", "p", "sentence"} or None,
 "notes": [what else is to be said]}; SI.
 """
@@ -19,7 +19,7 @@ from tilth.analysis.report.document import (
 )
 from tilth.analysis.report.glance import NAMES
 from tilth.analysis.report.published import correlation_figure
-from tilth.analysis.report.wording import NOTHING, fixed, heading_of, number, parameter_cell, probability
+from tilth.analysis.report.wording import NOTHING, fixed, heading_of, parameter_cell
 from tilth.schemas.flow import PARAMETERS
 
 TOGETHER: Final = "all together"
@@ -34,7 +34,7 @@ def fit_section(
     parts: list[Part] = [ReportText(text) for text in fit.get("notes") or ()]
     agreement = fit.get("agreement")
     if agreement:
-        parts.append(ReportText(_agrees(agreement)))
+        parts.append(ReportText(str(agreement["sentence"])))
     parts += [_figure(fit, prior), _table(fit), *_reasons(fit)]
     sections = []
     joint = fit.get("joint") or {}
@@ -51,12 +51,6 @@ def _value(found: Mapping[str, Any], name: str) -> float | None:
     return value
 
 
-def _agrees(agreement: Mapping[str, Any]) -> str:
-    chi2, dof, p = (agreement.get(key) for key in ("chi2", "dof", "p"))
-    test = "" if chi2 is None else f" (χ² {number(chi2)} with {dof} degrees of freedom, p {probability(p)})"
-    return f"{agreement['sentence'].rstrip('.')}{test}."
-
-
 def _rows(fit: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """What each row is called, and its fit."""
     rows = [(str(one["id"]), one) for one in fit.get("runs") or ()]
@@ -66,19 +60,20 @@ def _rows(fit: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
 def _table(fit: Mapping[str, Any]) -> ReportTable:
     rows = []
     for name, one in _rows(fit):
-        kind = NAMES.get(one.get("kind", ""), one.get("kind", "")) or NOTHING
+        kind = one.get("name") or NAMES.get(one.get("kind", ""), one.get("kind", "")) or NOTHING
         start, end = one.get("start_s"), one.get("end_s")
-        log = one.get("log")
         rows.append((
             ReportCell(name),
-            ReportCell(NOTHING if log is None else str(log), log if isinstance(log, int) else None),
             ReportCell(fixed(start, 1), start),
             ReportCell(fixed(end, 1), end),
             ReportCell(kind),
             *(parameter_cell(parameter, one["parameters"].get(parameter)) for parameter in PARAMETERS),
         ))  # fmt: skip
-    columns = ("fitted to", "log", "from, s", "to, s", "kind", *map(heading_of, PARAMETERS))
-    caption = "Fits by segment and of all together, with 95 % intervals; a status where there is no number."
+    columns = ("segment", "from, s", "to, s", "kind", *map(heading_of, PARAMETERS))
+    caption = (
+        "Fits by segment and of all together, with 95 % intervals; a status where there is no number. "
+        "Segment 2.34 is number 34 of run 2."
+    )
     return ReportTable("fit-table", caption, columns, tuple(rows))
 
 

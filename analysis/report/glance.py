@@ -131,8 +131,8 @@ def _map(run: Mapping[str, Any], id: str) -> ReportSection:
     figure = ReportFigure(
         f"{id}-path", "path",
         "Paths of the centres of gravity of tractor (line) and implement (dashed). Segments are wide, "
-        "coloured by kind and numbered as in the table of segments; triangles are events, diamonds "
-        "changes of soil.",
+        "coloured by kind and numbered, as far as there is room, as in the table of segments; triangles are "
+        "events, diamonds changes of soil.",
         described, path | {"events": places, "soil_changes": changes},
     )  # fmt: skip
     return ReportSection(f"{id}-map", "Map", (figure,))
@@ -147,7 +147,7 @@ def _drive(run: Mapping[str, Any], id: str) -> ReportSection:
     figure = ReportFigure(
         f"{id}-drive", "drive",
         "Wheel angle, speed and articulation over the time of the run, with 95 % bands as far as they are "
-        "wider than the line. Segments are shaded and numbered.",
+        "wider than the line. Segments are shaded and numbered as far as there is room.",
         described, run["curves"]["drive"] | {"segments": segments, "duration_s": run["duration_s"]},
     )  # fmt: skip
     return ReportSection(f"{id}-driving", "Steering and speed", (figure,))

@@ -97,7 +97,7 @@ def residual_tests(fitted: Fitted) -> tuple[ResidualTests, ...]:
         machine, fit = fitted.wanted[k].run.machine, fitted.fits[k]
         for output, e, S, dt, wheel in _innovations(machine, fit.windows, fit.mean):
             z, id = e / np.sqrt(S), fitted.wanted[k].id
-            what = f"{output} in {id}"
+            what = f"{output} in segment {id}"
             white = residuals.whiteness(z, dt, what)
             by_wheel = residuals.input_independence(z, wheel, dt, what)
             found.append(ResidualTests(id, output, white, by_wheel, residuals.innovation_size(e, S, what)))

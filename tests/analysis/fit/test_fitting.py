@@ -82,12 +82,12 @@ def test_segments_have_the_numbers_of_the_report(monkeypatch: pytest.MonkeyPatch
     row, shown = facts_of(run)["segments"]
     assert (row["number"], row["kind"]) == (1, "row")
     assert (shown["number"], shown["start_s"]) == (wanted.number, pytest.approx(wanted.segment.start_s))
-    assert wanted.id == "run 1 segment 2 (step)"
+    assert wanted.id == "1.2"
 
 
 def test_marks_come_before_what_is_found() -> None:
     (wanted,) = choose([replayed()])
-    assert wanted.segment.name == "west step" and "west step" in wanted.id
+    assert wanted.segment.name == "west step" and wanted.id == "1.1"
     assert wanted.segment.start_s == pytest.approx(MARKS[0][0], abs=0.01)
     (given,) = choose([replayed()], [(1, 10.0, 20.0)])
     assert (given.segment.start_s, given.segment.end_s) == (10.0, 20.0)

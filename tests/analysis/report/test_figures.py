@@ -122,3 +122,26 @@ def test_a_logarithmic_axis_has_a_few_plain_numbers(low: float, high: float) -> 
     plain_ticks(axes.xaxis)
     labels = [label.get_text() for label in axes.get_xticklabels()]
     assert 2 <= len(labels) <= 12 and all(low <= float(label) <= high for label in labels)
+
+
+@pytest.mark.parametrize(
+    ("count", "on_map", "over_time"),
+    [
+        (4, range(1, 5), range(1, 5)),
+        (40, range(1, 41), range(2, 41, 2)),
+        (102, range(2, 103, 2), range(2, 103, 4)),
+    ],
+)
+def test_segments_that_steer_have_numbers_first(
+    all_figures: dict[str, ReportFigure], count: int, on_map: range, over_time: range
+) -> None:
+    kinds = ("row", "headland_turn")
+    segments = [
+        {"number": k, "kind": kinds[(k - 1) % 2], "start_s": k, "end_s": k + 1, "x": [k, k + 1], "y": [0, 0]}
+        for k in range(1, count + 1)
+    ]
+    for kind, expected in (("path", on_map), ("drive", over_time)):
+        data = all_figures[kind].data | {"segments": segments, "events": []}
+        figure = drawn(ReportFigure("a", kind, "", "", data))
+        texts = [text.get_text() for axes in figure.axes[:1] for text in axes.texts]
+        assert [int(text) for text in texts if text.isdigit()] == list(expected)

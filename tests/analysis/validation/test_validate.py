@@ -26,7 +26,7 @@ def test_residuals_of_each_segment_and_output(fitted: Fitted) -> None:
     assert sum(row.by_wheel.outcome == "failed" for row in found) <= len(found) // 4
     for row in found:
         told = (row.white.sentence, row.by_wheel.sentence, row.size.sentence)
-        assert all(f"{row.output} in {row.segment}" in sentence for sentence in told)
+        assert all(f"{row.output} in segment {row.segment}" in sentence for sentence in told)
 
 
 def test_the_estimate_is_nearer_to_the_measured_response_than_the_machine_file(fitted: Fitted) -> None:
