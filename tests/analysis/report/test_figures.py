@@ -141,7 +141,7 @@ def test_segments_that_steer_have_numbers_first(
         for k in range(1, count + 1)
     ]
     for kind, expected in (("path", on_map), ("drive", over_time)):
-        data = all_figures[kind].data | {"segments": segments, "events": []}
+        data = {**all_figures[kind].data, "segments": segments, "events": []}
         figure = drawn(ReportFigure("a", kind, "", "", data))
         texts = [text.get_text() for axes in figure.axes[:1] for text in axes.texts]
         assert [int(text) for text in texts if text.isdigit()] == list(expected)
