@@ -43,6 +43,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("mavlink", "send the parameters to a MAVLink autopilot"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),
     ("sensitivity", "say which parameters of a rig matter, for what"),
+    ("uncertainty", "say how well the outputs of a rig are known, and by what"),
     ("monitor", "show a running daemon in a browser"),
     ("foxglove", "show a running daemon in Foxglove or Lichtblick"),
 )
@@ -108,6 +109,8 @@ def _started(program: str, environment: Mapping[str, str]) -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in argv (without the program's name; sys.argv where None). Returns the exit status."""
+    # Matrices are small here: threads that share one wait for each other, and processes stand side by side.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there
     words = list(sys.argv[1:] if argv is None else argv)
     started_as(_started(sys.argv[0], os.environ), [sys.executable, "-P", "-m", "tilth.cli.background"])
     parser = _Parser(

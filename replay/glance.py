@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import Metadata
 
-from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
+from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, times_of, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
 from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.survey import messages_in
@@ -66,6 +66,19 @@ def glance(path: Path) -> Glance:
             return _by_index(reader)
         except DAMAGE:
             return Glance(FileState.NO_LOG)
+
+
+def brief(path: Path) -> Glance:
+    """State and times alone, of a whole log of gigabytes in milliseconds. Raises OSError."""
+    with path.open("rb") as file:
+        try:
+            times = times_of(file, path.stat().st_size)
+            file.seek(0)
+            if times is None or "tilth" not in make_reader(file).get_header().library:
+                return glance(path)
+        except DAMAGE:
+            return glance(path)
+    return Glance(FileState.WHOLE, *times)
 
 
 def _by_index(reader: McapReader) -> Glance:

@@ -16,15 +16,14 @@ from typing import Final
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
 from tilth.analysis.runs.reading import ChannelReader, RunClock, topics_of
 from tilth.analysis.runs.table import Table, joined
-from tilth.logger.log.mcap_file import DAMAGE, MAGIC, body_of, walk
-from tilth.replay.glance import FileState, glance
+from tilth.logger.log.mcap_file import DAMAGE, MAGIC, metadata_bodies
+from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.replay.readers.rig import machine_in
@@ -246,7 +245,7 @@ def holds_poses(path: Path) -> bool:
 
 def _read_file(path: Path) -> LogFile:
     """Raises OSError, ForeignLog."""
-    found = glance(path)
+    found = brief(path)
     if found.state is FileState.NO_LOG:
         raise ForeignLog(f"{path}: no log of tilth")
     whole = found.state is FileState.WHOLE
@@ -257,11 +256,9 @@ def _metadata(path: Path) -> dict[str, dict[str, str]]:
     """Metadata records by name: of several the first, but of the clock the last."""
     found: dict[str, dict[str, str]] = {}
     with path.open("rb") as file:
-        for place in walk(file, path.stat().st_size):
-            if place.opcode != Opcode.METADATA:
-                continue
+        for body in metadata_bodies(file, path.stat().st_size):
             try:
-                record = Metadata.read(ReadDataStream(io.BytesIO(body_of(file, place))))
+                record = Metadata.read(ReadDataStream(io.BytesIO(body)))
             except DAMAGE:
                 continue
             if record.name == "clock":

@@ -8,6 +8,7 @@ Equations 6.10 and 6.11 are summed over the samples, which are STEP_S apart.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -208,19 +209,43 @@ def measured(case: Case, reference: Response, change: Response) -> Array:
     Velocities, articulation and cross-track error: root mean square over root mean square. Places: distance
     of the end points over the radius of the turn. Headings, steady values: change over value.
     """
-    radius = case.speed / abs(reference.velocities[-1, 1])
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.abs(deviations(reference, change))
-        whole = {
-            **dict(zip(_VELOCITIES, root_mean_square(reference.velocities), strict=True)),
-            "psi_t": abs(reference.headings[0]),
-            "psi_i": abs(reference.headings[1]),
-            "position": radius,
-            "implement_position": radius,
-            **dict(zip(_STEADY, np.abs(reference.steady), strict=True)),
-            "cross_track": root_mean_square(reference.track),
-        }
-        return np.asarray(size / np.array([whole[name] for name in NAMES]), dtype=np.float64)
+        return np.asarray(size / sizes(case, reference), dtype=np.float64)
+
+
+def sizes(case: Case, reference: Response) -> Array:
+    """What changes are shares of: the denominators of 6.16, SI, (len(OUTPUTS),)."""
+    radius = case.speed / abs(reference.velocities[-1, 1])
+    whole = {
+        **dict(zip(_VELOCITIES, root_mean_square(reference.velocities), strict=True)),
+        "psi_t": abs(reference.headings[0]),
+        "psi_i": abs(reference.headings[1]),
+        "position": radius,
+        "implement_position": radius,
+        **dict(zip(_STEADY, np.abs(reference.steady), strict=True)),
+        "cross_track": root_mean_square(reference.track),
+    }
+    return np.array([whole[name] for name in NAMES])
+
+
+def products(changes: Sequence[Response]) -> Array:
+    """Products of small changes by output, (len(OUTPUTS), k, k): what covariances of parameters are weighted
+    with. Of curves the mean over the samples, of places the inner product."""
+    curves = np.stack([np.column_stack([change.velocities, change.track]) for change in changes])
+    ends = np.stack([np.concatenate([change.headings, change.steady]) for change in changes])
+    place, implement = (
+        np.stack([getattr(change, name) for change in changes]) for name in ("place", "implement_place")
+    )
+    of_curves = np.einsum("jno,kno->ojk", curves, curves) / curves.shape[1]
+    of_ends = np.einsum("jo,ko->ojk", ends, ends)
+    found = {
+        **dict(zip((*_VELOCITIES, "cross_track"), of_curves, strict=True)),
+        **dict(zip(("psi_t", "psi_i", *_STEADY), of_ends, strict=True)),
+        "position": place @ place.T,
+        "implement_position": implement @ implement.T,
+    }
+    return np.stack([found[name] for name in NAMES])
 
 
 def deviations(reference: Response, change: Response) -> Array:

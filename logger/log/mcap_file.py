@@ -6,7 +6,7 @@ and reports cuts and zeros as four unlike errors.
 
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk
+from mcap.records import Chunk, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
@@ -78,16 +78,45 @@ def is_finished(file: BinaryIO, size: int) -> bool:
     return head == end[FOOTER_SIZE:] == MAGIC and HEAD.unpack_from(end) == (Opcode.FOOTER, 20)
 
 
-def summarised(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """(opcode, body) of the schemas and channels that the summary at the end of a whole file repeats; none of
-    another. mcap's own reader keeps the index of chunks too, kilobytes for each. Raises OSError."""
+def summarised(
+    file: BinaryIO, size: int, wanted: Container[int] = (Opcode.SCHEMA, Opcode.CHANNEL)
+) -> Iterator[tuple[int, bytes]]:
+    """(opcode, body) of the wanted records of the summary at the end of a whole file; none of another. mcap's
+    own reader keeps the index of chunks too, kilobytes for each. Raises OSError."""
     if not is_finished(file, size):
         return
     file.seek(size - len(MAGIC) - FOOTER_SIZE + HEAD.size)
     start = int.from_bytes(file.read(8), "little")
     for place in walk(file, size, start) if len(MAGIC) <= start < size else ():
-        if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        if place.opcode in wanted:
             yield place.opcode, body_of(file, place)
+
+
+def metadata_bodies(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Of a whole file's metadata records by their index, of another's by reading through it. Raises
+    OSError."""
+    summary = list(summarised(file, size, (Opcode.STATISTICS, Opcode.METADATA_INDEX)))
+    count = next((_statistics(body).metadata_count for code, body in summary if code == Opcode.STATISTICS), 0)
+    starts = [int.from_bytes(body[:8], "little") for code, body in summary if code == Opcode.METADATA_INDEX]
+    places = [place_at(file, start, size) for start in starts]
+    if not count or len(places) != count or any(p is None or p.opcode != Opcode.METADATA for p in places):
+        places = [place for place in walk(file, size) if place.opcode == Opcode.METADATA]
+    for place in places:
+        if place is not None:
+            yield body_of(file, place)
+
+
+def times_of(file: BinaryIO, size: int) -> tuple[int, int] | None:
+    """(first, last) log time of a whole file's messages, ns; None of another. Raises OSError."""
+    for _, body in summarised(file, size, (Opcode.STATISTICS,)):
+        found = _statistics(body)
+        return found.message_start_time, found.message_end_time
+    return None
+
+
+def _statistics(body: bytes) -> Statistics:
+    found: Statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
+    return found
 
 
 def unpacked(body: bytes) -> bytes:

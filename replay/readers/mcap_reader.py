@@ -13,7 +13,17 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, summarised, unpacked, walk
+from tilth.logger.log.mcap_file import (
+    DAMAGE,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    body_of,
+    metadata_bodies,
+    summarised,
+    unpacked,
+    walk,
+)
 from tilth.logger.log.mcap_log import CAN_TOPIC, SNAPSHOT_TOPIC
 from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged, OpenLog, Record
 from tilth.schemas.flow import Frame
@@ -104,7 +114,7 @@ def records(log: OpenLog) -> Iterator[Record]:
 def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
     """The first metadata record of each name, as far as the file is whole."""
     found: dict[str, dict[str, str]] = {}
-    for _, body in framed(log, {Opcode.METADATA}):
+    for body in metadata_bodies(log.file, log.size):
         try:
             record = Metadata.read(ReadDataStream(io.BytesIO(body)))
         except DAMAGE:

@@ -1,0 +1,251 @@
+"""`tilth uncertainty`: how well outputs of a rig are known, and what of that each parameter costs."""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from tilth.analysis.rig_report import SPEED_RANGE
+from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
+from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP_S
+from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
+from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
+from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
+from tilth.cli import WrongUse, say_unusual
+from tilth.cli.desk_options import between, check_name, check_out, made_by, names, share, write_report
+from tilth.estimator.models.family import MODELS, model_named
+from tilth.logger.log.mcap_log import machine_sha256
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+from tilth.schemas.invocation import command
+from tilth.schemas.machine import Machine
+
+FEWEST_DRAWS = 100
+_UNITS = {output.name: output.unit for output in OUTPUTS}
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "uncertainty",
+        help="say how well the outputs of a rig are known",
+        description="Say how well each output of a rig is known, with what is known of its parameters, and "
+        "which parameter costs how much of that. The wheels turn by 10 degrees.",
+    )
+    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--from",
+        dest="log",
+        type=Path,
+        metavar="LOG",
+        help="what the log's last estimates know, with their correlations, instead of the machine file",
+    )
+    source.add_argument(
+        "--sd",
+        action="append",
+        default=[],
+        metavar="NAME=SD",
+        help="only this is not known, so well: a share (C_af=10%%) or in SI units; again for more",
+    )
+    parser.add_argument(
+        "--correlation",
+        action="append",
+        default=[],
+        metavar="A,B=R",
+        help="of two that --sd names, from -1 to 1; again for more",
+    )
+    parser.add_argument(
+        "--want",
+        action="append",
+        default=[],
+        metavar="OUTPUT=HALF",
+        help="half of the 95 %% interval that is wanted of an output (off_tracking=0.04, r_t=5%%): says how "
+        "well each parameter must be known for it; again for more",
+    )
+    parser.add_argument(
+        "--speed",
+        action="append",
+        type=between(*SPEED_RANGE, "m/s"),
+        metavar="M/S",
+        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
+    )
+    parser.add_argument(
+        "--model",
+        action="append",
+        choices=[model.name for model in MODELS],
+        help="may be given several times (relaxation)",
+    )
+    parser.add_argument(
+        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=between(2 * STEP_S, LONGEST * STEP_S, "s"),
+        metavar="N",
+        help="of simulation (twice the settling time)",
+    )
+    parser.add_argument(
+        "--draws",
+        type=_draws,
+        default=DRAWS,
+        metavar="N",
+        help=f"rigs that are drawn at each speed ({DRAWS})",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
+    )
+
+
+def _draws(text: str) -> int:
+    if not text.isdecimal() or int(text) < FEWEST_DRAWS:
+        raise argparse.ArgumentTypeError(f"{text}: give a whole number from {FEWEST_DRAWS} up")
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where the rig is unstable at some of the speeds, or the log cannot be read."""
+    check_out(args.out)
+    machine, text = read_machine(args.machine)
+    say_unusual("uncertainty", machine)
+    try:
+        known = _known(args, of_machine(machine), (machine, text))
+        if not known.names:
+            raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
+        answer: dict[str, Any] = {
+            "machine": machine.machine.name, **uncertainty_answer(known, _question(args))
+        }  # fmt: skip
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    for one in answer["refused"]:
+        _say(one["reason"])
+    if args.json:
+        print(json.dumps(answer, allow_nan=False))
+    elif args.out is None:
+        _show(answer)
+    status = 1 if answer["refused"] else 0
+    if args.out is not None:
+        data = {
+            **answer,
+            "command": command("uncertainty", *_words(args)),
+            "made": made_by(machine, text),
+        }
+        status = max(status, write_report("uncertainty", uncertainty_report, data, args.out))
+    return status
+
+
+def _known(args: argparse.Namespace, base: Knowledge, machine: tuple[Machine, str]) -> Knowledge:
+    """Raises WrongUse, ValueError, LogError, OSError."""
+    if args.correlation and not args.sd:
+        raise WrongUse("--correlation needs --sd of both parameters")
+    if args.log is not None:
+        return of_run(_run_of(args.log, machine))
+    if not args.sd:
+        return base
+    sds = {}
+    for name, value, relative in _pairs("--sd", args.sd, MACHINE_PARAMETERS):
+        one = value if relative else value / getattr(base.rig, name)
+        sds[name] = math.sqrt(math.log1p(one**2))
+    return given(base, sds, [_correlation(text, sds) for text in args.correlation])
+
+
+def _run_of(log: Path, machine: tuple[Machine, str]) -> Run:
+    """The last run of a log, with its estimates by that machine file. Raises LogError, OSError."""
+    *_, run = open_runs([log], say=_say)
+    if machine_sha256(run.machine, run.machine_text) != machine_sha256(*machine):
+        _say(f"{log} was made with another machine file; it is replayed with {machine[0].machine.name}")
+        *_, run = open_runs([log], machine=machine, say=_say)
+    return run
+
+
+def _pairs(option: str, texts: Sequence[str], known: Sequence[str]) -> list[tuple[str, float, bool]]:
+    """(name, number, whether it was in per cent) of NAME=NUMBER."""
+    found = []
+    for text in texts:
+        name, _, number = text.partition("=")
+        check_name(option, name, known)
+        try:
+            found.append((name, share(number), number.endswith("%")))
+        except ValueError:
+            raise WrongUse(
+                f"{option} {text}: give NAME=NUMBER or NAME=NUMBER%, a number above zero"
+            ) from None
+    return found
+
+
+def _correlation(text: str, sds: Mapping[str, float]) -> tuple[str, str, float]:
+    both, _, number = text.partition("=")
+    one, _, other = both.partition(",")
+    for name in (one, other):
+        check_name("--correlation", name, sds)
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not -1.0 < value < 1.0 or one == other:
+        raise WrongUse(f"--correlation {text}: give A,B=R with two names and R between -1 and 1")
+    return one, other, value
+
+
+def _question(args: argparse.Namespace) -> UncertaintyQuestion:
+    speeds = tuple(dict.fromkeys(args.speed or SPEEDS))
+    wanted = {}
+    for name, value, relative in _pairs("--want", args.want, NAMES):
+        if relative == bool(_UNITS[name]):
+            how = f"in {_UNITS[name]}" if _UNITS[name] else "in per cent (5%)"
+            raise WrongUse(f"--want {name}: give it {how}")
+        wanted[name] = value
+    return UncertaintyQuestion(
+        tuple(model_named(name) for name in dict.fromkeys(args.model or ["relaxation"])),
+        speeds,
+        (args.seconds,) * len(speeds),
+        names("--outputs", args.outputs, NAMES),
+        wanted,
+        args.draws,
+    )
+
+
+def _words(args: argparse.Namespace) -> list[str]:
+    """The command line, as it would be given again."""
+    words = [str(args.machine)]
+    if args.log is not None:
+        words += ["--from", str(args.log)]
+    for option in ("sd", "correlation", "want", "speed", "model", "outputs"):
+        for value in getattr(args, option) or []:
+            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    if args.seconds is not None:
+        words += ["--seconds", f"{args.seconds:g}"]
+    return [*words, "--draws", str(args.draws), "--out", str(args.out)]
+
+
+def _show(answer: Mapping[str, Any]) -> None:
+    console = Console(highlight=False)
+    console.print(f"{answer['machine']}, with what {answer['source']} knows, after the wheels turned by 10°")
+    for entry in answer["speeds"]:
+        title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"
+        table = RichTable(title=title, title_justify="left")
+        for heading in ("", "known to, 95 %", "first order", "of that variance"):
+            table.add_column(heading, overflow="fold")
+        for name, output in entry["outputs"].items():
+            first = known_to(output["first_order"], output["unit"])
+            table.add_row(name, known_to(output["half"], output["unit"]), first, causes(output))
+        console.print(table)
+        if entry["unstable_share"] > 0:
+            console.print(f"{100 * entry['unstable_share']:.1f} % of the rigs drawn are unstable, left out.")
+        for name, output in entry["outputs"].items():
+            if "wanted" in output:
+                console.print(in_words(name, output, answer["parameters"]))
+
+
+def _say(text: str) -> None:
+    print(f"tilth uncertainty: {text}", file=sys.stderr)
