@@ -104,7 +104,9 @@ def test_a_log_of_another_machine_file_is_replayed(
     """Here one without any frame that tells something."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = write_run(tmp_path / "a.mcap")
-    status, _, err = answer(MACHINE, "--from", log, *QUICK)
+    machine = tmp_path / "machine.toml"
+    machine.write_text(MACHINE_TEXT.replace("a = 1.7", "a = 1.75"), encoding="utf-8")
+    status, _, err = answer(machine, "--from", log, *QUICK)
     assert status == 2 and "made with another machine file; it is replayed with jd7930-parker500" in err
 
 
