@@ -23,9 +23,11 @@ from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.cli import WrongUse, say_unusual
 from tilth.cli.desk_options import between, check_out, made_by, names, write_report
+from tilth.cli.sensitivity_global import add_answers, add_global, design_of, show_global
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
 from tilth.schemas.invocation import command
 
 STEPS = ("1%", "exact")
@@ -73,6 +75,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="N",
         help="of simulation; once for all speeds, or once for each (twice the settling time)",
     )
+    add_global(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     parser.add_argument(
         "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
@@ -83,6 +86,11 @@ def run(args: argparse.Namespace) -> int:
     """1 where the rig is unstable at some of the speeds."""
     question = question_of(args)
     check_out(args.out)
+    try:
+        design = design_of(args)
+    except LogError as error:
+        _say(str(error))
+        return error.status
     machine, text = read_machine(args.machine)
     say_unusual("sensitivity", machine)
     rig = rig_of(machine)
@@ -92,7 +100,17 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:
         _say(one["reason"])
-    # What samples the whole box joins `answer` here, for each entry of "speeds".
+    if design is not None:
+        try:
+            add_answers(answer, rig, design, args.workers)
+        except PermissionError:
+            raise
+        except OSError as error:
+            _say(
+                f"{error.filename or 'results'}: {(error.strerror or str(error)).lower()}; what was done "
+                "is kept"
+            )
+            return 1
     if args.json:
         print(json.dumps(answer, allow_nan=False))
     elif args.out is None:
@@ -154,6 +172,10 @@ def _words(args: argparse.Namespace) -> list[str]:
     for option in ("speed", "model", "outputs", "parameters", "seconds"):
         for value in getattr(args, option) or []:
             words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    if args.over_all:
+        words += ["--global", *(["--points", str(args.points)] if args.points else [])]
+        words += [word for text in args.box for word in ("--box", text)]
+        words += ["--from", str(args.log)] if args.log else []
     return [*words, "--step", args.step, "--out", str(args.out)]
 
 
@@ -170,6 +192,8 @@ def _show(answer: Mapping[str, Any]) -> None:
         others = [name for name in entry["outputs"] if name not in SIX]
         for start in range(0, len(others), ACROSS):
             console.print(_table("", entry["local"], others[start : start + ACROSS]))
+        if "global" in entry:
+            show_global(console, entry)
 
 
 def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTable:

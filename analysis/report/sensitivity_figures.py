@@ -158,11 +158,47 @@ def growth(data: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def spreads(data: Mapping[str, Any]) -> Figure:
+    """Of each parameter the middle 90 % of its sensitivities, their median and their mean."""
+    rows = data["ranges"]
+    figure, axes = panels(1, 1, 0.8 + 2 * ROW * len(rows))
+    panel = axes[0, 0]
+    for k, row in enumerate(reversed(rows)):
+        panel.plot([row["low"], row["high"]], [k, k], color=BLUE, linewidth=1.4)
+        panel.plot(row["median"], k, "o", color=BLUE, markersize=4, label="median" if k == 0 else "")
+        if row["mean"] is not None:
+            panel.plot(row["mean"], k, "D", color=VERMILLION, markersize=4, label="mean" if k == 0 else "")
+    panel.set(xscale="log", xlabel=data["label"], yticks=range(len(rows)))
+    panel.set_yticklabels([row["name"] for row in reversed(rows)])
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+def unstable(data: Mapping[str, Any]) -> Figure:
+    """Share of rigs that are unstable over the part of each parameter's range."""
+    shown = data["panels"]
+    across, down = _grid(len(shown))
+    figure, axes = panels(down, across, 1.6 * down)
+    top = max((max(floats(one["shares"])) for one in shown), default=0.0)
+    for panel, one in zip(axes.flat, shown, strict=False):
+        shares = floats(one["shares"])
+        panel.bar(np.arange(1, len(shares) + 1), shares, color=VERMILLION)
+        panel.set(title=one["title"], ylim=(0.0, 1.1 * top or 1.0), xticks=[1, len(shares)])
+        panel.set_xticklabels([one["low"], one["high"]])
+    for panel in axes.flat[len(shown) :]:
+        panel.set_visible(False)
+    for panel in axes[:, 0]:
+        panel.set_ylabel("unstable, %")
+    return figure
+
+
 SENSITIVITY_DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "dots": dots,
     "changed": changed,
     "slopes": slopes,
     "distributions": distributions,
+    "spreads": spreads,
+    "unstable": unstable,
     "growth": growth,
 }
 """By the kind of a figure."""

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,77 @@ def log_normal(median: Sequence[float], log_covariance: Array, seed: int, start:
         raise ValueError("the covariance is not positive definite; give one that is") from None
     drawn = _by_block(seed, start, stop, len(root), normal=True)
     return np.asarray(np.array(median) * np.exp(drawn @ root.T))
+
+
+class Grid(NamedTuple):
+    """All points of a grid over a box."""
+
+    box: ParameterBox
+    levels: int = LEVELS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.box.names
+
+    @property
+    def size(self) -> int:
+        """Points."""
+        return grid_size(self.box, self.levels)
+
+    def points(self, start: int, stop: int) -> Array:
+        """Those from start to stop - 1, (n, k)."""
+        return grid(self.box, start, stop, self.levels)
+
+    def levels_of(self, start: int, stop: int) -> NDArray[np.int64]:
+        """In which part of its range each parameter of these points lies, (n, k)."""
+        return grid_levels(self.box, start, stop, self.levels)
+
+
+class Uniform(NamedTuple):
+    """Random points of a box, each as likely as another."""
+
+    box: ParameterBox
+    size: int
+    seed: int = 1
+    levels: int = LEVELS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.box.names
+
+    def points(self, start: int, stop: int) -> Array:
+        """Those from start to stop - 1, (n, k)."""
+        return uniform(self.box, self.seed, start, stop)
+
+    def levels_of(self, start: int, stop: int) -> NDArray[np.int64]:
+        """In which part of its range each parameter of these points lies, (n, k)."""
+        low, high = np.array(self.box.low), np.array(self.box.high)
+        parts = (self.points(start, stop) - low) / (high - low) * self.levels
+        return np.clip(parts.astype(np.int64), 0, self.levels - 1)
+
+
+class LogNormal(NamedTuple):
+    """Random points as a covariance of logarithms has them; a level holds as many as another."""
+
+    names: tuple[str, ...]
+    median: tuple[float, ...]
+    log_covariance: tuple[tuple[float, ...], ...]
+    size: int
+    seed: int = 1
+    levels: int = LEVELS
+
+    def points(self, start: int, stop: int) -> Array:
+        """Those from start to stop - 1, (n, k)."""
+        return log_normal(self.median, np.array(self.log_covariance), self.seed, start, stop)
+
+    def levels_of(self, start: int, stop: int) -> NDArray[np.int64]:
+        """In which part of its distribution each parameter of these points lies, (n, k)."""
+        sds = np.sqrt(np.diag(np.array(self.log_covariance)))
+        scores = np.log(self.points(start, stop) / np.array(self.median)) / sds
+        return np.clip((ndtr(scores) * self.levels).astype(np.int64), 0, self.levels - 1)
+
+
+Design = Grid | Uniform | LogNormal
 
 
 def _by_block(seed: int, start: int, stop: int, k: int, *, normal: bool) -> Array:

@@ -15,6 +15,7 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.analysis.report.wording import NOTHING, fixed, listed
+from tilth.analysis.sensitivity.global_page import global_section
 from tilth.analysis.sensitivity.local_answer import BY, OVERALL
 from tilth.analysis.sensitivity.outputs import OUTPUTS, SIX
 from tilth.estimator.models.parameters import RIG_PARAMETERS
@@ -41,6 +42,7 @@ def local_report(data: Mapping[str, Any]) -> DriveReport:
     "frequency" as local_answer.py makes them; "made": versions and the machine file's sum."""
     models = list(dict.fromkeys(entry["model"] for entry in data["speeds"]))
     sections = [_short(data)]
+    sections += [global_section(data, entry) for entry in data["speeds"] if "global" in entry]
     for model in models:
         entries = [entry for entry in data["speeds"] if entry["model"] == model]
         title = "Local sensitivities" + (f", {model} model" if len(models) > 1 else "")

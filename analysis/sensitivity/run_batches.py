@@ -1,8 +1,8 @@
 """The dissertation's global measure (Karkee 2009, 6.2.2.2), in batches that are kept on disk.
 
-At each point of the grid of table 6.2 the overall sensitivity to each parameter (6.17) is computed as at the
-nominal point. Each finished batch is a file: who is interrupted begins again with what is not there. Points
-whose answer grows without end are counted and kept apart.
+At each point of a design (the dissertation's: the grid of table 6.2) the overall sensitivity to each
+parameter (6.17) is computed as at the nominal point. Each finished batch is a file: who is interrupted begins
+again with what is not there. Points whose answer grows without end are counted and kept apart.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tilth.analysis.sensitivity import accumulators
 from tilth.analysis.sensitivity.accumulators import Kept, mean, quantile, spread
-from tilth.analysis.sensitivity.designs import LEVELS, ParameterBox, checked, grid, grid_levels, grid_size
+from tilth.analysis.sensitivity.designs import Design, LogNormal, checked
 from tilth.analysis.sensitivity.local import SHARE
 from tilth.analysis.sensitivity.outputs import STEP_S, STILL, WHEEL_ANGLE
 from tilth.estimator.models.family import model_named
@@ -37,18 +37,12 @@ class GlobalPlan(NamedTuple):
     rig: Rig
     speed: float  # m/s
     seconds: float
-    box: ParameterBox
-    levels: int = LEVELS
+    design: Design
 
     @property
     def samples(self) -> int:
         """Of a simulation."""
         return round(self.seconds / STEP_S)
-
-    @property
-    def points(self) -> int:
-        """Of the grid."""
-        return grid_size(self.box, self.levels)
 
     @property
     def batch(self) -> int:
@@ -66,29 +60,34 @@ class Part(NamedTuple):
 
 def part_of(plan: GlobalPlan, start: int, stop: int) -> Part:
     """Of the points start to stop - 1."""
-    columns = np.array([FIELDS.index(name) for name in plan.box.names])
+    columns = np.array([FIELDS.index(name) for name in plan.design.names])
     rigs = np.tile(
         np.array([getattr(plan.rig, name) for name in FIELDS], dtype=np.float64), (stop - start, 1)
     )
-    rigs[:, columns] = grid(plan.box, start, stop, plan.levels)
+    rigs[:, columns] = plan.design.points(start, stop)
     a, b = packed_systems(model_named(plan.model), plan.rig, rigs, columns, SHARE, plan.speed)
     shares = np.zeros((stop - start, len(columns), 6))
     step_changes(a, b, WHEEL_ANGLE, plan.speed, plan.samples, STEP_S, shares)
     overall = shares.mean(axis=2) / SHARE
     grows = growth(a[:, 0]) > STILL
-    levels = grid_levels(plan.box, start, stop, plan.levels)[grows]
-    unstable = np.stack([np.bincount(column, minlength=plan.levels) for column in levels.T])
+    levels = plan.design.levels_of(start, stop)[grows]
+    unstable = np.stack([np.bincount(column, minlength=plan.design.levels) for column in levels.T])
     return Part(accumulators.of(overall), accumulators.of(overall[~grows]), unstable)
 
 
 def run(
     plan: GlobalPlan, folder: Path, *, workers: int, progress: Done = lambda done, of: None
 ) -> tuple[Part, int]:
-    """(of the whole grid, batches that were there already). Raises OSError, ValueError."""
-    checked(plan.box)
+    """(of all points, batches that were there already). Raises OSError, ValueError."""
+    design = plan.design
+    if not isinstance(design, LogNormal):
+        checked(design.box)
+    missing_fields = [name for name in design.names if name not in FIELDS]
+    if missing_fields:
+        raise ValueError(f"{', '.join(missing_fields)}: no parameter of the linear models")
     kept = folder / hashlib.sha256(repr((MADE_WITH, plan, LANE_SAMPLES)).encode()).hexdigest()[:16]
     kept.mkdir(parents=True, exist_ok=True)
-    starts = range(0, plan.points, plan.batch)
+    starts = range(0, plan.design.size, plan.batch)
     files = [kept / f"{start}.npz" for start in starts]
     missing = [start for start, file in zip(starts, files, strict=True) if not file.exists()]
     already = len(files) - len(missing)
@@ -119,7 +118,7 @@ def run(
 
 
 def _end(plan: GlobalPlan, start: int) -> int:
-    return min(start + plan.batch, plan.points)
+    return min(start + plan.batch, plan.design.size)
 
 
 def _keep(plan: GlobalPlan, start: int, stop: int, folder: Path) -> None:
@@ -146,14 +145,14 @@ def global_answer(plan: GlobalPlan, part: Part) -> dict[str, Any]:
     count = int(part.unstable[0].sum())
     return {
         "speed": plan.speed,
-        "points": plan.points,
-        "simulations": plan.points * (len(plan.box.names) + 1),
-        "unstable_share": count / plan.points,
+        "points": plan.design.size,
+        "simulations": plan.design.size * (len(plan.design.names) + 1),
+        "unstable_share": count / plan.design.size,
         "global": _numbers(plan, part.every),
         "global_stable": _numbers(plan, part.stable),
         "unstable_by_level": {
-            name: (row / (plan.points / plan.levels)).tolist()
-            for name, row in zip(plan.box.names, part.unstable, strict=True)
+            name: (row / (plan.design.size / plan.design.levels)).tolist()
+            for name, row in zip(plan.design.names, part.unstable, strict=True)
         },
         "unstable_where": _where(plan, part),
     }
@@ -169,7 +168,7 @@ def _numbers(plan: GlobalPlan, kept: Kept) -> dict[str, Any]:
     }
     return {
         name: {key: _or_none(float(values[k])) for key, values in columns.items()}
-        for k, name in enumerate(plan.box.names)
+        for k, name in enumerate(plan.design.names)
     }
 
 
@@ -183,7 +182,7 @@ def _where(plan: GlobalPlan, part: Part) -> str:
     if not total:
         return "no point of the box is unstable"
     said = []
-    for name, row in zip(plan.box.names, part.unstable, strict=True):
+    for name, row in zip(plan.design.names, part.unstable, strict=True):
         if max(row[0], row[-1]) >= 2 * min(row[0], row[-1]):
             said.append(f"{name} {'high' if row[-1] > row[0] else 'low'}")
     return f"unstable: {', '.join(said)}" if said else "unstable points lie all over the box"

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from paths import ROOT
+from report_run import write_run
 
 from tilth.analysis.report.document import ReportFigure
 from tilth.analysis.report.figures import svg
@@ -149,10 +150,14 @@ def test_every_figure_is_drawn_the_same_each_time(kind: str) -> None:
         "lines": [{"name": "C_af", "gain": [0.1, 0.2], "phase": [0.0, -0.1]}],
         "edges": [-1.0, 0.0, 1.0], "counts": [3.0, 4.0], "first_order_sd": 0.5,
         "model": [0.1, 0.3], "first_order": [0.1, 0.2],
+        "shares": [0.0, 3.0], "low": "1", "high": "2",
     }  # fmt: skip
     for count in (1, 4, 5):
-        data = {"rows": ["v", "r_t"], "panels": [panel] * count, "label": "%", "name": "C_af",
-                "omega": [0.1, 1.0], "factors": [1.0, 2.0]}  # fmt: skip
+        data = {
+            "rows": ["v", "r_t"], "panels": [panel] * count, "label": "%", "name": "C_af",
+            "omega": [0.1, 1.0], "factors": [1.0, 2.0],
+            "ranges": [{"name": "C_af", "low": 0.1, "high": 1.0, "median": 0.3, "mean": None}],
+        }  # fmt: skip
         figure = ReportFigure("one", kind, "caption", "description", data)
         text = svg(figure)
         assert text == svg(figure)
@@ -185,11 +190,49 @@ def test_a_speed_at_which_it_is_unstable_is_left_out_and_told(answer: Answer, tm
         (["--step", "2%"], "invalid choice"),
         (["--out", "a.pdf"], "give a name that ends in .html"),
         (["--out", "nowhere/a.html"], "there is no such folder"),
+        (["--points", "500"], "--points needs --global"),
+        (["--global", "--points", "5"], "from 100 up"),
+        (["--global", "--box", "C_af=2"], "give NAME=LOW:HIGH"),
+        (["--global", "--box", "C_af=0:2"], "give a range above zero"),
+        (["--global", "--box", "Caf=1:2"], 'did you mean "C_af"'),
+        (["--global", "--box", "C_af=1e5:2e5", "--from", "a.mcap"], "give one of them"),
+        (["--global", "--from", "none.mcap"], "none.mcap"),
+        (["--global", "--workers", "0"], "from 1 up"),
+        (["--global", "--points", "100", "--model", "kinematic", "--speed", "1"], "take the dynamic"),
     ],
 )
 def test_wrong_use(answer: Answer, words: list[str], told: str) -> None:
     status, out, err = answer(MACHINE, *words)
     assert status == 2 and out == "" and told in err and err.count("\n") == 1
+
+
+def test_over_many_rigs(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box at a speed at which a part of it is unstable; by the table, JSON and page."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = (MACHINE, "--speed", 7.5, "--seconds", 1, "--outputs", "r_t", "--global", "--points", 200)
+    box = ("--box", "C_af=100e3:400e3", "--box", "C_ar=60e3:900e3")
+    status, out, _ = answer(*words, *box, "--workers", 1, "--json", "--out", tmp_path / "a.html")
+    (entry,) = json.loads(out, parse_constant=pytest.fail)["speeds"]
+    assert status == 0 and set(entry["global"]) == {"C_af", "C_ar"} and entry["points"] == 200
+    assert 0 < entry["unstable_share"] < 1 and "C_ar low" in entry["unstable_where"]
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "200 random rigs of the box" in page and "relaxation-global-7-5-unstable" in page
+    status, out, _ = answer(*words, *box, "--workers", 1)
+    assert status == 0 and "of the rigs are unstable" in out
+
+
+def test_rigs_by_the_covariance_of_a_log(
+    answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    log = write_run(tmp_path / "a.mcap")
+    words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 200, "--workers", 1, "--json")
+    status, out, _ = answer(MACHINE, *words, "--from", log)
+    said = json.loads(out, parse_constant=pytest.fail)
+    (entry,) = said["speeds"]
+    assert status == 0 and "covariance" in said["design"]["what"] and entry["unstable_share"] == 0.0
+    local = entry["local"]["C_af"]["overall"]
+    assert entry["global"]["C_af"]["median"] == pytest.approx(local, rel=0.3)
 
 
 def test_a_report_is_never_overwritten(answer: Answer, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tilth.analysis.sensitivity import run_batches
 from tilth.analysis.sensitivity.accumulators import mean
-from tilth.analysis.sensitivity.designs import DISSERTATION, grid
+from tilth.analysis.sensitivity.designs import DISSERTATION, Grid, LogNormal, Uniform, grid
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import Unstable
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, global_answer, part_of, run
@@ -15,7 +15,7 @@ from tilth.analysis.sensitivity.slopes import VARIED
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
-PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 0.5, DISSERTATION, levels=2)  # 256 points
+PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 0.5, Grid(DISSERTATION, 2))  # 256 points
 
 
 def _same(a: Part, b: Part) -> None:
@@ -68,7 +68,7 @@ def test_the_answer_is_the_mean_of_the_local_ones() -> None:
 
 
 def test_the_answer_names_the_side_that_is_unstable() -> None:
-    answer = global_answer(PLAN, part_of(PLAN, 0, PLAN.points))
+    answer = global_answer(PLAN, part_of(PLAN, 0, PLAN.design.size))
     assert 0 < answer["unstable_share"] < 0.5
     assert "C_af high" in answer["unstable_where"] and "C_ar low" in answer["unstable_where"]
     for row in answer["global"].values():
@@ -83,3 +83,26 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: py
     with pytest.raises(OSError, match="No space"):
         run(PLAN._replace(seconds=0.05), tmp_path, workers=1)
     assert not list(tmp_path.rglob("*.npz"))
+
+
+NARROW = LogNormal(("C_af", "C_ar"), (220e3, 486e3), ((0.04, 0.01), (0.01, 0.09)), 300)
+
+
+@pytest.mark.parametrize("design", [Uniform(DISSERTATION, 300), NARROW])
+def test_random_points(design: Uniform | LogNormal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same from one batch and from several; every point is in a level."""
+    plan = PLAN._replace(design=design, seconds=0.2)
+    whole = part_of(plan, 0, 300)
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 20 * 128)
+    parts, _ = run(plan, tmp_path, workers=1)
+    np.testing.assert_array_equal(parts.every.bins, whole.every.bins)
+    np.testing.assert_allclose(mean(parts.every), mean(whole.every), rtol=1e-12)
+    levels = design.levels_of(0, 300)
+    assert levels.min() == 0 and levels.max() == design.levels - 1
+    assert np.all(np.abs(np.bincount(levels[:, 0]) - 60) < 25)
+
+
+def test_what_no_linear_model_has_is_refused(tmp_path: Path) -> None:
+    design = NARROW._replace(names=("C_af", "h_t"))
+    with pytest.raises(ValueError, match="h_t: no parameter of the linear models"):
+        run(PLAN._replace(design=design), tmp_path, workers=1)

@@ -1,0 +1,99 @@
+"""The sections of a report that tell of sensitivities over many rigs: Karkee (2009), figure 6.10."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from tilth.analysis.report.document import (
+    Part,
+    ReportCell,
+    ReportFigure,
+    ReportSection,
+    ReportTable,
+    ReportText,
+)
+from tilth.analysis.report.wording import NOTHING, number
+
+COLUMNS = ("mean", "median", "q05", "q95")
+
+
+def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportSection:
+    """data: of the whole report, with "design". entry: of "speeds", with the keys of `global_answer`."""
+    key = f"{entry['model']}-global-{entry['speed']:g}".replace(".", "-")
+    design = data["design"]
+    parts: list[Part] = [
+        ReportText(
+            f"The mean of six outputs' sensitivities, as at one point, over {design['what']}: "
+            f"{entry['simulations']} simulations of {entry['seconds']:.3g} s."
+        ),
+        ReportText(
+            f"Of these rigs {100 * entry['unstable_share']:.2g} % are unstable; {entry['unstable_where']}."
+        ),
+        _table(entry, key),
+        _spreads(entry, key),
+    ]
+    if entry["unstable_share"] > 0:
+        parts.append(_unstable(design, entry, key))
+    title = f"Over many rigs, {entry['speed']:g} m/s, {entry['model']} model"
+    return ReportSection(key, title, tuple(parts))
+
+
+def _table(entry: Mapping[str, Any], key: str) -> ReportTable:
+    rows = tuple(
+        (
+            ReportCell(name),
+            *(_cell(row[column]) for column in COLUMNS),
+            *(_cell(entry["global_stable"][name][column]) for column in ("mean", "median")),
+        )
+        for name, row in _sorted(entry)
+    )
+    caption = (
+        "% of the motion for each % of the parameter. A few rigs near instability can make a mean; the "
+        "median does not mind them. The last two columns are of stable rigs alone."
+    )
+    columns = ("", "mean", "median", "5 % below", "95 % below", "mean, stable", "median, stable")
+    return ReportTable(f"{key}-table", caption, columns, rows)
+
+
+def _sorted(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    return sorted(entry["global"].items(), key=lambda pair: -(pair[1]["median"] or 0.0))
+
+
+def _cell(value: float | None) -> ReportCell:
+    return ReportCell(NOTHING) if value is None else ReportCell(number(value, 3), value)
+
+
+def _spreads(entry: Mapping[str, Any], key: str) -> ReportFigure:
+    rows = [
+        {"name": name, "low": row["q05"], "high": row["q95"], "median": row["median"], "mean": row["mean"]}
+        for name, row in _sorted(entry)
+        if row["median"]
+    ]
+    return ReportFigure(
+        f"{key}-spreads",
+        "spreads",
+        "Sensitivities over all rigs: the middle 90 %, median and mean.",
+        f"{len(rows)} ranges; the table above has their numbers.",
+        {"ranges": rows, "label": "% of the motion for 1 % of the parameter"},
+    )
+
+
+def _unstable(design: Mapping[str, Any], entry: Mapping[str, Any], key: str) -> ReportFigure:
+    lows = design.get("low") or [None] * len(design["names"])
+    highs = design.get("high") or [None] * len(design["names"])
+    panels = [
+        {
+            "title": name,
+            "shares": [100 * share for share in entry["unstable_by_level"][name]],
+            "low": "low" if low is None else f"{low:g}",
+            "high": "high" if high is None else f"{high:g}",
+        }
+        for name, low, high in zip(design["names"], lows, highs, strict=True)
+    ]
+    return ReportFigure(
+        f"{key}-unstable",
+        "unstable",
+        "Share of rigs that are unstable in each part of a parameter's range, from its lower end to its "
+        "upper, SI.",
+        f"{len(panels)} panels of bars; {entry['unstable_where']}.",
+        {"panels": panels},
+    )

@@ -1,0 +1,190 @@
+"""What `tilth sensitivity --global` adds: sensitivities over many rigs, with progress and the time left."""
+
+import argparse
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as RichTable
+
+from tilth.analysis.runs.kept import cache_folder
+from tilth.analysis.runs.run import open_runs
+from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
+from tilth.analysis.sensitivity.knowledge import of_run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, global_answer, run
+from tilth.cli import WrongUse
+from tilth.cli.desk_options import check_name
+from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.step_responses import FIELDS
+
+FEWEST: Final = 100  # points
+
+
+def add_global(parser: argparse.ArgumentParser) -> None:
+    """The options of a global analysis."""
+    parser.add_argument(
+        "--global",
+        dest="over_all",
+        action="store_true",
+        help="also over many rigs: the grid of 390,625 of the dissertation's table 6.2, minutes a speed; "
+        "what is interrupted goes on where it was",
+    )
+    parser.add_argument(
+        "--points",
+        type=_points,
+        metavar="N",
+        help="with --global: so many random rigs of the box instead of the grid",
+    )
+    parser.add_argument(
+        "--box",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="with --global: only these vary, between these, SI; again for more",
+    )
+    parser.add_argument(
+        "--from",
+        dest="log",
+        type=Path,
+        metavar="LOG",
+        help="with --global: rigs as the log's last estimates and their covariance have them",
+    )
+    parser.add_argument(
+        "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
+    )
+
+
+def _points(text: str) -> int:
+    if not text.isdecimal() or int(text) < FEWEST:
+        raise argparse.ArgumentTypeError(f"{text}: give a whole number from {FEWEST} up")
+    return int(text)
+
+
+def _workers(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
+    return int(text)
+
+
+def design_of(args: argparse.Namespace) -> Design | None:
+    """None without --global. Raises WrongUse, LogError, OSError."""
+    if not args.over_all:
+        for option, value in (("--points", args.points), ("--box", args.box), ("--from", args.log)):
+            if value:
+                raise WrongUse(f"{option} needs --global")
+        return None
+    if args.log is not None:
+        if args.box:
+            raise WrongUse("--box and --from: give one of them")
+        *_, last = open_runs([args.log], say=_say)
+        try:
+            known = of_run(last)
+        except ValueError as error:
+            raise WrongUse(str(error)) from None
+        rows = [k for k, name in enumerate(known.names) if name in FIELDS]
+        covariance = known.log_covariance[np.ix_(rows, rows)]
+        return LogNormal(
+            tuple(known.names[k] for k in rows),
+            tuple(known.median[rows].tolist()),
+            tuple(map(tuple, covariance.tolist())),
+            args.points or 10_000,
+        )
+    box = _box(args.box) if args.box else DISSERTATION
+    return Uniform(box, args.points) if args.points else Grid(box)
+
+
+def _box(texts: list[str]) -> ParameterBox:
+    ranges: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, _, both = text.partition("=")
+        check_name("--box", name, FIELDS)
+        try:
+            low, high = (float(part) for part in both.split(":"))
+        except ValueError:
+            raise WrongUse(f"--box {text}: give NAME=LOW:HIGH, SI units") from None
+        if not 0.0 < low < high < math.inf:
+            raise WrongUse(f"--box {text}: give a range above zero, the lower end first")
+        ranges[name] = (low, high)
+    lows, highs = zip(*ranges.values(), strict=True)
+    return ParameterBox(tuple(ranges), lows, highs)
+
+
+def add_answers(answer: dict[str, Any], rig: Rig, design: Design, workers: int | None) -> None:
+    """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
+    answer["design"] = described(design)
+    with ExitStack() as stack:
+        bar = _bar(stack)
+        for entry in answer["speeds"]:
+            plan = GlobalPlan(entry["model"], rig, entry["speed"], entry["seconds"], design)
+            shown = bar(f"{entry['speed']:g} m/s")
+            try:
+                part, _ = run(
+                    plan,
+                    cache_folder() / "sensitivity",
+                    workers=workers or os.cpu_count() or 1,
+                    progress=shown,
+                )
+            except ValueError as error:
+                raise WrongUse(str(error)) from None
+            entry |= global_answer(plan, part)
+
+
+def described(design: Design) -> dict[str, Any]:
+    """For JSON and people: what rigs these are."""
+    if isinstance(design, LogNormal):
+        what = f"{design.size} random rigs, by the covariance of a log's estimates"
+        return {"what": what, "names": list(design.names), "points": design.size}
+    what = (
+        f"a grid of {design.levels} values of each of {len(design.names)} parameters"
+        if isinstance(design, Grid)
+        else f"{design.size} random rigs of the box"
+    )
+    return {
+        "what": what,
+        "names": list(design.names),
+        "points": design.size,
+        "low": list(design.box.low),
+        "high": list(design.box.high),
+    }
+
+
+def _bar(stack: ExitStack) -> Callable[[str], Callable[[int, int], None]]:
+    if not sys.stderr.isatty():
+        return lambda what: lambda done, of: None
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"))
+    bar = stack.enter_context(
+        Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    )
+
+    def of(what: str) -> Callable[[int, int], None]:
+        task = bar.add_task(what, total=None)
+        return lambda done, of: bar.update(task, completed=done, total=of)
+
+    return of
+
+
+def show_global(console: Console, entry: Mapping[str, Any]) -> None:
+    """To a terminal."""
+    title = f"over {entry['points']} rigs at {entry['speed']:g} m/s, {entry['model']} model"
+    table = RichTable(title=title, title_justify="left")
+    for heading in ("", "mean", "median", "5 %", "95 %", "mean of stable ones"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, row in sorted(entry["global"].items(), key=lambda pair: -(pair[1]["median"] or 0.0)):
+        values = [row[key] for key in ("mean", "median", "q05", "q95")]
+        values.append(entry["global_stable"][name]["mean"])
+        table.add_row(name, *("–" if value is None else f"{value:.3g}" for value in values))
+    console.print(table)
+    console.print(
+        f"{100 * entry['unstable_share']:.2g} % of the rigs are unstable; {entry['unstable_where']}."
+    )
+
+
+def _say(text: str) -> None:
+    print(f"tilth sensitivity: {text}", file=sys.stderr)
