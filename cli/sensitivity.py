@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         _say(one["reason"])
     if design is not None:
         try:
-            add_answers(answer, rig, design, args.workers)
+            add_answers(answer, rig, design, args.workers, indices=args.indices)
         except PermissionError:
             raise
         except OSError as error:
@@ -176,6 +176,7 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--global", *(["--points", str(args.points)] if args.points else [])]
         words += [word for text in args.box for word in ("--box", text)]
         words += ["--from", str(args.log)] if args.log else []
+        words += ["--indices"] if args.indices else []
     return [*words, "--step", args.step, "--out", str(args.out)]
 
 

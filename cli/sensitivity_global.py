@@ -17,6 +17,8 @@ from rich.table import Table as RichTable
 from tilth.analysis.runs.kept import cache_folder
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
+from tilth.analysis.sensitivity.global_page import with_interval
+from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, global_answer, run
 from tilth.cli import WrongUse
@@ -57,6 +59,12 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         help="with --global: rigs as the log's last estimates and their covariance have them",
     )
     parser.add_argument(
+        "--indices",
+        action="store_true",
+        help="with --global: also each output's Sobol' indices with intervals, Morris's effects and bounds "
+        "by derivatives, over the same rigs",
+    )
+    parser.add_argument(
         "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
     )
 
@@ -76,7 +84,10 @@ def _workers(text: str) -> int:
 def design_of(args: argparse.Namespace) -> Design | None:
     """None without --global. Raises WrongUse, LogError, OSError."""
     if not args.over_all:
-        for option, value in (("--points", args.points), ("--box", args.box), ("--from", args.log)):
+        given = {
+            "--points": args.points, "--box": args.box, "--from": args.log, "--indices": args.indices
+        }  # fmt: skip
+        for option, value in given.items():
             if value:
                 raise WrongUse(f"{option} needs --global")
         return None
@@ -116,7 +127,9 @@ def _box(texts: list[str]) -> ParameterBox:
     return ParameterBox(tuple(ranges), lows, highs)
 
 
-def add_answers(answer: dict[str, Any], rig: Rig, design: Design, workers: int | None) -> None:
+def add_answers(
+    answer: dict[str, Any], rig: Rig, design: Design, workers: int | None, *, indices: bool = False
+) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
     answer["design"] = described(design)
     with ExitStack() as stack:
@@ -131,9 +144,13 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, workers: int |
                     workers=workers or os.cpu_count() or 1,
                     progress=shown,
                 )
+                entry |= global_answer(plan, part)
+                if indices:
+                    entry["indices"] = indices_answer(
+                        entry["model"], rig, entry["speed"], entry["seconds"], design, entry["outputs"]
+                    )
             except ValueError as error:
                 raise WrongUse(str(error)) from None
-            entry |= global_answer(plan, part)
 
 
 def described(design: Design) -> dict[str, Any]:
@@ -181,9 +198,27 @@ def show_global(console: Console, entry: Mapping[str, Any]) -> None:
         values.append(entry["global_stable"][name]["mean"])
         table.add_row(name, *("–" if value is None else f"{value:.3g}" for value in values))
     console.print(table)
+    for output, rows in entry.get("indices", {}).get("outputs", {}).items():
+        console.print(_indices_table(output, rows))
     console.print(
         f"{100 * entry['unstable_share']:.2g} % of the rigs are unstable; {entry['unstable_where']}."
     )
+
+
+def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
+    table = RichTable(title=f"what makes the variance of {output}", title_justify="left")
+    for heading in ("", "Sobol', first order", "Sobol', total", "Morris", "bound by derivatives"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, row in sorted(rows.items(), key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0)):
+        effects = row["morris"]
+        table.add_row(
+            name,
+            with_interval(row["sobol_first"]),
+            with_interval(row["sobol_total"]),
+            "–" if effects is None else f"{effects['size']:.3g}",
+            "–" if row["dgsm_bound"] is None else f"{row['dgsm_bound']:.3g}",
+        )
+    return table
 
 
 def _say(text: str) -> None:

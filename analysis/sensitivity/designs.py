@@ -126,7 +126,7 @@ class Uniform(NamedTuple):
         """In which part of its range each parameter of these points lies, (n, k)."""
         low, high = np.array(self.box.low), np.array(self.box.high)
         parts = (self.points(start, stop) - low) / (high - low) * self.levels
-        return np.clip(parts.astype(np.int64), 0, self.levels - 1)
+        return _whole(parts, self.levels)
 
 
 class LogNormal(NamedTuple):
@@ -147,10 +147,14 @@ class LogNormal(NamedTuple):
         """In which part of its distribution each parameter of these points lies, (n, k)."""
         sds = np.sqrt(np.diag(np.array(self.log_covariance)))
         scores = np.log(self.points(start, stop) / np.array(self.median)) / sds
-        return np.clip((ndtr(scores) * self.levels).astype(np.int64), 0, self.levels - 1)
+        return _whole(ndtr(scores) * self.levels, self.levels)
 
 
 Design = Grid | Uniform | LogNormal
+
+
+def _whole(parts: Array, levels: int) -> NDArray[np.int64]:
+    return np.clip(parts.astype(np.int64), 0, levels - 1).astype(np.int64)
 
 
 def _by_block(seed: int, start: int, stop: int, k: int, *, normal: bool) -> Array:

@@ -33,6 +33,8 @@ def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportS
     ]
     if entry["unstable_share"] > 0:
         parts.append(_unstable(design, entry, key))
+    if "indices" in entry:
+        parts += _indices(entry["indices"], key)
     title = f"Over many rigs, {entry['speed']:g} m/s, {entry['model']} model"
     return ReportSection(key, title, tuple(parts))
 
@@ -75,6 +77,46 @@ def _spreads(entry: Mapping[str, Any], key: str) -> ReportFigure:
         f"{len(rows)} ranges; the table above has their numbers.",
         {"ranges": rows, "label": "% of the motion for 1 % of the parameter"},
     )
+
+
+def with_interval(found: Mapping[str, float | None]) -> str:
+    """An index and its 95 % interval."""
+    value, low, high = (found[key] for key in ("value", "low", "high"))
+    if value is None or low is None or high is None:
+        return NOTHING
+    return f"{value:.2f} ± {(high - low) / 2:.2f}"
+
+
+def _indices(found: Mapping[str, Any], key: str) -> list[Part]:
+    """A table of each output."""
+    parts: list[Part] = []
+    if found["lost"] > 0:
+        parts.append(
+            ReportText(
+                f"For the indices {100 * found['lost']:.1f} % of the points were left out: they, or one that "
+                "they are compared with, are of an unstable rig. The indices are of the stable rest."
+            )
+        )
+    for output, rows in found["outputs"].items():
+        cells = tuple(
+            (
+                ReportCell(name),
+                ReportCell(with_interval(row["sobol_first"]), row["sobol_first"]["value"]),
+                ReportCell(with_interval(row["sobol_total"]), row["sobol_total"]["value"]),
+                _cell(None if row["morris"] is None else row["morris"]["size"]),
+                _cell(None if row["morris"] is None else row["morris"]["spread"]),
+                _cell(row["dgsm_bound"]),
+            )
+            for name, row in sorted(rows.items(), key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0))
+        )
+        caption = (
+            f"What makes the variance of {output}: the share of each parameter alone (Sobol', first order), "
+            "with all it does together with others (total), 95 % intervals; Morris's elementary effects over "
+            "the whole range, and the bound of the total index by derivatives."
+        )
+        columns = ("", "first order", "total", "Morris, size", "Morris, spread", "bound by derivatives")
+        parts.append(ReportTable(f"{key}-indices-{output}", caption, columns, cells))
+    return parts
 
 
 def _unstable(design: Mapping[str, Any], entry: Mapping[str, Any], key: str) -> ReportFigure:

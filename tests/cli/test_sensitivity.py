@@ -191,6 +191,7 @@ def test_a_speed_at_which_it_is_unstable_is_left_out_and_told(answer: Answer, tm
         (["--out", "a.pdf"], "give a name that ends in .html"),
         (["--out", "nowhere/a.html"], "there is no such folder"),
         (["--points", "500"], "--points needs --global"),
+        (["--indices"], "--indices needs --global"),
         (["--global", "--points", "5"], "from 100 up"),
         (["--global", "--box", "C_af=2"], "give NAME=LOW:HIGH"),
         (["--global", "--box", "C_af=0:2"], "give a range above zero"),
@@ -217,8 +218,8 @@ def test_over_many_rigs(answer: Answer, tmp_path: Path, monkeypatch: pytest.Monk
     assert 0 < entry["unstable_share"] < 1 and "C_ar low" in entry["unstable_where"]
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "200 random rigs of the box" in page and "relaxation-global-7-5-unstable" in page
-    status, out, _ = answer(*words, *box, "--workers", 1)
-    assert status == 0 and "of the rigs are unstable" in out
+    status, out, _ = answer(*words, *box, "--workers", 1, "--indices")
+    assert status == 0 and "of the rigs are unstable" in out and "what makes the variance of r_t" in out
 
 
 def test_rigs_by_the_covariance_of_a_log(
@@ -227,12 +228,15 @@ def test_rigs_by_the_covariance_of_a_log(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = write_run(tmp_path / "a.mcap")
     words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 200, "--workers", 1, "--json")
-    status, out, _ = answer(MACHINE, *words, "--from", log)
+    status, out, _ = answer(MACHINE, *words, "--from", log, "--outputs", "off_tracking", "--indices")
     said = json.loads(out, parse_constant=pytest.fail)
     (entry,) = said["speeds"]
     assert status == 0 and "covariance" in said["design"]["what"] and entry["unstable_share"] == 0.0
     local = entry["local"]["C_af"]["overall"]
     assert entry["global"]["C_af"]["median"] == pytest.approx(local, rel=0.3)
+    rows = entry["indices"]["outputs"]["off_tracking"]
+    assert rows["C_ai"]["sobol_total"]["low"] > 0.1 and rows["sigma_f"]["sobol_total"]["high"] < 0.05
+    assert rows["C_ai"]["morris"] is None and entry["indices"]["lost"] == 0.0
 
 
 def test_a_report_is_never_overwritten(answer: Answer, tmp_path: Path) -> None:
