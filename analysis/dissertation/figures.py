@@ -1,5 +1,5 @@
-"""Figures 3.6, 3.7 and 5.3 to 5.10 of the dissertation, drawn anew, and the table of all. Call them within
-plots.look()."""
+"""Figures 3.6, 3.7, 5.3 to 5.10, 6.8 and 6.10 of the dissertation, drawn anew, and the table of all.
+Call them within plots.look()."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from tilth.analysis import plots
-from tilth.analysis.dissertation import closed_loop, field_figures, open_loop
+from tilth.analysis.dissertation import chapter6, closed_loop, field_figures, open_loop
 from tilth.analysis.dissertation.closed_loop import HEADING, OFFSET, WIRINGS, ClosedLoopRun
 from tilth.analysis.rig_report import LINEAR
 from tilth.estimator.models.actuator import BOSSERD
@@ -189,6 +189,8 @@ DRAWINGS: Mapping[str, Callable[[], Figure]] = {
     "figure-5-8": settling_and_damping,
     "figure-5-9": tracking_errors,
     "figure-5-10": heading_errors,
+    "figure-6-8": chapter6.overall_bars,
+    "figure-6-10": chapter6.global_bars,
     **field_figures.DRAWINGS,
 }
 """Name of the file, without its suffix -> what draws it."""
