@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         _say(one["reason"])
     if design is not None:
         try:
-            add_answers(answer, rig, design, args.workers, indices=args.indices)
+            add_answers(answer, rig, design, args)
         except PermissionError:
             raise
         except OSError as error:
@@ -177,6 +177,7 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += [word for text in args.box for word in ("--box", text)]
         words += ["--from", str(args.log)] if args.log else []
         words += ["--indices"] if args.indices else []
+        words += ["--dask", args.dask] if args.dask else []
     return [*words, "--step", args.step, "--out", str(args.out)]
 
 

@@ -16,11 +16,12 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.runs.kept import cache_folder
 from tilth.analysis.runs.run import open_runs
+from tilth.analysis.sensitivity.dask_batches import DaskProblem, on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
 from tilth.analysis.sensitivity.global_page import with_interval
 from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, global_answer, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, global_answer, here, run
 from tilth.cli import WrongUse
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
@@ -65,6 +66,11 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         "by derivatives, over the same rigs",
     )
     parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="with --global: on the workers of a Dask scheduler, such as tcp://host:8786",
+    )
+    parser.add_argument(
         "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
     )
 
@@ -85,7 +91,8 @@ def design_of(args: argparse.Namespace) -> Design | None:
     """None without --global. Raises WrongUse, LogError, OSError."""
     if not args.over_all:
         given = {
-            "--points": args.points, "--box": args.box, "--from": args.log, "--indices": args.indices
+            "--points": args.points, "--box": args.box, "--from": args.log, "--indices": args.indices,
+            "--dask": args.dask,
         }  # fmt: skip
         for option, value in given.items():
             if value:
@@ -127,10 +134,9 @@ def _box(texts: list[str]) -> ParameterBox:
     return ParameterBox(tuple(ranges), lows, highs)
 
 
-def add_answers(
-    answer: dict[str, Any], rig: Rig, design: Design, workers: int | None, *, indices: bool = False
-) -> None:
+def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
+    parts = on_dask(args.dask) if args.dask else here(args.workers or os.cpu_count() or 1)
     answer["design"] = described(design)
     with ExitStack() as stack:
         bar = _bar(stack)
@@ -138,18 +144,13 @@ def add_answers(
             plan = GlobalPlan(entry["model"], rig, entry["speed"], entry["seconds"], design)
             shown = bar(f"{entry['speed']:g} m/s")
             try:
-                part, _ = run(
-                    plan,
-                    cache_folder() / "sensitivity",
-                    workers=workers or os.cpu_count() or 1,
-                    progress=shown,
-                )
+                part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
                 entry |= global_answer(plan, part)
-                if indices:
+                if args.indices:
                     entry["indices"] = indices_answer(
                         entry["model"], rig, entry["speed"], entry["seconds"], design, entry["outputs"]
                     )
-            except ValueError as error:
+            except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
 
 

@@ -7,8 +7,10 @@ again with what is not there. Points whose answer grows without end are counted 
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -75,10 +77,34 @@ def part_of(plan: GlobalPlan, start: int, stop: int) -> Part:
     return Part(accumulators.of(overall), accumulators.of(overall[~grows]), unstable)
 
 
+Parts = Callable[[GlobalPlan, Sequence[int]], Generator[tuple[int, Part], None, None]]
+"""Of a plan and where its batches start: (start, its part) of each, as they are ready."""
+
+
+def here(workers: int) -> Parts:
+    """By so many processes of this computer."""
+    return partial(_here, workers)
+
+
+def _here(workers: int, plan: GlobalPlan, starts: Sequence[int]) -> Generator[tuple[int, Part], None, None]:
+    if workers == 1:
+        for start in starts:
+            yield start, part_of(plan, start, end_of(plan, start))
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        waiting = {pool.submit(part_of, plan, start, end_of(plan, start)): start for start in starts}
+        try:
+            for future in as_completed(waiting):
+                yield waiting.pop(future), future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
 def run(
-    plan: GlobalPlan, folder: Path, *, workers: int, progress: Done = lambda done, of: None
+    plan: GlobalPlan, folder: Path, parts: Parts, *, progress: Done = lambda done, of: None
 ) -> tuple[Part, int]:
-    """(of all points, batches that were there already). Raises OSError, ValueError."""
+    """(of all points, batches that were there already). Raises OSError, ValueError, and what `parts` does."""
     design = plan.design
     if not isinstance(design, LogNormal):
         checked(design.box)
@@ -92,20 +118,10 @@ def run(
     missing = [start for start, file in zip(starts, files, strict=True) if not file.exists()]
     already = len(files) - len(missing)
     progress(already, len(files))
-    if missing and workers == 1:
-        for done, start in enumerate(missing, already + 1):
-            _keep(plan, start, _end(plan, start), kept)
+    with closing(parts(plan, missing)) as found:
+        for done, (start, part) in enumerate(found, already + 1):
+            _keep(part, start, kept)
             progress(done, len(files))
-    elif missing:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            waiting = [pool.submit(_keep, plan, start, _end(plan, start), kept) for start in missing]
-            try:
-                for done, future in enumerate(as_completed(waiting), already + 1):
-                    future.result()
-                    progress(done, len(files))
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
     total = _read(files[0])
     for file in files[1:]:
         part = _read(file)
@@ -117,13 +133,13 @@ def run(
     return total, already
 
 
-def _end(plan: GlobalPlan, start: int) -> int:
+def end_of(plan: GlobalPlan, start: int) -> int:
+    """Where the batch that starts there ends."""
     return min(start + plan.batch, plan.design.size)
 
 
-def _keep(plan: GlobalPlan, start: int, stop: int, folder: Path) -> None:
+def _keep(part: Part, start: int, folder: Path) -> None:
     """Write a batch under its final name once it is whole."""
-    part = part_of(plan, start, stop)
     unfinished = folder / f"{start}.{os.getpid()}.unfinished"
     try:
         with unfinished.open("wb") as file:

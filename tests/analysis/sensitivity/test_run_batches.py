@@ -10,7 +10,7 @@ from tilth.analysis.sensitivity.accumulators import mean
 from tilth.analysis.sensitivity.designs import DISSERTATION, Grid, LogNormal, Uniform, grid
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import Unstable
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, global_answer, part_of, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, global_answer, here, part_of, run
 from tilth.analysis.sensitivity.slopes import VARIED
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
@@ -25,9 +25,9 @@ def _same(a: Part, b: Part) -> None:
 
 def test_two_processes_find_what_one_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_batches, "LANE_SAMPLES", 50 * 100)  # three batches
-    one, _ = run(PLAN, tmp_path / "one", workers=1)
+    one, _ = run(PLAN, tmp_path / "one", here(1))
     seen: list[tuple[int, int]] = []
-    two, already = run(PLAN, tmp_path / "two", workers=2, progress=lambda *at: seen.append(at))
+    two, already = run(PLAN, tmp_path / "two", here(2), progress=lambda *at: seen.append(at))
     _same(one, two)
     assert (already, seen[0], seen[-1]) == (0, (0, 3), (3, 3))
 
@@ -40,10 +40,10 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: py
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(PLAN, tmp_path, workers=1, progress=stop)
-    went_on, already = run(PLAN, tmp_path, workers=1)
+        run(PLAN, tmp_path, here(1), progress=stop)
+    went_on, already = run(PLAN, tmp_path, here(1))
     assert already == 2
-    whole, already = run(PLAN, tmp_path / "other", workers=1)
+    whole, already = run(PLAN, tmp_path / "other", here(1))
     assert already == 0
     _same(went_on, whole)
     assert not list(tmp_path.rglob("*.unfinished"))
@@ -81,7 +81,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: py
     opened = Path.open
     monkeypatch.setattr(Path, "open", lambda self, *args: opened(Path("/dev/full"), *args))
     with pytest.raises(OSError, match="No space"):
-        run(PLAN._replace(seconds=0.05), tmp_path, workers=1)
+        run(PLAN._replace(seconds=0.05), tmp_path, here(1))
     assert not list(tmp_path.rglob("*.npz"))
 
 
@@ -94,7 +94,7 @@ def test_random_points(design: Uniform | LogNormal, tmp_path: Path, monkeypatch:
     plan = PLAN._replace(design=design, seconds=0.2)
     whole = part_of(plan, 0, 300)
     monkeypatch.setattr(run_batches, "LANE_SAMPLES", 20 * 128)
-    parts, _ = run(plan, tmp_path, workers=1)
+    parts, _ = run(plan, tmp_path, here(1))
     np.testing.assert_array_equal(parts.every.bins, whole.every.bins)
     np.testing.assert_allclose(mean(parts.every), mean(whole.every), rtol=1e-12)
     levels = design.levels_of(0, 300)
@@ -105,4 +105,4 @@ def test_random_points(design: Uniform | LogNormal, tmp_path: Path, monkeypatch:
 def test_what_no_linear_model_has_is_refused(tmp_path: Path) -> None:
     design = NARROW._replace(names=("C_af", "h_t"))
     with pytest.raises(ValueError, match="h_t: no parameter of the linear models"):
-        run(PLAN._replace(design=design), tmp_path, workers=1)
+        run(PLAN._replace(design=design), tmp_path, here(1))

@@ -1,0 +1,152 @@
+"""Batches on a Dask cluster: what run_batches.here does on this computer, with the same results.
+
+A worker that dies costs the batches it had: Dask gives them to another. One that hangs holds a batch; after a
+while the same batch is asked of another worker too, and whichever answers first counts.
+"""
+
+import time
+from asyncio import CancelledError
+from collections.abc import Generator, Sequence
+from functools import partial
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any, Final
+
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, Parts, end_of, part_of
+
+INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
+ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
+SLOW: Final = 5.0  # times the longest batch so far: then another worker is asked too
+HUNG_S: Final = 60.0  # and not before
+AHEAD: Final = 3  # batches asked for at once, for each thread of a worker
+TRIES: Final = 5  # workers that may die over one batch
+GONE: Final = (OSError, TimeoutError, CancelledError)  # Dask's own errors of lost connections are OSErrors
+PACKAGES: Final = ("tilth", "numpy", "numba")
+
+
+class DaskProblem(Exception):
+    """One sentence that says what to do."""
+
+
+def on_dask(address: str, *, hung_s: float = HUNG_S) -> Parts:
+    """address: of the scheduler, tcp://host:8786. Raises DaskProblem when it is used."""
+    return partial(_on_dask, address, hung_s)
+
+
+def versions() -> dict[str, str]:
+    """What must be the same here and on all workers."""
+    return {name: version(name) for name in PACKAGES}
+
+
+def check_versions(here: dict[str, str], workers: dict[str, dict[str, str]]) -> None:
+    """workers: address -> its versions. Raises DaskProblem where some differ."""
+    for address, there in sorted(workers.items()):
+        for name, wanted in here.items():
+            if there.get(name) != wanted:
+                raise DaskProblem(
+                    f"the worker {address} has {name} {there.get(name, 'of no version')}, here is {wanted}: "
+                    "install the same on all, then start the workers again; nothing was computed"
+                )
+
+
+def _on_dask(
+    address: str, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
+) -> Generator[tuple[int, Part], None, None]:
+    if not starts:
+        return
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError:
+        raise DaskProblem(INSTALL) from None
+    try:
+        client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise DaskProblem(
+            f"no Dask scheduler answers at {address} ({type(error).__name__}): `dask scheduler` starts one, "
+            "and `dask worker ADDRESS` each worker"
+        ) from None
+    try:
+        _check(client, address)
+        yield from _computed(distributed, client, plan, starts, hung_s)
+    except GONE as error:
+        raise DaskProblem(
+            f"the cluster at {address} is gone ({type(error).__name__}); what was finished is kept: start "
+            "it, and give the same command again"
+        ) from None
+    finally:
+        client.close(timeout=2.0)
+
+
+def _check(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=ANSWER_S)
+    except TimeoutError:
+        raise DaskProblem(
+            f"the scheduler at {address} has no worker: `dask worker {address}` starts one"
+        ) from None
+    try:
+        there = client.run(versions, on_error="return")
+    except Exception as error:
+        raise DaskProblem(f"the workers of {address} do not answer: {error}") from None
+    for worker, found in sorted(there.items()):
+        if isinstance(found, Exception):
+            raise DaskProblem(
+                f"the worker {worker} has no tilth that fits this one ({found}): install the same on all, "
+                "then start the workers again; nothing was computed"
+            )
+    check_versions(versions(), there)
+
+
+def _computed(
+    distributed: Any, client: Any, plan: GlobalPlan, starts: Sequence[int], hung_s: float
+) -> Generator[tuple[int, Part], None, None]:
+    asked: dict[Any, tuple[int, float]] = {}  # future -> its batch, when it was asked for
+    open_ones = set(starts)
+    longest_s = 0.0
+    waiting = iter(starts)
+
+    def ask(start: int) -> None:
+        future = client.submit(part_of, plan, start, end_of(plan, start), pure=False, retries=TRIES)
+        asked[future] = (start, time.monotonic())
+
+    while open_ones:
+        threads = sum(client.nthreads().values())
+        for _ in range(max(AHEAD * max(threads, 1) - len(asked), 0)):
+            start = next(waiting, None)
+            if start is None:
+                break
+            ask(start)
+        try:
+            with client.as_current():
+                done = distributed.wait(
+                    list(asked), timeout=min(hung_s, 1.0), return_when="FIRST_COMPLETED"
+                ).done
+        except TimeoutError:
+            done = set()
+        for future in done:
+            start, since = asked.pop(future)
+            longest_s = max(longest_s, time.monotonic() - since)
+            if start in open_ones:
+                open_ones.discard(start)
+                yield start, _result(future)
+        late_s = max(hung_s, SLOW * longest_s)
+        for future, (start, since) in list(asked.items()):
+            if start not in open_ones:
+                del asked[future]
+                client.cancel([future])
+            elif time.monotonic() - since > late_s:
+                asked[future] = (start, time.monotonic())
+                ask(start)
+
+
+def _result(future: Any) -> Part:
+    try:
+        found: Part = future.result()
+    except GONE:
+        raise
+    except Exception as error:
+        raise DaskProblem(
+            f"a batch could not be computed by the workers ({type(error).__name__}: {error}); what was "
+            "finished is kept: give the same command again"
+        ) from None
+    return found
