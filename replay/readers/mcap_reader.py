@@ -19,6 +19,7 @@ from tilth.logger.log.mcap_file import (
     MAGIC,
     MESSAGE,
     body_of,
+    is_finished,
     metadata_bodies,
     summarised,
     unpacked,
@@ -114,6 +115,7 @@ def records(log: OpenLog) -> Iterator[Record]:
 def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
     """The first metadata record of each name, as far as the file is whole."""
     found: dict[str, dict[str, str]] = {}
+    log.truncated = not is_finished(log.file, log.size)
     for body in metadata_bodies(log.file, log.size):
         try:
             record = Metadata.read(ReadDataStream(io.BytesIO(body)))

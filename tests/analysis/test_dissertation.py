@@ -112,6 +112,16 @@ def test_what_differs_is_known() -> None:
         "relaxation, implement, 4.5 m/s: lag while the gain is above 0 dB",
         "kinematic: dominant real part at 1.0, 4.5, 7.5 m/s",
         "from 3 m and 10°: largest ψ_t, ψ_i, δ",
+        "overall sensitivity to C_af, C_ar at 7.5 m/s",
+        "largest to C_af, C_ar, C_ai (ours: v at 7.5, v at 7.5, r_i at 1 m/s)",
+        "mean over the box at 1 m/s: C_af, C_ar, sigma_r, I_i",
+        "mean over the box at 4.5 m/s: C_af, C_ar, sigma_r, I_i",
+        "mean over the box at 7.5 m/s: C_af, sigma_r, I_i",
+        "the least influential",
+        "% of change by 10 % of the stiffnesses at 1 m/s",
+        "% of change by 50 % at 4.5 m/s",
+        "% of change by 50 % at 7.5 m/s",
+        "for 5 % of change, stiffnesses known to, %: 1.0, 4.5, 7.5 m/s",
     }
     assert len(lines) >= 45
 
