@@ -24,7 +24,7 @@ from estimation_study import Case, Fitted, Followed
 from numpy.typing import NDArray
 from timing import best
 
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import scoring, unknowns
 from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW
@@ -82,7 +82,7 @@ def machine() -> Machine:
 def linear(kind: str, seconds: float, seed: int) -> Linear:
     run = linear_plant.plant(rig_of(machine()), seed, kind, seconds)
     mean, covariance = linear_plant.prior(machine())
-    found = likelihood.maximise_posterior(
+    found = scoring.maximise_posterior(
         linear_plant.record_of(run), linear_plant.setup(machine()), mean, covariance
     )
     return Linear(
@@ -105,7 +105,7 @@ def merged_rows(seconds: float, seed: int) -> Linear:
     for k in range(ROW_WINDOWS):
         again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
-        found = likelihood.maximise_posterior(linear_plant.record_of(run), setup, mean, covariance)
+        found = scoring.maximise_posterior(linear_plant.record_of(run), setup, mean, covariance)
         mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
@@ -151,7 +151,7 @@ def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
     data = (y, wheel, setup.geometry, linear_plant.SPEED)
 
     def own() -> tuple[Array, Array]:
-        found = likelihood.maximise_posterior(record, setup, mean, covariance)
+        found = scoring.maximise_posterior(record, setup, mean, covariance)
         return found.mean[SIX], np.sqrt(np.diag(found.covariance)[SIX])
 
     ways: dict[str, Callable[[], tuple[Array, Array]]] = {
@@ -189,7 +189,7 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
     fit = best(lambda: pem.fit(machine(), job), ROUNDS)
     linear_run = linear_plant.plant(rig_of(machine()), 1, "random", 30.0 * scale)
     own, first = linear_plant.record_of(linear_run), linear_plant.prior(machine())
-    known = best(lambda: likelihood.maximise_posterior(own, linear_plant.setup(machine()), *first), ROUNDS)
+    known = best(lambda: scoring.maximise_posterior(own, linear_plant.setup(machine()), *first), ROUNDS)
     imported, cold = _cold(job)
     rows = [
         ("fit of a window at 50 Hz, all nuisances", f"{1e3 * fit:.0f} ms", "≤ 150 ms", fit <= 0.15, (fit,)),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import scoring, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods.estimators import ROW
@@ -274,7 +274,7 @@ def fitted(machine: Machine, logs: Array, records: list[Record]) -> Fitted:
     mean, covariance = prior_mean, np.diag(prior_sd**2)
     information = np.zeros_like(covariance)
     for record in records:
-        found = likelihood.maximise_posterior(record, setup, mean, covariance)
+        found = scoring.maximise_posterior(record, setup, mean, covariance)
         information += found.information
         mean, covariance = found.mean, found.covariance
     sd = np.sqrt(np.diag(covariance))

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from tilth.analysis.fit.segment_fit import SegmentFit
 from tilth.analysis.fit.side_by_side import Map
 from tilth.analysis.fit.steering_terms import MOST_STEPS, SETTLED, Terms, newton, places, terms_at
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.unknowns import NAMES, SIX
 from tilth.estimator.methods import pem
@@ -147,14 +147,14 @@ def _information(segment: Told) -> Array:
 
 
 def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement) -> Array:
-    """Widened as a fit's is (likelihood._covariance), and by the spread where segments do not agree."""
+    """Widened as a fit's is (fit_covariance.published), and by the spread where segments do not agree."""
     every = [one for segment in told for one in segment]
     prior = np.diag(sd**-2.0)
     still = _inverse(prior + sum(one.by_steering for one in every))  # without drift
-    wide = likelihood.widened(still, prior + sum(one.steering_scores for one in every))
+    wide = fit_covariance.widened(still, prior + sum(one.steering_scores for one in every))
     by = np.sqrt(np.diag(wide) / np.diag(still))
     out = covariance * np.outer(by, by)
-    colour = 1.0 + likelihood.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
+    colour = 1.0 + fit_covariance.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
     factors = np.ones(len(out))
     factors[SIX] = colour * math.sqrt(agreement.widening)
     out = out * np.outer(factors, factors)

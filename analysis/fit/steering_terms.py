@@ -1,7 +1,7 @@
 """What a window of driving says of the unknowns near a common point: the terms that add up over windows.
 
 Where the windows' maximum is, the likelihood says; how sure of it one is, only what the known wheel angles
-explain (likelihood.steering_jacobian), as in pem. Noise levels stay as each window's own fit has them.
+explain (likelihood.by_steering), as in pem. Noise levels stay as each window's own fit has them.
 
 A fit of pem goes on from the likelihood's maximum to where innovations are not correlated with what steering
 explains, and comes back if that is too far away. Over several windows it went too far unnoticed: of 12 times
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.segment_fit import FittedWindow
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
 from tilth.estimator.filters.likelihood import Search
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import NOISE, SIX
@@ -62,27 +62,27 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     here[NOISE] = window.noise
     search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
     _leave_out_outliers(search, here)
-    at = likelihood.iterate_at(search, here)
+    at = likelihood.with_gains(search, likelihood.evaluate(search, here))
     scores = likelihood.scores_at(search, at)
     gradient, information = likelihood.gradient_and_information(search, at, scores)
-    at.jacobian = likelihood.steering_jacobian(search, at)
-    steering = likelihood.scores_at(search, at)
-    _, by_steering = likelihood.gradient_and_information(search, at, steering)
+    known = likelihood.by_steering(search, at, here, likelihood.response_to_steering(search, here))
+    steering = likelihood.scores_at(search, known)
+    _, by_steering = likelihood.gradient_and_information(search, known, steering)
     away = (here - mean)[shared]
     return Terms(
         gradient - search.prior_information @ away,
         information - search.prior_information,
-        likelihood.scores_covariance(search, scores),
-        likelihood.whiteness(search.record.rows, search.scored, at.e, at.S),
-        likelihood.model_sd_of(window.record, here),
+        fit_covariance.scores_covariance(search, scores),
+        fit_covariance.whiteness(search.record.rows, search.scored, at.e, at.S),
+        fit_covariance.model_sd_of(window.record, here),
         by_steering - search.prior_information,
-        likelihood.scores_covariance(search, steering),
+        fit_covariance.scores_covariance(search, steering),
     )
 
 
 def _leave_out_outliers(search: Search, here: Array) -> None:
     made = likelihood.innovations(search.record, search.setup, search.start, here, used=search.used)
-    search.used = np.where(np.abs(made.e) > likelihood.OUTLIER * np.sqrt(made.S), 0.0, search.used)
+    search.used = np.where(np.abs(made.e) > scoring.OUTLIER * np.sqrt(made.S), 0.0, search.used)
 
 
 def newton(machine: Machine, terms: Sequence[Terms], point: Array, share: float = 1.0) -> tuple[Array, float]:

@@ -2,9 +2,8 @@
 
 What noise levels do to the prediction errors, by way of the gains, has no closed form. A companion has the
 covariance of another noise level and shares all Jacobians with the run. Its state is kept as the deviation
-from the run's, which moves by these Jacobians: it needs no motion model of its own. So the memory of the
-pushes, which changes the Jacobians, is no noise level here. The run itself is the first of the filters, and
-deviates by nothing.
+from the run's, which moves by these Jacobians: it needs no motion model of its own. How long the pushes last
+counts among the noise levels. The run itself is the first of the filters, and deviates by nothing.
 """
 
 from typing import NamedTuple
@@ -18,11 +17,10 @@ from tilth.estimator.filters.measurement_model import noise_factor
 from tilth.estimator.filters.propagation import (
     first_covariance,
     ground_at,
-    set_noise,
     set_processes,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES
+from tilth.estimator.filters.states import N_STATES, X_PUSH
 from tilth.estimator.filters.transition import Transition, multiply
 
 Array = NDArray[np.float64]
@@ -61,9 +59,8 @@ def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
 @kernel
 def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> None:
     """Renew the processes and their noise, at speed u, m/s."""
-    set_processes(u, ground_at(run.points[0]), setup, step)
-    for c in range(1, run.points.shape[0]):
-        set_noise(u, ground_at(run.points[c]), setup, step, c)
+    for c in range(run.points.shape[0]):
+        set_processes(u, ground_at(run.points[c]), setup, step, c)
 
 
 @inner_kernel
@@ -91,12 +88,15 @@ def deviate(run: Filters, work: UpdateWork) -> None:
 
 
 @inner_kernel
-def advance(run: Filters, step: Transition) -> None:
-    """Propagate the deviations over a tick."""
+def advance(run: Filters, x: Array, step: Transition) -> None:
+    """Propagate the deviations over a tick. x: (27,), the run's state before it."""
     deviation, following = run.deviation, run.following
     if deviation.shape[1] == 1:
         return  # the run deviates by nothing
     multiply(step.F, deviation, following)
+    for i in range(X_PUSH, X_PUSH + 3):
+        for c in range(1, deviation.shape[1]):
+            following[i, c] += (step.decay[c, i] - step.decay[0, i]) * (x[i] + deviation[i, c])
     for i in range(N_STATES):
         for c in range(deviation.shape[1]):
             deviation[i, c] = following[i, c]

@@ -4,8 +4,8 @@ maximises.
 It is a Kalman filter over the states of states.py; propagation.py propagates them. Between two ticks the
 state is taken as linear in time. Measurements are scalar and are processed one by one, so the log-likelihood
 is log L = -1/2 sum (e^2 / S + log S), with innovation e and its variance S. The derivatives of e over the
-unknowns, with the gains held, are propagated beside the state by the same Jacobians, and so are companions
-with other noise levels (companions.py).
+unknowns, with the gains held, are propagated beside the state by the same Jacobians; so is what a change of
+the readings makes of e, and so are companions with other noise levels (companions.py).
 """
 
 from typing import Final, NamedTuple
@@ -51,6 +51,7 @@ from tilth.estimator.filters.transition import (
     N_DRIVEN,
     POSITION_LATER,
     Transition,
+    decay_rows,
     empty_transition,
     multiply,
     propagate_covariance,
@@ -72,6 +73,15 @@ class Measured(NamedTuple):
     closed: bool  # whether measurements update the state; False: the open loop
 
 
+class Varied(NamedTuple):
+    """What is varied beside a filter run."""
+
+    places: Places  # (a,), the unknowns to differentiate by
+    driven: Array  # (m, a), changes of the readings; or (0, a)
+    responding: NDArray[np.bool_]  # (a,), whose derivatives are the response to `driven`, not to the unknown
+    nearby: Array  # (q, n), points that differ in noise levels
+
+
 class Innovations(NamedTuple):
     """Result of a filter run."""
 
@@ -86,17 +96,17 @@ class Carried(NamedTuple):
     """Derivatives over the active unknowns, with the gains held."""
 
     D: Array  # (27, a), of the state
-    following: Array  # (27, a), one tick later, overwritten
+    driven: Array  # (14, a), of the driven states one tick later, overwritten
     d: Array  # (a,), of the present innovation
 
 
 @inner_kernel
-def row_slopes(H: Array, own: Array, sign: float, carried: Carried) -> None:
-    """Fill the derivatives of an innovation. H: (27,), its prediction's Jacobian at the tick; own: (a,), of
-    what else changes with the unknowns, times sign."""
+def row_slopes(H: Array, H_unknowns: Array, row: int, varied: Varied, carried: Carried) -> None:
+    """Fill the derivatives of the innovation of a row. H: (27,), its prediction's Jacobian at the tick;
+    H_unknowns: (a,), of what else changes with the unknowns."""
     D, _, d = carried
     for j in range(d.shape[0]):
-        d[j] = sign * own[j]
+        d[j] = varied.driven[row, j] if varied.responding[j] else -H_unknowns[j]
     for i in range(N_STATES):
         if H[i] != 0.0:
             for j in range(d.shape[0]):
@@ -115,17 +125,15 @@ def carry_update(gain: Array, carried: Carried) -> None:
 @inner_kernel
 def carry(carried: Carried, step: Transition) -> None:
     """Propagate the derivatives over a tick."""
-    D, following, d = carried
+    D, driven, d = carried
     if d.shape[0] == 0:
         return
-    multiply(step.F, D, following)
+    multiply(step.F_driven, D, driven)
+    decay_rows(D, 0, step.decay[0], step.slope)
     for k in range(N_DRIVEN):
         i = k if k < D_POSITION else k + POSITION_LATER
         for j in range(d.shape[0]):
-            following[i, j] += step.F_unknowns[k, j]
-    for i in range(N_STATES):
-        for j in range(d.shape[0]):
-            D[i, j] = following[i, j]
+            D[i, j] = driven[k, j] + step.F_unknowns[k, j]
 
 
 class Runner(NamedTuple):
@@ -133,6 +141,7 @@ class Runner(NamedTuple):
 
     state: JointState
     run: Filters
+    varied: Varied
     carried: Carried
     plant: Plant
     active: Active
@@ -145,8 +154,9 @@ class Runner(NamedTuple):
 
 
 @kernel
-def runner(u: float, x: Array, point: Point, setup: RigSetup, places: Places, nearby: Array) -> Runner:
+def runner(u: float, x: Array, point: Point, setup: RigSetup, varied: Varied) -> Runner:
     """At the first tick of a run, at speed u, m/s. The other arguments are those of `run_filter`."""
+    places, nearby = varied.places, varied.nearby
     na, count = places.shape[0], 1 + nearby.shape[0]
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0, count)
     plant, run = empty_plant(setup, na), filters(point.unknowns, nearby)
@@ -154,9 +164,9 @@ def runner(u: float, x: Array, point: Point, setup: RigSetup, places: Places, ne
     set_plant(plant, point, setup, active)
     P = first_covariances(u, run, setup)
     state = JointState(x, np.zeros(N_STATES), point.unknowns, places[:0], np.zeros(N_STATES), P)
-    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_STATES, na)), np.zeros(na))
+    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_DRIVEN, na)), np.zeros(na))
     return Runner(
-        state, run, carried, plant, active, step, empty_work(count, N_STATES), np.zeros(N_STATES),
+        state, run, varied, carried, plant, active, step, empty_work(count, N_STATES), np.zeros(N_STATES),
         np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na),
     )  # fmt: skip
 
@@ -171,6 +181,9 @@ def begin_tick(ticks: Array, k: int, point: Point, setup: RigSetup, on: Runner) 
         set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
         linearise(x, ticks, k, point, on.plant, on.active, step)
     propagate(x, drive, on.plant, on.active, step, on.state.following)
+    for j in range(on.varied.responding.shape[0]):
+        if on.varied.responding[j]:
+            step.F_unknowns[:, j] = 0.0
     return drive.u
 
 
@@ -180,8 +193,8 @@ def end_tick(closed: bool, on: Runner) -> None:
     state, step = on.state, on.step
     if closed:
         for c in range(state.P.shape[0]):
-            propagate_covariance(state.P[c], step.q[c], step, state.x[X_PSI])
-        advance(on.run, step)
+            propagate_covariance(state.P[c], c, step, state.x[X_PSI])
+        advance(on.run, state.x, step)
     for i in range(N_STATES):
         state.x[i] = state.following[i]
     carry(on.carried, step)
@@ -189,8 +202,8 @@ def end_tick(closed: bool, on: Runner) -> None:
 
 @inner_kernel
 def take_row(
-    measured: Measured, row: int, k: int, u: float, point: Point, setup: RigSetup, driven: Array,
-    on: Runner, out: Innovations,
+    measured: Measured, row: int, k: int, u: float, point: Point, setup: RigSetup, on: Runner,
+    out: Innovations,
 ) -> None:  # fmt: skip
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
     x, following, x_at, carried = on.state.x, on.state.following, on.x_at, on.carried
@@ -199,11 +212,8 @@ def take_row(
         x_at[i] = x[i] + obs.share * (following[i] - x[i])
     error = measured.readings[row] - predict_joint_measurement(x_at, obs, point, on.active, setup, on.h)
     between(obs.share, on.h, on.step, on.H)
-    if driven.shape[0] > 0:
-        row_slopes(on.H, driven[row], 1.0, carried)
-    else:
-        unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
-        row_slopes(on.H, on.H_unknowns, -1.0, carried)
+    unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
+    row_slopes(on.H, on.H_unknowns, row, on.varied, carried)
     out.e[row] = error
     for j in range(carried.d.shape[0]):
         out.de[row, j] = carried.d[j]
@@ -220,33 +230,26 @@ def take_row(
 
 
 @inner_kernel
-def run_ticks(
-    measured: Measured, point: Point, setup: RigSetup, driven: Array, on: Runner, out: Innovations
-) -> None:
+def run_ticks(measured: Measured, point: Point, setup: RigSetup, on: Runner, out: Innovations) -> None:
     """All ticks of a run."""
     rows, used, row = measured.rows, measured.used, 0
     for k in range(measured.ticks.shape[0]):
         u = begin_tick(measured.ticks, k, point, setup, on)
-        if driven.shape[0] > 0:
-            on.step.F_unknowns[:] = 0.0
         while row < rows.shape[0] and rows[row, TICK] <= k:
             if used[row] != 0.0:
-                take_row(measured, row, k, u, point, setup, driven, on, out)
+                take_row(measured, row, k, u, point, setup, on, out)
             row += 1
         end_tick(measured.closed, on)
 
 
 @kernel
 def run_filter(
-    measured: Measured, x: Array, point: Point, setup: RigSetup, places: Places, driven: Array,
-    nearby: Array, out: Innovations,
-) -> None:  # fmt: skip
+    measured: Measured, x: Array, point: Point, setup: RigSetup, varied: Varied, out: Innovations
+) -> None:
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
-    x: (27,), the first state, overwritten with the last. places: (a,), the unknowns to differentiate by.
-    driven: (m, a), changes of the readings, whose response of the innovations is then `de`; or (0, 0).
-    nearby: (q, n), points that differ in noise levels, which are tried beside; or (0, n).
+    x: (27,), the first state, overwritten with the last.
     """
     out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
-    on = runner(measured.ticks[0, U], x, point, setup, places, nearby)
-    run_ticks(measured, point, setup, driven, on, out)
+    on = runner(measured.ticks[0, U], x, point, setup, varied)
+    run_ticks(measured, point, setup, on, out)

@@ -378,7 +378,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
             total += step.held[i, j] * step.rates[j]
         out[i] = total
     for i in range(X_PUSH, N_STATES):
-        out[i] = step.decay[i] * x[i]
+        out[i] = step.decay[0, i] * x[i]
     for body in range(2):
         slope, rate = x[X_SLOPE + body], x[X_SLOPE_RATE + body]
         out[X_SLOPE + body] = step.slope[0, 0] * slope + step.slope[0, 1] * rate
@@ -438,9 +438,9 @@ def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
 
 
 @kernel
-def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition) -> None:
-    """Fill decay, slope and q of the states from X_PUSH on at speed u, m/s, for the first filter of step."""
-    decay, slope, speed = step.decay, step.slope, max(u, SLOWEST)
+def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
+    """Fill slope, and decay and q of the states from X_PUSH on, at speed u, m/s, for filter c of step."""
+    decay, q, slope, speed = step.decay[c], step.q[c], step.slope, max(u, SLOWEST)
     for i in range(3):
         decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
         if i < 2:
@@ -450,14 +450,6 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
     left = math.exp(-rate * DT)
     slope[0, 0], slope[0, 1] = left * (1.0 + rate * DT), left * DT
     slope[1, 0], slope[1, 1] = -left * rate * rate * DT, left * (1.0 - rate * DT)
-    set_noise(u, ground, setup, step, 0)
-
-
-@kernel
-def set_noise(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
-    """Fill q of the states from X_PUSH on at speed u, m/s, for filter c of step, whose decay and slope are
-    set."""
-    q, decay, slope = step.q[c], step.decay, step.slope
     variances = stationary(u, ground, setup)
     for i in range(X_PUSH, N_STATES):
         q[i] = (1.0 - decay[i] * decay[i]) * variances[i]

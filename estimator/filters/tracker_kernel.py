@@ -160,7 +160,7 @@ def track_segment(
         if (k - first) % EVERY == 0:
             point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
             set_plant(plant, point, setup, active)
-            set_processes(drive.u, ground, setup, step)
+            set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
@@ -185,6 +185,6 @@ def track_segment(
             add_residual(obs.kind, residual, rows[row - 1, SD], tally.sums)
         set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
         add_ground(x, P[0], ground, tally.sums)
-        propagate_covariance(P[0], step.q[0], step, x[X_PSI])
+        propagate_covariance(P[0], 0, step, x[X_PSI])
         x[:] = following
     unpack_covariance(P[0], places, estimate)

@@ -3,7 +3,7 @@
 Of the 27 states of states.py, 14 move with all others: those before X_PUSH and the position. They are called
 driven here. The others are processes of their own: each decays, and a cross slope goes with its rate. So of
 the Jacobian F only the driven rows are full, and a covariance is propagated by these and by the decays alone.
-Filters that differ in their noise only share all but q: `c` counts them.
+Filters that differ in their noise only share all but decay and q: `c` counts them.
 """
 
 import math
@@ -45,7 +45,7 @@ class Transition(NamedTuple):
     rates: Array  # (12,), the rates themselves
     held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
-    decay: Array  # (27,), factor on the states from X_PUSH on
+    decay: Array  # (c, 27), factors on the states from X_PUSH on; they differ in those of the pushes only
     q: Array  # (c, 27), variances of the process noise, without that of the position
     slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
     F: Array  # (27, 27), Jacobian of x one tick later over x
@@ -72,7 +72,7 @@ def empty_transition(na: int, rows: int, count: int) -> Transition:
     F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
     return Transition(
         rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
-        np.zeros(X_PUSH), np.ones(N_STATES), np.zeros((count, N_STATES)), np.zeros((2, 3)),
+        np.zeros(X_PUSH), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((2, 3)),
         F, np.zeros((N_DRIVEN, na)), np.zeros((N_DRIVEN, n)), np.zeros((n, N_DRIVEN)),
         np.zeros((N_DRIVEN, n)), np.zeros((N_DRIVEN, N_DRIVEN)),
         np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
@@ -122,7 +122,7 @@ def joint_jacobian(step: Transition) -> None:
     if F_unknowns.shape[1] > 0:
         multiply(held, step.rates_unknowns, F_unknowns[:X_PUSH])
     for i in range(X_PUSH, N_STATES):
-        F[i, i] = step.decay[i]
+        F[i, i] = step.decay[0, i]
     for k in range(4):
         i = (X_SLOPE if k < 2 else X_SLOPE_RATE) + k % 2
         for j in range(2):
@@ -185,10 +185,9 @@ def add_process_noise(P: Array, q: Array, slope: Array, psi: float) -> None:
 
 
 @inner_kernel
-def decay_columns(rows: Array, first: int, step: Transition) -> None:
+def decay_columns(rows: Array, first: int, decay: Array, slope: Array) -> None:
     """Multiply rows of a covariance, (k, n), from row `first` on, from the right by the part of F' that is
     not of the driven states."""
-    decay, slope = step.decay, step.slope
     for i in range(first, min(rows.shape[0], N_STATES)):
         for body in range(2):
             angle, rate = rows[i, X_SLOPE + body], rows[i, X_SLOPE_RATE + body]
@@ -199,33 +198,32 @@ def decay_columns(rows: Array, first: int, step: Transition) -> None:
 
 
 @inner_kernel
-def decay_rows(P: Array, step: Transition) -> None:
-    """Multiply a covariance (n, n) from the left by the part of F that is not of the driven states."""
-    decay, slope, n = step.decay, step.slope, P.shape[0]
+def decay_rows(A: Array, first: int, decay: Array, slope: Array) -> None:
+    """Multiply columns of A (27 or more, n), from column `first` on, from the left by the part of F that is
+    not of the driven states."""
+    n = A.shape[1]
     for i in range(X_PUSH, N_STATES):
         if decay[i] != 1.0:
-            for j in range(X_PUSH, n):
-                P[i, j] *= decay[i]
+            for j in range(first, n):
+                A[i, j] *= decay[i]
     for body in range(2):
         angle, rate = X_SLOPE + body, X_SLOPE_RATE + body
-        for j in range(X_PUSH, n):
-            before = P[angle, j]
-            P[angle, j] = slope[0, 0] * before + slope[0, 1] * P[rate, j]
-            P[rate, j] = slope[1, 0] * before + slope[1, 1] * P[rate, j]
+        for j in range(first, n):
+            before = A[angle, j]
+            A[angle, j] = slope[0, 0] * before + slope[0, 1] * A[rate, j]
+            A[rate, j] = slope[1, 0] * before + slope[1, 1] * A[rate, j]
 
 
 @inner_kernel
-def propagate_covariance(P: Array, q: Array, step: Transition, psi: float) -> None:
-    """Propagate P (n, n), of x or of the joint state, over one tick, in place; it stays symmetric.
-
-    q: (27,), variances of the process noise, as Transition.q. psi: heading, rad.
-    """
-    F_P, F_P_F, n = step.F_P, step.F_P_F, P.shape[0]
+def propagate_covariance(P: Array, c: int, step: Transition, psi: float) -> None:
+    """Propagate P (n, n), of x or of the joint state of filter c of step, over one tick, in place; it stays
+    symmetric. psi: heading, rad."""
+    F_P, F_P_F, decay, n = step.F_P, step.F_P_F, step.decay[c], P.shape[0]
     multiply(step.F_driven, P, F_P)
     multiply(F_P, step.F_driven_T, F_P_F)
-    decay_columns(F_P, 0, step)
-    decay_rows(P, step)
-    decay_columns(P, X_PUSH, step)
+    decay_columns(F_P, 0, decay, step.slope)
+    decay_rows(P, X_PUSH, decay, step.slope)
+    decay_columns(P, X_PUSH, decay, step.slope)
     for i in range(X_PUSH, N_STATES):
         for j in range(N_STATES, n):
             P[j, i] = P[i, j]
@@ -238,4 +236,4 @@ def propagate_covariance(P: Array, q: Array, step: Transition, psi: float) -> No
         for other in range(N_DRIVEN):
             j = other if other < D_POSITION else other + POSITION_LATER
             P[i, j] = 0.5 * (F_P_F[k, other] + F_P_F[other, k])
-    add_process_noise(P, q, step.slope, psi)
+    add_process_noise(P, step.q[c], step.slope, psi)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import slow_pair_sd
 from tilth.estimator.filters.states import PAIR_MEMORY_S
@@ -334,7 +334,7 @@ def _find_posterior(state: SteadyState) -> None:
     covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
-    room = likelihood.model_sd(state.largest_angle > likelihood.TIGHT, 0.0)[:3] ** 2
+    room = fit_covariance.model_sd(state.largest_angle > fit_covariance.TIGHT, 0.0)[:3] ** 2
     state.log_covariance = covariance + np.diag(learned * room)
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import likelihood, soil_change, unknowns
+from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
@@ -59,7 +59,7 @@ STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
 TIGHT_SHARE: Final = 0.1
-"""In tight turns (likelihood.TIGHT) the joint filter follows the motion, but learns no tyres: one
+"""In tight turns (fit_covariance.TIGHT) the joint filter follows the motion, but learns no tyres: one
 linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
 that was their beginnings and ends, and errors of the model are as in them."""
 TIGHT_SD: Final = np.array([0.25, 0.20, 0.20, 0.25, 0.20, 0.20])
@@ -246,8 +246,8 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
     elif (
-        float(np.max(np.abs(wheel))) > likelihood.TIGHT
-        or float(np.max(np.abs(articulation))) > likelihood.TIGHT
+        float(np.max(np.abs(wheel))) > fit_covariance.TIGHT
+        or float(np.max(np.abs(articulation))) > fit_covariance.TIGHT
     ):
         state.tight_s += len(record.ticks) * DT
         _refuse(state, "in a tight turn")
@@ -342,7 +342,7 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    sds = likelihood.model_sd(tight, math.sqrt(state.push[3]))
+    sds = fit_covariance.model_sd(tight, math.sqrt(state.push[3]))
     errors = np.diag(np.maximum(sds, TIGHT_SD if tight else 0.0) ** 2)
     return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
 

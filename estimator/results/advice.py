@@ -16,7 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters import fit_covariance, likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
@@ -314,7 +314,7 @@ def advise(
     uneven = math.exp(mean[AT["uneven"]])
     after = {}
     for candidate, brought in table.items():
-        errors = likelihood.model_sd(math.radians(candidate.degrees) > likelihood.TIGHT, uneven)
+        errors = fit_covariance.model_sd(math.radians(candidate.degrees) > fit_covariance.TIGHT, uneven)
         after[candidate] = predicted(covariance, brought, errors)[undetermined]
     chosen = _choose(after, now[undetermined])
     if chosen is None:

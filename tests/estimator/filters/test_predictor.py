@@ -180,7 +180,7 @@ def test_a_mirrored_record_gives_mirrored_innovations() -> None:
     np.testing.assert_allclose(back.de / scale, expected / scale, atol=5e-3)
 
 
-@pytest.mark.parametrize("name", [name for name in NOISES if name != likelihood.MEMORY])
+@pytest.mark.parametrize("name", NOISES)
 def test_a_companion_is_the_filter_at_its_own_noise_level(name: str) -> None:
     """With a linear model, whose Jacobians are the same wherever the rig goes."""
     record, setup, step = turning(noise=1.0), rig_setup(MACHINE, linear=True), 1e-3

@@ -30,7 +30,7 @@ from drives import (
     values,
 )  # fmt: skip
 
-from tilth.estimator.filters import likelihood
+from tilth.estimator.filters import fit_covariance
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.results.recommend import PREFERRED
@@ -167,7 +167,7 @@ UNSURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.
 
 @each_method
 def test_an_unknown_gain_of_the_wheel_angle_widens_the_stiffness(method: str) -> None:
-    floor = likelihood.MODEL_SD[0] if method == pem.METHOD else 0.0  # which no gain can change
+    floor = fit_covariance.MODEL_SD[0] if method == pem.METHOD else 0.0  # which no gain can change
     sure, unsure = driven(QUIET, 42.0, SURE).last(method), driven(QUIET, 42.0, UNSURE).last(method)
     known, unknown = (math.sqrt(sds(published)[0] ** 2 - floor**2) for published in (sure, unsure))
     assert unknown > 1.05 * known  # most of it is learned: what turns the implement follows the true angle

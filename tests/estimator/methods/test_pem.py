@@ -11,9 +11,9 @@ from logs import MACHINE
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.likelihood import maximise_posterior
+from tilth.estimator.filters import fit_covariance, likelihood, unknowns
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.scoring import maximise_posterior
 from tilth.estimator.filters.states import DT, START, X_ALPHA, X_PSI, X_R, X_V
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
@@ -255,7 +255,7 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
         point[SIX], point[AT["wheel_zero"]] = np.log(run.rig.theta), run.zero
         point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.PUSHES, linear_plant.MEMORY_S])
         search = likelihood.search_of(linear_plant.record_of(run), setup, point, covariance)
-        at = likelihood.iterate_at(search, point)
+        at = likelihood.with_gains(search, likelihood.evaluate(search, point))
         slope, known = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
         gradient += slope[SIX]
         information += (known - search.prior_information)[SIX, SIX]
@@ -269,7 +269,7 @@ def test_exact_derivatives_have_in_them_what_the_change_of_the_gains_does() -> N
     mean, sd = unknowns.prior(MACHINE)
     mean[AT["uneven"]] += 1.5
     search = likelihood.search_of(record, rig_setup(MACHINE), mean, np.diag(sd**2))
-    at = likelihood.iterate_at(search, mean)
+    held = likelihood.evaluate(search, mean)
     names = ("roll_k_t", "roll_k_i", "roll_d_t", "roll_d_i", "C_ar")
     places = [int(np.flatnonzero(search.active == AT[name])[0]) for name in names]
 
@@ -280,8 +280,7 @@ def test_exact_derivatives_have_in_them_what_the_change_of_the_gains_does() -> N
 
     wanted = [(cost(k, 1e-4) - cost(k, -1e-4)) / 2e-4 for k in places]
     found = {}
-    for exact in (False, True):
-        at.jacobian = likelihood._error_jacobian(search, mean, exact)
+    for exact, at in ((False, held), (True, likelihood.with_gains(search, held))):
         found[exact] = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))[0]
     assert found[True][places] == pytest.approx(wanted, rel=0.02, abs=0.05)
     assert (
@@ -297,7 +296,8 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
     mean, _ = unknowns.prior(MACHINE)
     rough = mean + np.eye(len(mean))[AT["uneven"]] * (math.log(0.02) - mean[AT["uneven"]])
     plain, far, uneven = (
-        likelihood.model_sd_of(of, point) for of, point in ((record, mean), (tight, mean), (record, rough))
+        fit_covariance.model_sd_of(of, point)
+        for of, point in ((record, mean), (tight, mean), (record, rough))
     )
     assert np.all(far > plain) and far[0] >= 0.25
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])

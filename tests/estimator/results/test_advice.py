@@ -11,7 +11,7 @@ from circle import demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.likelihood import model_sd
+from tilth.estimator.filters.fit_covariance import model_sd
 from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
 from tilth.estimator.filters.propagation import (
     Active,
@@ -160,7 +160,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     set_plant.interpreted()(plant, point, setup, nothing)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
     ticks[:, 1] = SPEED
-    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step)
+    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step, 0)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
     linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
     return step

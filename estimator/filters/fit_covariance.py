@@ -1,0 +1,109 @@
+"""Covariance that a fit publishes: the information of the record and the prior, widened for what its noise
+model leaves out, and for errors of the motion model."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.likelihood import Search
+from tilth.estimator.filters.states import DT
+from tilth.estimator.filters.unknowns import AT, NAMES
+from tilth.estimator.record.record import KIND, PLACE, TICK, WHEEL_ANGLE, Record
+
+Array = NDArray[np.float64]
+
+COLOUR_FACTOR: Final = 1.0
+"""The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
+that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
+innovations."""
+MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.08])
+"""Sds of the six logarithms from errors of the model, which more data do not reduce: tyre curves and load
+transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo
+on the spatial plant with drawn rigs, tyres and ground."""
+TIGHT: Final = math.radians(15.0)  # of the wheels
+TIGHT_SD: Final = np.array([0.25, 0.10, 0.10, 0.25, 0.10, 0.10])
+"""The same where wheels were turned further than TIGHT. In headland turns a hundredth of the wheel angle does
+what a fifth of the front tyres' stiffness does: on the spatial plant C_af and sigma_f came out as much as
+halved."""
+ROUGH_SD: Final = 0.1
+"""The same of the three stiffnesses on ground that is as uneven as unknowns.ROUGH. Where the loads of the
+wheels come and go, less side force is left on average: on the spatial plant 5 to 16 % less on ground of 3 cm
+rms, where the loads' sd is a third of them, and 1 to 4 % on 1 cm. It goes with the square of the unevenness.
+"""
+BIN_S: Final = 0.1
+LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
+
+
+def model_sd(tight: bool, uneven: float) -> Array:
+    """Sds of the six logarithms, (6,), from errors of the model. tight: wheels were turned beyond TIGHT.
+    uneven: sd of how far the ground turns the wheels about a body's long axis, rad."""
+    sds = np.array(TIGHT_SD if tight else MODEL_SD)
+    sds[:3] = np.hypot(sds[:3], ROUGH_SD * (uneven / unknowns.ROUGH) ** 2)
+    return sds
+
+
+def model_sd_of(record: Record, point: Array) -> Array:
+    """The same, of a record and what was found of it, (n,)."""
+    tight = float(np.abs(record.ticks[:, WHEEL_ANGLE]).max()) > TIGHT
+    return model_sd(tight, math.exp(point[AT["uneven"]]))
+
+
+def published(
+    search: Search, point: Array, scores: Array, covariance: Array, autocorrelation: float
+) -> Array:
+    """Covariance of all unknowns, (n, n), at a point, (n,), from that of the active ones, (a, a), widened for
+    coloured noise and for errors of the model."""
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(search.active, search.active)] = _sandwich(search, covariance, scores)
+    factors = np.ones(len(NAMES))
+    factors[unknowns.SIX] = 1.0 + COLOUR_FACTOR * max(autocorrelation, 0.0)
+    whole *= np.outer(factors, factors)
+    if search.setup.scale == 1.0:
+        open_ = search.active[search.active < 6]
+        whole[open_, open_] += model_sd_of(search.record, point)[open_] ** 2
+    return (whole + whole.T) / 2
+
+
+def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
+    """The covariance, widened if the scores are correlated over time, as they are with coloured noise.
+
+    It is the sandwich estimator of quasi maximum likelihood, with the Newey-West estimate of the scores'
+    covariance in the middle. It never narrows: a short record may look better than white by chance.
+    """
+    return widened(covariance, scores_covariance(search, scores) + search.prior_information)
+
+
+def scores_covariance(search: Search, scores: Array) -> Array:
+    """Covariance of a record's summed scores, (a, a), with their correlation over time. scores: (a, m)."""
+    bins = (search.record.rows[:, TICK] * DT / BIN_S).astype(np.int64)
+    sums = np.zeros((len(scores), int(bins[-1]) + 1))
+    for row, into in zip(scores, sums, strict=True):
+        into += np.bincount(bins, row, minlength=len(into))
+    sums = np.asarray(sums - sums.mean(axis=1, keepdims=True), np.float64)
+    found: Array = sums @ sums.T
+    for lag in range(1, LAGS + 1):
+        later = sums[:, lag:] @ sums[:, :-lag].T
+        found = found + (1.0 - lag / (LAGS + 1)) * (later + later.T)
+    return found
+
+
+def widened(covariance: Array, scores: Array) -> Array:
+    """A covariance, (a, a), no narrower in any unknown than the covariance of the scores lets it be."""
+    robust = covariance @ scores @ covariance
+    factors = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
+    return np.asarray(covariance * np.outer(factors, factors), np.float64)
+
+
+def whiteness(rows: Array, used: Array, e: Array, S: Array) -> float:
+    """Autocorrelation at lag one of the normalised innovations of each kind and place, weighted mean."""
+    found, weights = [], []
+    for kind, place in {(float(k), float(p)) for k, p in rows[:, [KIND, PLACE]]}:
+        chosen = (rows[:, KIND] == kind) & (rows[:, PLACE] == place) & (used > 0.0)
+        z = (e / np.sqrt(S))[chosen]
+        if len(z) > 20 and z @ z > 0.0:
+            found.append(float(z[1:] @ z[:-1] / (z @ z)))
+            weights.append(len(z))
+    return float(np.average(found, weights=weights)) if found else 0.0

@@ -1,0 +1,215 @@
+"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then by
+what the known steering explains.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters.fit_covariance import published, whiteness
+from tilth.estimator.filters.likelihood import (
+    Iterate,
+    Search,
+    by_steering,
+    evaluate,
+    gradient_and_information,
+    inverse,
+    likelihood_at,
+    response_to_steering,
+    scores_at,
+    search_of,
+    with_gains,
+    with_noise_levels,
+)
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.record.record import Record
+
+Array = NDArray[np.float64]
+
+MOST_ITERATIONS: Final = 25
+SMALL_STEP: Final = 0.03  # of a posterior sd: a step this small ends the search
+SLACK: Final = 0.2  # nats by which a step may raise the cost: derivatives with held gains are not exact
+ROUGH_START: Final = 1.5
+"""Added at the start to a disturbance's logarithm whose sd is above 1: a search that begins with rough ground
+does not end in a local minimum."""
+_DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
+FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
+ROUGHLY_FLAT: Final = 0.2  # the same where equations by steering follow
+SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
+ARRIVED_STEP: Final = 0.3
+"""Of a posterior sd of the six: remaining step with which a search that has stopped counts as converged."""
+STEERING_STEPS: Final = 8  # at most, of `_settle_by_steering`; the later ones are halved: no cost falls
+FURTHEST: Final = 3.0
+"""Sds of any of the six by which steering may leave the likelihood's maximum. Its equations can have another
+solution far away: on a side slope at 4 and more sds, with C_ar half too high. Right ones were within 2.7."""
+OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
+LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
+LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
+
+
+STUCK_STEP: Final = 3.0  # posterior sds: a search that ends with more to go is stuck
+TRIES: Final = 4  # of a step, each with MORE damping than the one before
+MORE: Final = 30.0
+LEAST_DAMPING: Final = 1e-4
+
+
+class Minimum(NamedTuple):
+    """Where a search has ended."""
+
+    at: Iterate
+    iterations: int
+    left: float  # posterior sds of any unknown that Newton's next step would go; 0 where all has settled
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Result of a fit: the posterior of one record and a prior."""
+
+    mean: Array  # [n] of unknowns.NAMES
+    covariance: Array  # [n, n]
+    information: Array  # [n, n] of the record without the prior
+    cost: float  # minimum, per row
+    gain: float  # log-likelihood of the record at the prior's mean minus that at `reference`, nats
+    iterations: int
+    rows: int
+    outliers: int
+    whiteness: float  # autocorrelation of the normalised innovations at lag one, mean over the kinds
+    converged: bool
+
+
+def maximise_posterior(
+    record: Record, setup: RigSetup, mean: Array, covariance: Array, reference: Array | None = None
+) -> Posterior:
+    """The fit. mean [n], covariance [n, n]: the prior over unknowns.NAMES; one with zero variance stays
+    fixed.
+
+    reference: [n], a point to compare with the prior's mean on this record, which was used for neither
+    (`gain`).
+    """
+    search = search_of(record, setup, mean, covariance)
+    gain = 0.0 if reference is None else likelihood_at(search, reference) - likelihood_at(search, mean)
+    point = mean.copy()
+    point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, ROUGH_START, 0.0)
+    minimum = _minimise(search, evaluate(search, point))
+    if minimum.left > STUCK_STEP or setup.scale != 1.0:
+        # What the ground's shaking tells of a roll mode is not in derivatives with gains held: along them no
+        # step may lower the cost. Where no equations by steering follow, the maximum itself is asked for.
+        minimum = _minimise(search, minimum.at, exact=True)
+    found, converged = minimum.at, minimum.left < ARRIVED_STEP
+    _, information = gradient_and_information(search, found, scores_at(search, found))
+    if setup.scale == 1.0:
+        found, settled = _settle_by_steering(search, found)
+        converged |= settled
+    autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
+    scores = scores_at(search, found)
+    _, counted = gradient_and_information(search, found, scores)
+    record_information = np.zeros_like(covariance)
+    record_information[np.ix_(search.active, search.active)] = information - search.prior_information
+    return Posterior(
+        found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
+        record_information,
+        found.cost / max(len(record.rows), 1), gain, minimum.iterations, len(record.rows),
+        int(np.sum(search.used == 0.0)), autocorrelation, converged,
+    )  # fmt: skip
+
+
+def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
+    """The minimum of the cost, from a starting point. exact: derivatives have in them what the gains do."""
+    of_six, damping, limit = search.active < 6, 1e-3, ROUGHLY_FLAT if search.setup.scale == 1.0 else FLAT_COST
+    for k in range(1, MOST_ITERATIONS + 1):
+        at = with_noise_levels(search, at)
+        if exact:
+            at = with_gains(search, at)
+        gradient, information = gradient_and_information(search, at, scores_at(search, at))
+        step, tried, then = _descend(search, at, gradient, information, damping)
+        sizes = np.abs(step) / _sds(information)
+        if then is None:
+            newton = np.abs(np.linalg.solve(information, gradient)) / _sds(information)
+            return Minimum(at, k, float(np.max(newton)))
+        damping = max(damping * 0.2, LEAST_DAMPING) if tried == 1 else damping * MORE ** (tried - 1)
+        if k == 2 and not exact:  # outliers are chosen once in a fit, at this point
+            search.used = np.where(np.abs(then.e) > OUTLIER * np.sqrt(then.S), 0.0, search.used)
+            then = evaluate(search, then.point, then)
+        flat, at = abs(then.cost - at.cost) < limit, then
+        # Only the six must be settled: a noise level that has no effect may go to and fro.
+        settled = flat and bool(np.max(sizes[of_six], initial=0.0) < SETTLED_STEP)
+        if k > 2 and (settled or bool(np.max(sizes) < SMALL_STEP)):
+            return Minimum(at, k, 0.0)
+    return Minimum(at, MOST_ITERATIONS, math.inf)
+
+
+def _descend(
+    search: Search, at: Iterate, gradient: Array, information: Array, damping: float
+) -> tuple[Array, int, Iterate | None]:
+    """(step, tries, what is there after it); None in the third place if no step lowers the cost."""
+    limits = _step_limits(search)
+    for tried in range(1, TRIES + 1):
+        damped = information + damping * MORE ** (tried - 1) * np.diag(np.diag(information))
+        step = _limited(np.asarray(np.linalg.solve(damped, -gradient), np.float64), limits)
+        trial = at.point.copy()
+        trial[search.active] += step
+        then = evaluate(search, trial, at)
+        if np.isfinite(then.cost) and then.cost <= at.cost + SLACK:
+            return step, tried, then
+    return np.zeros(len(search.active)), TRIES, None
+
+
+def _settle_by_steering(search: Search, at: Iterate) -> tuple[Iterate, bool]:
+    """(where what the known wheel angles explain is uncorrelated with the innovations, whether that was
+    found). Noise levels stay.
+
+    The likelihood's own maximum is drawn to what the ground's forces seem to say, which is as wrong as the
+    model of those forces: at 3 m/s it put C_af 8 % low and C_ar 7 % high. These equations are right with any
+    spectrum of the ground (refined instrumental variables: Young, Recursive Estimation and Time-Series
+    Analysis, 2011).
+    """
+    places, of_motion = search.active[search.of_motion], search.of_motion
+    of_six, limits = places < 6, _step_limits(search)[search.of_motion]
+    driven = response_to_steering(search, at.point)
+    found = start = by_steering(search, at, at.point, driven)
+    renewed, size, moved = found.point, math.inf, 0.0
+    for k in range(STEERING_STEPS):
+        gradient, information = gradient_and_information(search, found, scores_at(search, found))
+        newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
+        share = 1.0 if k < STEERING_STEPS // 2 else 0.5
+        step = share * _limited(np.asarray(newton, np.float64), limits)
+        point = found.point.copy()
+        point[places] += step
+        sds = _sds(information)[of_motion]
+        size, moved, since = (
+            float(np.max((np.abs(change) / sds)[of_six], initial=0.0))
+            for change in (step, (point - at.point)[places], (point - renewed)[places])
+        )
+        if since > ARRIVED_STEP:
+            driven, renewed = response_to_steering(search, point), point
+        found = by_steering(search, at, point, driven)
+        if size < SETTLED_STEP or not math.isfinite(found.cost):
+            break
+    if math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST:
+        return found, True
+    return start, False  # nothing better than the likelihood's maximum is known
+
+
+def _sds(information: Array) -> Array:
+    """Posterior sds, shape (a,)."""
+    return np.asarray(np.sqrt(np.diag(inverse(information))), np.float64)
+
+
+def with_gain(found: Posterior, gain: float) -> Posterior:
+    """The same posterior with another `gain`."""
+    return replace(found, gain=gain)
+
+
+def _step_limits(search: Search) -> Array:
+    """How far one step may go, (a,)."""
+    limits: Array = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+    return limits
+
+
+def _limited(step: Array, limits: Array) -> Array:
+    """The step, shortened to its limits."""
+    return np.asarray(step / max(float(np.max(np.abs(step) / limits, initial=0.0)), 1.0), np.float64)
