@@ -30,7 +30,7 @@ ROOMS = {
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {
-    "estimator": ("compiled", "kernel_digest", "state_json"),
+    "estimator": ("compiled", "kernel_digest", "once", "state_json"),
     "logger": ("clock", "back_off"),
     "simulator": ("scenario",),
 }

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of, static_loads
+from tilth.estimator.once import once_for_a_machine
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 
@@ -86,15 +87,20 @@ def _heights(machine: Machine) -> Array:
 
 def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     """The setup of a machine. linear: small motions of a rig that does not roll, as in models.relaxation."""
-    slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
-    slow.append(SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver])))
-    sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
-    middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
-    setup = RigSetup(
-        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
-        _heights(machine), SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
-    )  # fmt: skip
+    setup = _setup(machine)
     if not linear:
         return setup
     low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
     return setup._replace(rig=low, roll=modes, heights=np.zeros(4), speed_sd=0.0, slope_sd=0.0, scale=SMALL)
+
+
+@once_for_a_machine
+def _setup(machine: Machine) -> RigSetup:
+    slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
+    slow.append(SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver])))
+    sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
+    middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
+    return RigSetup(
+        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
+        _heights(machine), SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
+    )  # fmt: skip

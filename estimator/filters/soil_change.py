@@ -31,6 +31,7 @@ without a change was 60, on 1 cm 28."""
 LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
 # largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
 KNOWN_SD: Final = 0.2
+LARGEST_VARIANCES: Final = np.square(KNOWN_SD * DIRECTIONS.sum(axis=1))
 MOST_CHECKPOINTS: Final = 10  # stored, one in CHECKPOINT_SEGMENTS segments: 4 s
 CHECKPOINT_SEGMENTS: Final = 2
 
@@ -64,14 +65,14 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     if not checkpoints:
         return None
     before = np.array([checkpoint.covariance for checkpoint in checkpoints])
-    known = np.sqrt(np.einsum("di,kij,dj->kd", DIRECTIONS, before, DIRECTIONS))
+    known = ((DIRECTIONS @ before) * DIRECTIONS).sum(axis=2) < LARGEST_VARIANCES  # [k, d]
+    if not known.any():
+        return None
     weights = np.linalg.solve(before, DIRECTIONS.T[None])  # [k, 6, d]
     change = mean - np.array([checkpoint.mean for checkpoint in checkpoints])
-    score = np.einsum("kid,ki->kd", weights, change)
-    information = np.einsum("kid,di->kd", weights, DIRECTIONS)
-    information -= np.einsum("kid,ij,kjd->kd", weights, covariance, weights)
-    valid = (known < KNOWN_SD * DIRECTIONS.sum(axis=1)) & (np.abs(score) > LEAST_CHANGE * information)
-    valid &= information > 0.0
+    score = (weights * change[:, :, None]).sum(axis=1)
+    information = (weights * (DIRECTIONS.T - covariance @ weights)).sum(axis=1)
+    valid = known & (np.abs(score) > LEAST_CHANGE * information) & (information > 0.0)
     if not valid.any():
         return None
     ratio = np.where(valid, score**2 / np.where(valid, information, 1.0), 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models.parameters import GEOMETRY, geometry_of
+from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
@@ -106,6 +107,12 @@ SENSOR_LOG_SD: Final = 0.5
 
 def prior(machine: Machine) -> tuple[Array, Array]:
     """(mean [n], sd [n]) of NAMES before any data."""
+    mean, sd = _prior(machine)
+    return mean.copy(), sd.copy()
+
+
+@once_for_a_machine
+def _prior(machine: Machine) -> tuple[Array, Array]:
     mean, sd = np.zeros(len(NAMES)), np.zeros(len(NAMES))
     tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
     mean[SIX] = np.log([t.cornering_stiffness for t in tyres] + [t.relaxation_length for t in tyres])

@@ -18,6 +18,7 @@ from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NOISE, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import SOIL, TrackerState
+from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
 from tilth.schemas.machine import Machine
 
@@ -114,6 +115,7 @@ def misfit(state: TrackerState, machine: Machine) -> Misfit:
     )
 
 
+@once_for_a_machine
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
     _, stated = unknowns.prior(machine)

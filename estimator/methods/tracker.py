@@ -192,7 +192,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         return
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
-    speed = max(float(np.mean(np.abs(record.ticks[:, U]))), SLOWEST)
+    speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
     ground = GroundNoise(sds[:3], PUSH_LENGTH / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
@@ -202,7 +202,9 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     fixed = state.considered + ([] if learnable else state.needs_steering)
-    considered = np.concatenate([np.zeros(N_STATES), np.isin(active, fixed).astype(np.float64)])
+    considered = np.zeros(N_STATES + len(NAMES))
+    considered[N_STATES + np.array(fixed, dtype=np.int64)] = 1.0
+    considered = considered[np.concatenate([np.arange(N_STATES), N_STATES + active])]
     tally = RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2)))
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
@@ -238,7 +240,7 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Groun
 def _check_learnable(state: TrackerState, record: Record) -> bool:
     """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
     wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
-    state.steering += (float(np.mean(wheel**2)) - state.steering) / STEERING_MEMORY
+    state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
     articulation = record.ticks[:, PSI] - record.ticks[:, PSI + 1]
     if state.segments_since_start <= SETTLES:
@@ -246,8 +248,8 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
     elif (
-        float(np.max(np.abs(wheel))) > fit_covariance.TIGHT
-        or float(np.max(np.abs(articulation))) > fit_covariance.TIGHT
+        float(np.abs(wheel).max()) > fit_covariance.TIGHT
+        or float(np.abs(articulation).max()) > fit_covariance.TIGHT
     ):
         state.tight_s += len(record.ticks) * DT
         _refuse(state, "in a tight turn")
@@ -258,10 +260,9 @@ def _is_sound(state: TrackerState) -> bool:
     values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
-    plausible = np.abs(state.mean - state.prior_mean)[SIX] < LARGEST_DEVIATION * state.prior_sd[SIX]
-    return bool(
-        np.all(plausible) and np.all(np.diag(state.covariance) >= 0.0) and np.all(np.diag(state.P_xx) > 0.0)
-    )
+    plausible = np.abs(state.mean[SIX] - state.prior_mean[SIX]) < LARGEST_DEVIATION * state.prior_sd[SIX]
+    variances = state.covariance.diagonal().min() >= 0.0 and state.P_xx.diagonal().min() > 0.0
+    return bool(plausible.all() and variances)
 
 
 def _drift(state: TrackerState, metres: float) -> None:
