@@ -13,7 +13,6 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import savemat
 
 from tilth.analysis.export.columns import (
     DATA,
@@ -240,6 +239,8 @@ class MatFile:
             cells = {name: np.array([*known], object) for name, known in self._texts.items()}
             whole["texts"] = cells
         whole["meta"] = _plain({**self._facts, "json": json.dumps(self._facts)})
+        from scipy.io import savemat  # importing it takes a fifth of a second, so only where it is needed
+
         savemat(self._path, whole, appendmat=False, format="5", long_field_names=True, oned_as="column")
 
     def abandon(self) -> None:
