@@ -72,10 +72,10 @@ def spread(kept: Kept) -> Array:
 
 
 def quantile(kept: Kept, share: float) -> Array:
-    """(k,), the geometric middle of the bin that holds it; NaN where there is no value."""
+    """(k,), the geometric middle of the bin that holds it, zero in the lowest; NaN if there is no value."""
     found = np.full(len(kept.counted), np.nan)
     for k, bins in enumerate(kept.bins):
         if kept.counted[k]:
             at = int(np.searchsorted(np.cumsum(bins), share * kept.counted[k]))
-            found[k] = 10 ** (LOWEST + (min(at, BINS - 1) + 0.5) / PER_DECADE)
+            found[k] = 10 ** (LOWEST + (min(at, BINS - 1) + 0.5) / PER_DECADE) if at else 0.0
     return found

@@ -144,7 +144,7 @@ def case_of(
 
 def wheel_angles(steering: str, samples: int, angle: float) -> Array:
     """Of a manoeuvre from its beginning, rad, at each sample."""
-    time = START_S + STEP_S * np.arange(samples)
+    time: Array = START_S + STEP_S * np.arange(samples, dtype=np.float64)
     return manoeuvre_named(steering).wheel_angle(time, angle, np.random.default_rng(SEED))
 
 

@@ -102,8 +102,8 @@ def step_changes(
 
 
 def _discretise(z: Array, f: Array, spare: Array) -> None:
-    """Fill f, (8, 8): the exponential of a step, less one. Rows: the states and psi_t; columns: the states and
-    the constant push, for no state depends on psi_t.
+    """Fill f, (8, 8): the exponential of a step, less one. Rows: the states and psi_t; columns: the states
+    and the constant push, for no state depends on psi_t.
 
     z: (8, 8), A and the push, times the step; its last row turns r_t into psi_t. Squared as often as needed.
     """
