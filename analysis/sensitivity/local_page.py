@@ -71,8 +71,8 @@ def _short(data: Mapping[str, Any]) -> ReportSection:
         ReportText(
             f"The wheels: {manoeuvre_named(data['input']).meaning}, to 10°. Each parameter in turn is "
             "changed. Of curves the root mean square of the change over that of the curve is taken; of "
-            "places the distance of the ends over the radius of the turn; else the change over the value (Karkee "
-            "2009, 6.10 to 6.17). Of "
+            "places the distance of the ends over the radius of the turn; else the change over the value "
+            "(Karkee 2009, 6.10 to 6.17). Of "
             "another manoeuvre than a step headings are curves, and the radius is of the mean yaw rate."
         )
     )
