@@ -45,7 +45,7 @@ Done = Callable[[int, int], None]  # (batches done, of)
 LANE_SAMPLES: Final = 6_000_000  # points times samples of a batch: a second or two
 LARGER: Final = 5  # times as much in a batch of a large design
 BATCHES: Final = 64  # of a design, or more, before its batches grow
-MOST_POINTS: Final = 32_768  # of a batch, for its memory
+MOST_POINTS: Final = 20_000  # of a batch, for its memory
 SLOW_POINTS: Final = 50  # of a batch without the compiled loop: a second or two
 TOGETHER: Final = 1024  # points whose matrices are in memory at once
 MADE_WITH: Final = 2  # raise it when the measure changes: batches kept before are then computed anew
@@ -101,11 +101,13 @@ class Part(NamedTuple):
 
 def part_of(plan: GlobalPlan, start: int, stop: int) -> Part:
     """Of the points start to stop - 1."""
-    firsts = range(start, stop, TOGETHER)
-    found = [_changes(plan, first, min(first + TOGETHER, stop)) for first in firsts]
-    shares = np.concatenate([part[0] for part in found]) / SHARE
-    grows = np.concatenate([part[1] for part in found]) > STILL
-    measures = np.concatenate([shares.mean(axis=2, keepdims=True), shares], axis=2)
+    measures = np.zeros((stop - start, len(plan.design.names), len(plan.measures)))
+    grows = np.zeros(stop - start, dtype=bool)
+    for first in range(0, stop - start, TOGETHER):
+        rows = slice(first, min(first + TOGETHER, stop - start))
+        shares, growing = _changes(plan, start + rows.start, start + rows.stop)
+        measures[rows, :, 0], measures[rows, :, 1:] = shares.mean(axis=2) / SHARE, shares / SHARE
+        grows[rows] = growing > STILL
     flat = measures.reshape(stop - start, -1)
     levels = plan.design.levels_of(start, stop)
     every = accumulators.of(flat)
