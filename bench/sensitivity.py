@@ -12,13 +12,15 @@ beside the process pool, with 1, 2 and 4 workers, each started anew, in turn; th
 import argparse
 import math
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 
@@ -59,13 +61,17 @@ def whole(share: float, workers: int) -> None:
     grid = Grid(DISSERTATION)
     design = grid if share >= 1.0 else Uniform(DISSERTATION, round(share * grid.size))
     total_s, total = 0.0, 0
+    before_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     for speed in SECONDS:
         took = seconds_of(plan_of(speed, design), here(workers))
         count = design.size * (PARAMETERS + 1)
         total_s, total = total_s + took, total + count
         print(f"{speed:g} m/s: {count:,} simulations of {SECONDS[speed]:g} s in {took:.1f} s")
-    each = 1e6 * total_s * workers / total
-    print(f"together {total:,} in {total_s:.1f} s by {workers} processes: {each:.1f} µs each on one core")
+    busy_s = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before_s
+    print(
+        f"together {total:,} in {total_s:.1f} s by {workers} processes; {busy_s:.1f} s of processors' time, "
+        f"{1e6 * busy_s / total:.1f} µs each"
+    )
 
 
 def plain() -> None:
@@ -75,7 +81,7 @@ def plain() -> None:
     for speed in SECONDS:
         plan = plan_of(speed, Uniform(DISSERTATION, 2000))
         part_of(plan, 0, 8)  # compiled
-        rates = [2000 * (PARAMETERS + 1) / best(lambda plan=plan: part_of(plan, 0, 2000), 3)]
+        rates = [2000 * (PARAMETERS + 1) / best(partial(part_of, plan, 0, 2000), 3)]
         for how in ("solve_ivp", "lsim"):
             start = time.perf_counter()
             count, _ = by_salib(8 if speed < 4 else 24, speed, plan.samples, how)
@@ -155,7 +161,8 @@ def _megabytes(process: psutil.Process) -> int:
 
 def with_dask(plan: GlobalPlan, workers: int) -> float:
     """On a cluster of this computer, whose workers have computed nothing before."""
-    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
+    local: Any = LocalCluster  # has no types
+    with local(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
         return seconds_of(plan, on_dask(cluster.scheduler_address))
 
 

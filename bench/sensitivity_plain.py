@@ -57,7 +57,7 @@ def _outputs(x: Array, speed: float) -> list[float]:
 def by_salib(points: int, speed: float, samples: int, how: str) -> tuple[int, Any]:
     """(simulations, SALib's answer for each output). how: scipy's "solve_ivp" or "lsim", as they are."""
     rows = SALib.sample.finite_diff.sample(PROBLEM, points, delta=0.01, seed=1)
-    time = STEP_S * np.arange(samples)
+    time: Array = STEP_S * np.arange(samples, dtype=np.float64)
     found = []
     for row in rows:
         found.append(_outputs(_run(how, *_matrices(row, speed), time), speed))

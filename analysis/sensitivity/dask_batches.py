@@ -13,7 +13,7 @@ from importlib.metadata import version
 from statistics import median
 from typing import Any, Final
 
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, Parts, end_of, part_of
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
 
 INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
@@ -52,7 +52,7 @@ def check_versions(here: dict[str, str], workers: dict[str, dict[str, str]]) -> 
 
 def _on_dask(
     address: str, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
-) -> Generator[tuple[int, Part], None, None]:
+) -> Generator[tuple[int, bytes], None, None]:
     if not starts:
         return
     try:
@@ -109,12 +109,13 @@ class _Batches:
     @property
     def wanted(self) -> int:
         """How many are asked for at once."""
-        return AHEAD * max(sum(self._client.nthreads().values()), 1)
+        threads: int = sum(self._client.nthreads().values())
+        return AHEAD * max(threads, 1)
 
     def ask(self, start: int) -> None:
         answering = [worker for worker in self._client.nthreads() if worker not in self._silent]
         future = self._client.submit(
-            part_of, self._plan, start, end_of(self._plan, start),
+            stored_part, self._plan, start, end_of(self._plan, start),
             pure=False, retries=TRIES, workers=answering or None,
         )  # fmt: skip
         self.asked[future] = (start, time.monotonic())
@@ -139,7 +140,7 @@ class _Batches:
 
 def _computed(
     distributed: Any, client: Any, plan: GlobalPlan, starts: Sequence[int], hung_s: float
-) -> Generator[tuple[int, Part], None, None]:
+) -> Generator[tuple[int, bytes], None, None]:
     batches = _Batches(client, plan)
     open_ones = set(starts)
     took_s: list[float] = []
@@ -171,10 +172,10 @@ def _computed(
         batches.repeat_late(max(hung_s, SLOW * median(took_s or [0.0])), open_ones)
 
 
-def _result(future: Any, within_s: float) -> Part | None:
+def _result(future: Any, within_s: float) -> bytes | None:
     """None where the worker that computed it does not hand it over."""
     try:
-        found: Part = future.result(timeout=within_s)
+        found: bytes = future.result(timeout=within_s)
     except TimeoutError:
         return None
     except GONE:

@@ -7,6 +7,7 @@ where they lie in two parameters at once, and kept apart.
 """
 
 import hashlib
+import io
 import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -159,8 +160,16 @@ def pairs(levels: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return found
 
 
-Parts = Callable[[GlobalPlan, Sequence[int]], Generator[tuple[int, Part], None, None]]
-"""Of a plan and where its batches start: (start, its part) of each, as they are ready."""
+def stored_part(plan: GlobalPlan, start: int, stop: int) -> bytes:
+    """The same as the file that is kept of it: packed where it is computed, so that little is sent."""
+    part = part_of(plan, start, stop)
+    file = io.BytesIO()
+    np.savez_compressed(file, *part.every, *part.stable, part.there, part.unstable)
+    return file.getvalue()
+
+
+Parts = Callable[[GlobalPlan, Sequence[int]], Generator[tuple[int, bytes], None, None]]
+"""Of a plan and where its batches start: (start, its stored part) of each, as they are ready."""
 
 
 def here(workers: int) -> Parts:
@@ -168,13 +177,13 @@ def here(workers: int) -> Parts:
     return partial(_here, workers)
 
 
-def _here(workers: int, plan: GlobalPlan, starts: Sequence[int]) -> Generator[tuple[int, Part], None, None]:
+def _here(workers: int, plan: GlobalPlan, starts: Sequence[int]) -> Generator[tuple[int, bytes], None, None]:
     if workers == 1:
         for start in starts:
-            yield start, part_of(plan, start, end_of(plan, start))
+            yield start, stored_part(plan, start, end_of(plan, start))
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        waiting = {pool.submit(part_of, plan, start, end_of(plan, start)): start for start in starts}
+        waiting = {pool.submit(stored_part, plan, start, end_of(plan, start)): start for start in starts}
         try:
             for future in as_completed(waiting):
                 yield waiting.pop(future), future.result()
@@ -201,8 +210,8 @@ def run(
     already = len(files) - len(missing)
     progress(already, len(files))
     with closing(parts(plan, missing)) as found:
-        for done, (start, part) in enumerate(found, already + 1):
-            _keep(part, start, kept)
+        for done, (start, stored) in enumerate(found, already + 1):
+            _keep(stored, start, kept)
             progress(done, len(files))
     total = _read(files[0])
     for file in files[1:]:
@@ -221,12 +230,12 @@ def end_of(plan: GlobalPlan, start: int) -> int:
     return min(start + plan.batch, plan.design.size)
 
 
-def _keep(part: Part, start: int, folder: Path) -> None:
+def _keep(stored: bytes, start: int, folder: Path) -> None:
     """Write a batch under its final name once it is whole."""
     unfinished = folder / f"{start}.{os.getpid()}.unfinished"
     try:
         with unfinished.open("wb") as file:
-            np.savez_compressed(file, *part.every, *part.stable, part.there, part.unstable)
+            file.write(stored)
         unfinished.replace(folder / f"{start}.npz")
     except OSError:
         unfinished.unlink(missing_ok=True)
