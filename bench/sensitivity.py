@@ -7,6 +7,8 @@ them. plain: simulations a second beside SALib's with scipy's solve_ivp or lsim,
 check: 10,000 points of the grid beside matrix exponentials and a numpy loop. memory: the most that all
 processes of the command take together, at several numbers of points. dask: a Dask cluster on this computer
 beside the process pool, with 1, 2 and 4 workers, each started anew, in turn; the best of each counts.
+
+What only one row needs is imported there: each process of the pool imports this file anew.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,8 +29,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 
 import numpy as np
 import psutil
-from distributed import LocalCluster
-from sensitivity_plain import by_exponentials, by_salib
 from timing import best
 
 from tilth.analysis.sensitivity.dask_batches import on_dask
@@ -75,6 +76,8 @@ def whole(share: float, workers: int) -> None:
 
 
 def plain() -> None:
+    from sensitivity_plain import by_salib
+
     print(
         f"{'simulations a second, one process':34} {'tilth':>9} {'solve_ivp':>10} {'lsim':>8} {'ratios':>12}"
     )
@@ -95,6 +98,8 @@ def plain() -> None:
 def differences(speed: float, count: int, seed: int = 1) -> np.ndarray:
     """Of the compiled loop's changes from the other integrator's, as shares of the largest of each output at
     a point, (count × 8 × 6,). Points of the grid."""
+    from sensitivity_plain import by_exponentials
+
     grid = Grid(DISSERTATION)
     columns = np.array([FIELDS.index(name) for name in DISSERTATION.names])
     rows = np.random.default_rng(seed).choice(grid.size, count, replace=False)
@@ -161,8 +166,8 @@ def _megabytes(process: psutil.Process) -> int:
 
 def with_dask(plan: GlobalPlan, workers: int) -> float:
     """On a cluster of this computer, whose workers have computed nothing before."""
-    local: Any = LocalCluster  # has no types
-    with local(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
+    cluster_of: Any = import_module("distributed").LocalCluster
+    with cluster_of(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
         return seconds_of(plan, on_dask(cluster.scheduler_address))
 
 
