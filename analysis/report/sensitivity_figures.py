@@ -201,18 +201,19 @@ def pairs(data: Mapping[str, Any]) -> Figure:
     across, down = _grid(len(shown))
     figure, axes = panels(down, across, 0.5 + 2.0 * down)
     drawn = None
+    top = max((share or 0.0 for one in shown for row in one["shares"] for share in row), default=0.0) * 100.0
     for panel, one in zip(axes.flat, shown, strict=False):
         x, y = (np.array(edges) for edges in one["low_to_high"])
         shares = 100.0 * np.array(one["shares"], dtype=np.float64).T
-        drawn = panel.pcolormesh(x, y, shares, cmap=_SHARE, vmin=0.0, vmax=100.0)
+        drawn = panel.pcolormesh(x, y, shares, cmap=_SHARE, vmin=0.0, vmax=top)
         line = one["line"]
         growth = np.array(line["growth"]).T
-        if growth.min() <= line["still"] < growth.max():
-            panel.contour(*line["at"], growth, levels=[line["still"]], colors=[INK], linewidths=1.0)
+        if growth.min() < 0.0 < growth.max():
+            panel.contour(*line["at"], growth, levels=[0.0], colors=[INK], linewidths=1.0)
         panel.set(xlabel=one["names"][0], ylabel=one["names"][1], xlim=x[[0, -1]], ylim=y[[0, -1]])
         panel.grid(False)
         for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_locator(MaxNLocator(3))
+            axis.set_major_locator(MaxNLocator(2 if axis is panel.xaxis else 4))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}".replace(",", " ")))
     for panel in axes.flat[len(shown) :]:
         panel.set_visible(False)

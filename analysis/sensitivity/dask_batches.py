@@ -4,6 +4,7 @@ A worker that dies costs the batches it had: Dask gives them to another. One tha
 result; after a while the same batch is asked of another worker too, and whichever answers first counts.
 """
 
+import re
 import time
 from asyncio import CancelledError
 from collections.abc import Generator, Sequence
@@ -55,6 +56,8 @@ def _on_dask(
 ) -> Generator[tuple[int, bytes], None, None]:
     if not starts:
         return
+    if re.fullmatch(r"\w+://\S+:\d+", address) is None:
+        raise DaskProblem(f"{address} is no address of a Dask scheduler; give one such as tcp://host:8786")
     try:
         distributed: Any = import_module("distributed")
     except ImportError:

@@ -231,15 +231,15 @@ def end_of(plan: GlobalPlan, start: int) -> int:
 
 
 def _keep(stored: bytes, start: int, folder: Path) -> None:
-    """Write a batch under its final name once it is whole."""
+    """Write a batch under its final name once it is whole. Raises OSError that names the folder."""
     unfinished = folder / f"{start}.{os.getpid()}.unfinished"
     try:
         with unfinished.open("wb") as file:
             file.write(stored)
         unfinished.replace(folder / f"{start}.npz")
-    except OSError:
+    except OSError as error:
         unfinished.unlink(missing_ok=True)
-        raise
+        raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
 def _read(file: Path) -> Part:

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from tilth.analysis.sensitivity.designs import Design, Grid, LogNormal
-from tilth.analysis.sensitivity.outputs import STILL
 from tilth.estimator.models.family import Model
-from tilth.estimator.models.linear_analysis import eigenvalues, system
+from tilth.estimator.models.linear_analysis import AT_ORIGIN, eigenvalues, system
 from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
@@ -76,14 +75,16 @@ def _line(model: Model, rig: Rig, speed: float, design: Design, one: int, other:
     )
     names = design.names[one], design.names[other]
     growth = [
-        [
-            float(eigenvalues(system(model, changed, speed).a).real.max())
-            for y in second
-            if (changed := rig._replace(**{names[0]: x, names[1]: y}))
-        ]
-        for x in first
+        [_growth(model, rig._replace(**{names[0]: x, names[1]: y}), speed) for y in second] for x in first
     ]
-    return {"at": [first, second], "growth": growth, "still": STILL}
+    return {"at": [first, second], "growth": growth}
+
+
+def _growth(model: Model, rig: Rig, speed: float) -> float:
+    """Largest real part of the poles, 1/s; integrators aside, for the line would hang on their rounding."""
+    poles = eigenvalues(system(model, rig, speed).a)
+    moving = poles[np.abs(poles) > AT_ORIGIN]
+    return float(moving.real.max()) if len(moving) else -1.0
 
 
 def clearest(design: Design, there: Counts, unstable: Counts) -> Corner | None:

@@ -161,7 +161,7 @@ def test_every_figure_is_drawn_the_same_each_time(kind: str) -> None:
         "high": "2",
     }
     if kind == "pairs":
-        line = {"at": [[1.0, 3.0], [0.0, 2.0]], "growth": [[-1.0, 1.0], [0.5, 2.0]], "still": 0.0}
+        line = {"at": [[1.0, 3.0], [0.0, 2.0]], "growth": [[-1.0, 1.0], [0.5, 2.0]]}
         panel = {"names": ["C_af", "C_ar"], "low_to_high": [[1.0, 2.0, 3.0], [0.0, 1.0, 2.0]],
                  "shares": [[0.0, 1.0], [None, 0.5]], "line": line}  # fmt: skip
     for count in (1, 4, 5):

@@ -82,7 +82,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: py
         pytest.skip("no /dev/full here")
     opened = Path.open
     monkeypatch.setattr(Path, "open", lambda self, *args: opened(Path("/dev/full"), *args))
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError, match=f"No space.*{tmp_path.name}"):
         run(PLAN._replace(seconds=0.05), tmp_path, here(1))
     assert not list(tmp_path.rglob("*.npz"))
 
