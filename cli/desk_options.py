@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from tilth.cli import WrongUse
+from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.machine import Machine
 
+STEP = "step"  # of MANOEUVRES
 SUFFIXES = (".html", ".htm")
 
 
@@ -28,6 +30,24 @@ def between(low: float, high: float, unit: str) -> Callable[[str], float]:
         return value
 
     return number
+
+
+def add_input(parser: argparse.ArgumentParser) -> None:
+    """The option of what the wheels do."""
+    meanings = "; ".join(f"{row.name}: {row.meaning}" for row in MANOEUVRES)
+    parser.add_argument(
+        "--input",
+        choices=[row.name for row in MANOEUVRES],
+        default=STEP,
+        help=f"what the wheels do, to 10 degrees ({STEP}). {meanings}",
+    )
+
+
+def after(steering: str) -> str:
+    """For people, what the wheels did."""
+    if steering == STEP:
+        return "after the wheels turned by 10°"
+    return f"over a manoeuvre to 10°: {manoeuvre_named(steering).meaning}"
 
 
 def share(text: str) -> float:

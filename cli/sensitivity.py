@@ -19,10 +19,10 @@ from tilth.analysis.sensitivity.local_answer import (
     frequency_answer,
     local_answer,
 )
-from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP_S
+from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.cli import WrongUse, say_unusual
-from tilth.cli.desk_options import between, check_out, made_by, names, write_report
+from tilth.cli.desk_options import add_input, after, between, check_out, made_by, names, write_report
 from tilth.cli.sensitivity_global import add_answers, add_global, design_of, show_global
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.estimator.models.parameters import Rig, rig_of
@@ -39,7 +39,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "sensitivity",
         help="say which parameters of a rig matter, for what",
         description="Say how much each output of a rig changes with each parameter of its machine file, "
-        "after the wheels turn by 10 degrees: per cent of the output for each per cent of the parameter.",
+        "after the wheels turn by 10 degrees at once, or in another manoeuvre: per cent of the output "
+        "for each per cent of the parameter.",
     )
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
     parser.add_argument(
@@ -75,6 +76,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="N",
         help="of simulation; once for all speeds, or once for each (twice the settling time)",
     )
+    add_input(parser)
     add_global(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     parser.add_argument(
@@ -136,6 +138,7 @@ def question_of(args: argparse.Namespace) -> LocalQuestion:
         names("--outputs", args.outputs, NAMES),
         names("--parameters", args.parameters, MACHINE_PARAMETERS),
         args.step == "exact",
+        args.input,
     )
 
 
@@ -161,7 +164,7 @@ def _write(
             models=(model,), speeds=tuple(speeds), seconds=tuple(entry["seconds"] for entry in entries)
         )
         data["another"][model.name] = another_point(rig, same)
-        data["curves"][model.name] = changed_curves(rig, model, entries)
+        data["curves"][model.name] = changed_curves(rig, model, entries, question.steering)
         data["frequency"][model.name] = frequency_answer(rig, model, speeds, question.parameters)
     return write_report("sensitivity", local_report, data, args.out)
 
@@ -176,8 +179,9 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--global", *(["--points", str(args.points)] if args.points else [])]
         words += [word for text in args.box for word in ("--box", text)]
         words += ["--from", str(args.log)] if args.log else []
-        words += ["--indices"] if args.indices else []
+        words += [] if args.indices else ["--no-indices"]
         words += ["--dask", args.dask] if args.dask else []
+    words += ["--input", args.input] if args.input != STEP else []
     return [*words, "--step", args.step, "--out", str(args.out)]
 
 
@@ -185,7 +189,7 @@ def _show(answer: Mapping[str, Any]) -> None:
     console = Console(highlight=False)
     console.print(
         f"{answer['machine']}: per cent of the output for each per cent of the parameter "
-        f"({'derivatives' if answer['step'] == 'exact' else 'a step of 1 %'}), after the wheels turned by 10°"
+        f"({'derivatives' if answer['step'] == 'exact' else 'a step of 1 %'}), {after(answer['input'])}"
     )
     for entry in answer["speeds"]:
         title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"

@@ -18,10 +18,12 @@ from tilth.analysis.runs.kept import cache_folder
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.sensitivity.dask_batches import DaskProblem, on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
-from tilth.analysis.sensitivity.global_page import with_interval
+from tilth.analysis.sensitivity.global_answer import global_answer, with_indices
+from tilth.analysis.sensitivity.global_page import outputs_with_indices, with_interval
 from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, global_answer, here, run
+from tilth.analysis.sensitivity.outputs import SIX
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, here, run
 from tilth.cli import WrongUse
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
@@ -60,10 +62,11 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         help="with --global: rigs as the log's last estimates and their covariance have them",
     )
     parser.add_argument(
-        "--indices",
-        action="store_true",
-        help="with --global: also each output's Sobol' indices with intervals, Morris's effects and bounds "
-        "by derivatives, over the same rigs",
+        "--no-indices",
+        dest="indices",
+        action="store_false",
+        help="with --global: without each output's Sobol' indices, Morris's effects and bounds by "
+        "derivatives",
     )
     parser.add_argument(
         "--dask",
@@ -91,8 +94,8 @@ def design_of(args: argparse.Namespace) -> Design | None:
     """None without --global. Raises WrongUse, LogError, OSError."""
     if not args.over_all:
         given = {
-            "--points": args.points, "--box": args.box, "--from": args.log, "--indices": args.indices,
-            "--dask": args.dask,
+            "--points": args.points, "--box": args.box, "--from": args.log,
+            "--no-indices": not args.indices, "--dask": args.dask,
         }  # fmt: skip
         for option, value in given.items():
             if value:
@@ -141,15 +144,16 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
     with ExitStack() as stack:
         bar = _bar(stack)
         for entry in answer["speeds"]:
-            plan = GlobalPlan(entry["model"], rig, entry["speed"], entry["seconds"], design)
+            asked = tuple(entry["outputs"]) if args.outputs else SIX
+            plan = GlobalPlan(
+                entry["model"], rig, entry["speed"], entry["seconds"], design, asked, args.input
+            )
             shown = bar(f"{entry['speed']:g} m/s")
             try:
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
                 entry |= global_answer(plan, part)
                 if args.indices:
-                    entry["indices"] = indices_answer(
-                        entry["model"], rig, entry["speed"], entry["seconds"], design, entry["outputs"]
-                    )
+                    with_indices(entry, indices_answer(plan, entry["outputs"], args.workers))
             except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
 
@@ -199,18 +203,20 @@ def show_global(console: Console, entry: Mapping[str, Any]) -> None:
         values.append(entry["global_stable"][name]["mean"])
         table.add_row(name, *("–" if value is None else f"{value:.3g}" for value in values))
     console.print(table)
-    for output, rows in entry.get("indices", {}).get("outputs", {}).items():
+    for output, rows in outputs_with_indices(entry).items():
         console.print(_indices_table(output, rows))
     console.print(
         f"{100 * entry['unstable_share']:.2g} % of the rigs are unstable; {entry['unstable_where']}."
     )
+    if entry["unstable_domain"]:
+        console.print(f"{entry['unstable_domain']['text']}.")
 
 
 def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
     table = RichTable(title=f"what makes the variance of {output}", title_justify="left")
     for heading in ("", "Sobol', first order", "Sobol', total", "Morris", "bound by derivatives"):
         table.add_column(heading, justify="right" if heading else "left")
-    for name, row in sorted(rows.items(), key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0)):
+    for name, row in rows.items():
         effects = row["morris"]
         table.add_row(
             name,

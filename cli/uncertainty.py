@@ -14,12 +14,22 @@ from rich.table import Table as RichTable
 from tilth.analysis.rig_report import SPEED_RANGE
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
-from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP_S
+from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
 from tilth.cli import WrongUse, say_unusual
-from tilth.cli.desk_options import between, check_name, check_out, made_by, names, share, write_report
+from tilth.cli.desk_options import (
+    add_input,
+    after,
+    between,
+    check_name,
+    check_out,
+    made_by,
+    names,
+    share,
+    write_report,
+)
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
@@ -36,7 +46,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "uncertainty",
         help="say how well the outputs of a rig are known",
         description="Say how well each output of a rig is known, with what is known of its parameters, and "
-        "which parameter costs how much of that. The wheels turn by 10 degrees.",
+        "which parameter costs how much of that. The wheels turn by 10 degrees at once, or in another "
+        "manoeuvre.",
     )
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
     source = parser.add_mutually_exclusive_group()
@@ -91,6 +102,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="N",
         help="of simulation (twice the settling time)",
     )
+    add_input(parser)
     parser.add_argument(
         "--draws",
         type=_draws,
@@ -212,6 +224,7 @@ def _question(args: argparse.Namespace) -> UncertaintyQuestion:
         names("--outputs", args.outputs, NAMES),
         wanted,
         args.draws,
+        args.input,
     )
 
 
@@ -223,6 +236,7 @@ def _words(args: argparse.Namespace) -> list[str]:
     for option in ("sd", "correlation", "want", "speed", "model", "outputs"):
         for value in getattr(args, option) or []:
             words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    words += ["--input", args.input] if args.input != STEP else []
     if args.seconds is not None:
         words += ["--seconds", f"{args.seconds:g}"]
     return [*words, "--draws", str(args.draws), "--out", str(args.out)]
@@ -230,7 +244,7 @@ def _words(args: argparse.Namespace) -> list[str]:
 
 def _show(answer: Mapping[str, Any]) -> None:
     console = Console(highlight=False)
-    console.print(f"{answer['machine']}, with what {answer['source']} knows, after the wheels turned by 10°")
+    console.print(f"{answer['machine']}, with what {answer['source']} knows, {after(answer['input'])}")
     for entry in answer["speeds"]:
         title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"
         table = RichTable(title=title, title_justify="left")

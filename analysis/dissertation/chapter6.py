@@ -71,7 +71,7 @@ def _variation(speed: float) -> Array:
     for factor in _FACTORS.tolist():
         rig = scaled(TABLE_7_2, dict.fromkeys(STIFFNESSES, factor))
         change = respond(case, rig).minus(reference)
-        sign = math.copysign(1.0, float(change.headings[0]) * float(reference.headings[0]))
+        sign = math.copysign(1.0, float(change.headings[-1, 0]) * float(reference.headings[-1, 0]))
         found.append(sign * float(measured(case, reference, change)[_COLUMNS].mean()))
     return np.array(found)
 

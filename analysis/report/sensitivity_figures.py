@@ -6,7 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from tilth.analysis.report.figure_look import (
     BLUE,
@@ -26,6 +28,7 @@ ROW: Final = 0.165  # in, of a list
 ACROSS: Final = 3  # panels
 COLOURS: Final = (BLUE, ORANGE, VERMILLION, GREEN, PURPLE, SKY)
 MARKERS: Final = ("o", "s", "^", "D", "v", "P")
+_SHARE: Final = LinearSegmentedColormap.from_list("share", ["#f7f7f7", ORANGE, VERMILLION])
 DASHES: Final[Sequence[Any]] = ("-", (0, (5, 1.5)), (0, (1, 1)))
 
 
@@ -192,6 +195,33 @@ def unstable(data: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def pairs(data: Mapping[str, Any]) -> Figure:
+    """Share of rigs that are unstable over the ranges of two parameters; the line of one rig."""
+    shown = data["panels"]
+    across, down = _grid(len(shown))
+    figure, axes = panels(down, across, 0.5 + 2.0 * down)
+    drawn = None
+    top = max((share or 0.0 for one in shown for row in one["shares"] for share in row), default=0.0) * 100.0
+    for panel, one in zip(axes.flat, shown, strict=False):
+        x, y = (np.array(edges) for edges in one["low_to_high"])
+        shares = 100.0 * np.array(one["shares"], dtype=np.float64).T
+        drawn = panel.pcolormesh(x, y, shares, cmap=_SHARE, vmin=0.0, vmax=top)
+        line = one["line"]
+        growth = np.array(line["growth"]).T
+        if growth.min() < 0.0 < growth.max():
+            panel.contour(*line["at"], growth, levels=[0.0], colors=[INK], linewidths=1.0)
+        panel.set(xlabel=one["names"][0], ylabel=one["names"][1], xlim=x[[0, -1]], ylim=y[[0, -1]])
+        panel.grid(False)
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_locator(MaxNLocator(2 if axis is panel.xaxis else 4))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}".replace(",", " ")))
+    for panel in axes.flat[len(shown) :]:
+        panel.set_visible(False)
+    if drawn is not None:
+        figure.colorbar(drawn, ax=axes, label="unstable, %", shrink=0.8)
+    return figure
+
+
 SENSITIVITY_DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "dots": dots,
     "changed": changed,
@@ -199,6 +229,7 @@ SENSITIVITY_DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]]
     "distributions": distributions,
     "spreads": spreads,
     "unstable": unstable,
+    "pairs": pairs,
     "growth": growth,
 }
 """By the kind of a figure."""

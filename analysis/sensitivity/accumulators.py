@@ -34,18 +34,17 @@ def nothing(k: int) -> Kept:
 
 def of(values: Array) -> Kept:
     """values: (n, k), not negative."""
-    good = np.isfinite(values)
-    clean = np.where(good, values, 0.0)
-    bins = np.zeros((values.shape[1], BINS), np.int64)
-    at = np.floor((np.log10(np.maximum(clean, 1e-300)) - LOWEST) * PER_DECADE).astype(np.int64)
-    at = np.clip(at, 0, BINS - 1)
-    for k in range(values.shape[1]):
-        bins[k] = np.bincount(at[good[:, k], k], minlength=BINS)
-    count = good.sum(axis=0)
-    with np.errstate(
-        over="ignore"
-    ):  # an answer that grew without end: its mean is infinite, its rank is not lost
-        return Kept(count, len(values) - count, clean.sum(axis=0), (clean**2).sum(axis=0), bins)
+    n, k = values.shape
+    kept = Kept(np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k), np.zeros(k),
+                np.zeros((k, BINS), np.int64))  # fmt: skip
+    for column in range(k):  # one after the other, for memory
+        good = values[np.isfinite(values[:, column]), column]
+        at = np.floor((np.log10(np.maximum(good, 1e-300)) - LOWEST) * PER_DECADE).astype(np.int64)
+        kept.bins[column] = np.bincount(np.clip(at, 0, BINS - 1), minlength=BINS)
+        kept.counted[column], kept.lost[column] = len(good), n - len(good)
+        with np.errstate(over="ignore"):  # an answer that grew without end: its mean is infinite, its rank is
+            kept.total[column], kept.squares[column] = good.sum(), (good**2).sum()  # not lost
+    return kept
 
 
 def merged(a: Kept, b: Kept) -> Kept:
@@ -72,10 +71,10 @@ def spread(kept: Kept) -> Array:
 
 
 def quantile(kept: Kept, share: float) -> Array:
-    """(k,), the geometric middle of the bin that holds it; NaN where there is no value."""
+    """(k,), the geometric middle of the bin that holds it, zero in the lowest; NaN if there is no value."""
     found = np.full(len(kept.counted), np.nan)
     for k, bins in enumerate(kept.bins):
         if kept.counted[k]:
             at = int(np.searchsorted(np.cumsum(bins), share * kept.counted[k]))
-            found[k] = 10 ** (LOWEST + (min(at, BINS - 1) + 0.5) / PER_DECADE)
+            found[k] = 10 ** (LOWEST + (min(at, BINS - 1) + 0.5) / PER_DECADE) if at else 0.0
     return found

@@ -1,22 +1,24 @@
 """Batches on a Dask cluster: what run_batches.here does on this computer, with the same results.
 
-A worker that dies costs the batches it had: Dask gives them to another. One that hangs holds a batch; after a
-while the same batch is asked of another worker too, and whichever answers first counts.
+A worker that dies costs the batches it had: Dask gives them to another. One that hangs holds a batch, or its
+result; after a while the same batch is asked of another worker too, and whichever answers first counts.
 """
 
+import re
 import time
 from asyncio import CancelledError
 from collections.abc import Generator, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
+from statistics import median
 from typing import Any, Final
 
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, Parts, end_of, part_of
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
 
 INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
-SLOW: Final = 5.0  # times the longest batch so far: then another worker is asked too
+SLOW: Final = 5.0  # times what half of the batches took at most: then another worker is asked too
 HUNG_S: Final = 60.0  # and not before
 AHEAD: Final = 3  # batches asked for at once, for each thread of a worker
 TRIES: Final = 5  # workers that may die over one batch
@@ -51,9 +53,11 @@ def check_versions(here: dict[str, str], workers: dict[str, dict[str, str]]) -> 
 
 def _on_dask(
     address: str, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
-) -> Generator[tuple[int, Part], None, None]:
+) -> Generator[tuple[int, bytes], None, None]:
     if not starts:
         return
+    if re.fullmatch(r"\w+://\S+:\d+", address) is None:
+        raise DaskProblem(f"{address} is no address of a Dask scheduler; give one such as tcp://host:8786")
     try:
         distributed: Any = import_module("distributed")
     except ImportError:
@@ -97,51 +101,86 @@ def _check(client: Any, address: str) -> None:
     check_versions(versions(), there)
 
 
+class _Batches:
+    """Batches that are asked for, and the workers that did not answer: others are asked then."""
+
+    def __init__(self, client: Any, plan: GlobalPlan) -> None:
+        self._client, self._plan = client, plan
+        self.asked: dict[Any, tuple[int, float]] = {}  # future -> its batch, when it was asked for
+        self._silent: set[str] = set()
+
+    @property
+    def wanted(self) -> int:
+        """How many are asked for at once."""
+        threads: int = sum(self._client.nthreads().values())
+        return AHEAD * max(threads, 1)
+
+    def ask(self, start: int) -> None:
+        answering = [worker for worker in self._client.nthreads() if worker not in self._silent]
+        future = self._client.submit(
+            stored_part, self._plan, start, end_of(self._plan, start),
+            pure=False, retries=TRIES, workers=answering or None,
+        )  # fmt: skip
+        self.asked[future] = (start, time.monotonic())
+
+    def ask_another(self, future: Any, start: int) -> None:
+        """The workers that have it, or its result, are asked for nothing new."""
+        holding = self._client.who_has([future]).get(future.key, ())
+        working = self._client.processing().items()
+        self._silent.update(holding or [worker for worker, keys in working if future.key in keys])
+        self.ask(start)
+
+    def repeat_late(self, late_s: float, open_ones: set[int]) -> None:
+        """Ask again for what has taken longer, once for each; give up what is no longer wanted."""
+        for future, (start, since) in list(self.asked.items()):
+            if start not in open_ones:
+                del self.asked[future]
+                self._client.cancel([future])
+            elif time.monotonic() - since > late_s:
+                self.asked[future] = (start, time.monotonic())
+                self.ask_another(future, start)
+
+
 def _computed(
     distributed: Any, client: Any, plan: GlobalPlan, starts: Sequence[int], hung_s: float
-) -> Generator[tuple[int, Part], None, None]:
-    asked: dict[Any, tuple[int, float]] = {}  # future -> its batch, when it was asked for
+) -> Generator[tuple[int, bytes], None, None]:
+    batches = _Batches(client, plan)
     open_ones = set(starts)
-    longest_s = 0.0
+    took_s: list[float] = []
     waiting = iter(starts)
-
-    def ask(start: int) -> None:
-        future = client.submit(part_of, plan, start, end_of(plan, start), pure=False, retries=TRIES)
-        asked[future] = (start, time.monotonic())
-
     while open_ones:
-        threads = sum(client.nthreads().values())
-        for _ in range(max(AHEAD * max(threads, 1) - len(asked), 0)):
+        for _ in range(batches.wanted - len(batches.asked)):
             start = next(waiting, None)
             if start is None:
                 break
-            ask(start)
+            batches.ask(start)
         try:
             with client.as_current():
                 done = distributed.wait(
-                    list(asked), timeout=min(hung_s, 1.0), return_when="FIRST_COMPLETED"
+                    list(batches.asked), timeout=min(hung_s, 1.0), return_when="FIRST_COMPLETED"
                 ).done
         except TimeoutError:
             done = set()
         for future in done:
-            start, since = asked.pop(future)
-            longest_s = max(longest_s, time.monotonic() - since)
-            if start in open_ones:
-                open_ones.discard(start)
-                yield start, _result(future)
-        late_s = max(hung_s, SLOW * longest_s)
-        for future, (start, since) in list(asked.items()):
+            start, since = batches.asked.pop(future)
             if start not in open_ones:
-                del asked[future]
-                client.cancel([future])
-            elif time.monotonic() - since > late_s:
-                asked[future] = (start, time.monotonic())
-                ask(start)
+                continue
+            part = _result(future, hung_s)
+            if part is None:
+                batches.ask_another(future, start)
+                continue
+            took_s.append(time.monotonic() - since)
+            open_ones.discard(start)
+            yield start, part
+        batches.repeat_late(max(hung_s, SLOW * median(took_s or [0.0])), open_ones)
 
 
-def _result(future: Any) -> Part:
+def _result(future: Any, within_s: float) -> bytes | None:
+    """None where the worker that computed it does not hand it over."""
     try:
-        found: Part = future.result()
+        found: bytes = future.result(timeout=within_s)
+    except TimeoutError:
+        return None
     except GONE:
         raise
     except Exception as error:

@@ -11,7 +11,7 @@ from tilth.analysis.report.document import (
     ReportTable,
     ReportText,
 )
-from tilth.analysis.report.wording import NOTHING, number
+from tilth.analysis.report.wording import NOTHING, listed, number
 
 COLUMNS = ("mean", "median", "q05", "q95")
 
@@ -22,7 +22,8 @@ def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportS
     design = data["design"]
     parts: list[Part] = [
         ReportText(
-            f"The mean of six outputs' sensitivities, as at one point, over {design['what']}: "
+            f"The mean of the sensitivities of {listed(entry['global_outputs'])}, as at one point, over "
+            f"{design['what']}: "
             f"{entry['simulations']} simulations of {entry['seconds']:.3g} s."
         ),
         ReportText(
@@ -33,8 +34,10 @@ def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportS
     ]
     if entry["unstable_share"] > 0:
         parts.append(_unstable(design, entry, key))
+    if entry["unstable_pairs"]:
+        parts += _pairs(entry, key)
     if "indices" in entry:
-        parts += _indices(entry["indices"], key)
+        parts += _indices(entry, key)
     title = f"Over many rigs, {entry['speed']:g} m/s, {entry['model']} model"
     return ReportSection(key, title, tuple(parts))
 
@@ -87,8 +90,25 @@ def with_interval(found: Mapping[str, float | None]) -> str:
     return f"{value:.2f} ± {(high - low) / 2:.2f}"
 
 
-def _indices(found: Mapping[str, Any], key: str) -> list[Part]:
+def outputs_with_indices(entry: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """{output: {parameter: its indices}} of an entry of "speeds"; the largest total index first."""
+    if "indices" not in entry:
+        return {}
+    first = next(iter(entry["global"].values()))
+    return {
+        output: dict(
+            sorted(
+                ((name, row["by_output"][output]) for name, row in entry["global"].items()),
+                key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0),
+            )
+        )
+        for output in first["by_output"]
+    }
+
+
+def _indices(entry: Mapping[str, Any], key: str) -> list[Part]:
     """A table of each output."""
+    found = entry["indices"]
     parts: list[Part] = []
     if found["lost"] > 0:
         parts.append(
@@ -97,7 +117,7 @@ def _indices(found: Mapping[str, Any], key: str) -> list[Part]:
                 "they are compared with, are of an unstable rig. The indices are of the stable rest."
             )
         )
-    for output, rows in found["outputs"].items():
+    for output, rows in outputs_with_indices(entry).items():
         cells = tuple(
             (
                 ReportCell(name),
@@ -107,7 +127,7 @@ def _indices(found: Mapping[str, Any], key: str) -> list[Part]:
                 _cell(None if row["morris"] is None else row["morris"]["spread"]),
                 _cell(row["dgsm_bound"]),
             )
-            for name, row in sorted(rows.items(), key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0))
+            for name, row in rows.items()
         )
         caption = (
             f"What makes the variance of {output}: the share of each parameter alone (Sobol', first order), "
@@ -139,3 +159,19 @@ def _unstable(design: Mapping[str, Any], entry: Mapping[str, Any], key: str) -> 
         f"{len(panels)} panels of bars; {entry['unstable_where']}.",
         {"panels": panels},
     )
+
+
+def _pairs(entry: Mapping[str, Any], key: str) -> list[Part]:
+    """Where rigs are unstable in two parameters at once."""
+    shown = entry["unstable_pairs"]
+    figure = ReportFigure(
+        f"{key}-pairs",
+        "pairs",
+        "Share of rigs that are unstable in each part of the ranges of two parameters, SI, over all values "
+        "of the others. The line: where the machine file's own rig, with these two changed, becomes "
+        "unstable.",
+        f"{len(shown)} panels of shaded fields; {entry['unstable_where']}.",
+        {"panels": shown},
+    )
+    domain = entry["unstable_domain"]
+    return [*([ReportText(f"{domain['text']}.")] if domain else []), figure]

@@ -75,6 +75,19 @@ class SobolIndices(NamedTuple):
     total: Array
     total_half: Array
     lost: float  # share of points whose row, or one that it is compared with, has no answer
+    each: Array  # (scrambles, 2, k, m): first order and total of each scramble
+
+    def of_mean(self, columns: Sequence[int]) -> "SobolIndices":
+        """Each (k, 1): of some outputs together, the mean of their indices. Those that do not vary are left
+        out."""
+        chosen = self.each[..., list(columns)]
+        chosen = chosen[..., np.isfinite(chosen).all(axis=(0, 1, 2))]
+        together = (
+            chosen.mean(axis=-1, keepdims=True)
+            if chosen.shape[-1]
+            else np.full_like(self.each[..., :1], np.nan)
+        )
+        return _with_intervals(together, self.lost)
 
 
 def sobol(
@@ -92,10 +105,14 @@ def sobol(
         good = np.isfinite(parts).all(axis=(0, 2))
         lost += float(1.0 - good.mean()) / scrambles
         found.append(_indices(parts[:, good], k, correlated=inputs.correlation is not None))
-    every = np.array(found)  # (scrambles, 2, k, m)
+    return _with_intervals(np.array(found), lost)
+
+
+def _with_intervals(every: Array, lost: float) -> SobolIndices:
+    count = len(every)
     value = np.mean(every, axis=0)
-    half = float(stdtrit(scrambles - 1, 0.975)) * np.std(every, axis=0, ddof=1) / np.sqrt(scrambles)
-    return SobolIndices(value[0], half[0], value[1], half[1], lost)
+    half = float(stdtrit(count - 1, 0.975)) * np.std(every, axis=0, ddof=1) / np.sqrt(count)
+    return SobolIndices(value[0], half[0], value[1], half[1], lost, every)
 
 
 def _groups(a: Array, b: Array, inputs: Inputs) -> list[Array]:

@@ -1,5 +1,6 @@
 """Sobol' indices, Morris's effects and bounds by derivatives of a rig's outputs, as plain data."""
 
+import os
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final
@@ -21,8 +22,8 @@ from tilth.analysis.sensitivity.indices import (
 )
 from tilth.analysis.sensitivity.outputs import NAMES, case_of
 from tilth.analysis.sensitivity.propagation import Asked, outputs_of
+from tilth.analysis.sensitivity.run_batches import GlobalPlan
 from tilth.estimator.models.family import model_named
-from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
 
@@ -36,24 +37,33 @@ def inputs_of(design: Design) -> Inputs:
     return of_box(design.box)
 
 
-def indices_answer(
-    model: str, rig: Rig, speed: float, seconds: float, design: Design, outputs: Sequence[str]
-) -> dict[str, Any]:
-    """{"points", "lost", "outputs": {output: {parameter: {"sobol_first": {"value", "low", "high"},
-    "sobol_total": …, "morris": {"size", "spread"}, "dgsm_bound"}}}}.
+def indices_answer(plan: GlobalPlan, outputs: Sequence[str], workers: int | None = None) -> dict[str, Any]:
+    """{"points", "lost", "overall": {parameter: {"sobol_first": {"value", "low", "high"}, "sobol_total": …}},
+    "outputs": {output: {parameter: {"sobol_first", "sobol_total", "morris": {"size", "spread"},
+    "dgsm_bound"}}}}. overall: the mean of the indices of plan.outputs. workers: processes.
 
     Of the change of each output against the rig's own. lost: share of points that have no answer, or are
     compared with one that has none. The last two only for a box: None else. Raises ValueError, Unstable.
     """
-    inputs = inputs_of(design)
-    asked = Asked(case_of(model_named(model), rig, speed, seconds), rig, inputs.names)
-    columns = [NAMES.index(name) for name in outputs]
-    with side_by_side(2) as each:
+    inputs = inputs_of(plan.design)
+    case = case_of(model_named(plan.model), plan.rig, plan.speed, plan.seconds, steering=plan.steering)
+    asked = Asked(case, plan.rig, inputs.names)
+    told = tuple(dict.fromkeys((*outputs, *plan.outputs)))
+    columns = [NAMES.index(name) for name in told]
+    with side_by_side(workers or os.cpu_count() or 1, workers) as each:
         ask = partial(_ask, asked, columns, each)
         found = sobol(ask, inputs)
         screened = None if inputs.median else (morris(ask, inputs), dgsm(ask, inputs)[0])
+    together = found.of_mean([told.index(name) for name in plan.outputs])
+    overall = {
+        name: {
+            "sobol_first": _interval(together.first[k, 0], together.first_half[k, 0]),
+            "sobol_total": _interval(together.total[k, 0], together.total_half[k, 0]),
+        }
+        for k, name in enumerate(inputs.names)
+    }
     answer: dict[str, Any] = {}
-    for m, output in enumerate(outputs):
+    for m, output in enumerate(told):
         answer[output] = {}
         for k, name in enumerate(inputs.names):
             row: dict[str, Any] = {
@@ -69,7 +79,7 @@ def indices_answer(
                 }  # fmt: skip
                 row["dgsm_bound"] = _plain(bound[k, m])
             answer[output][name] = row
-    return {"points": POINTS * SCRAMBLES, "lost": found.lost, "outputs": answer}
+    return {"points": POINTS * SCRAMBLES, "lost": found.lost, "overall": overall, "outputs": answer}
 
 
 def _ask(asked: Asked, columns: list[int], each: Map, points: Array) -> Array:

@@ -17,6 +17,7 @@ from tilth.analysis.sensitivity.outputs import (
     NAMES,
     SERIES,
     SIX,
+    STEP,
     STEP_S,
     WHEEL_ANGLE,
     Case,
@@ -60,11 +61,12 @@ def local_sensitivities(
     *,
     seconds: float | None = None,
     angle: float = WHEEL_ANGLE,
+    steering: str = STEP,
     parameters: Sequence[str] = MACHINE_PARAMETERS,
 ) -> LocalSensitivities:
-    """seconds: as of `case_of`. angle: rad. Raises Unstable, ValueError."""
+    """seconds, steering: as of `case_of`. angle: rad. Raises Unstable, ValueError."""
     names = known(parameters)
-    case = case_of(model, rig, speed, seconds, angle)
+    case = case_of(model, rig, speed, seconds, angle, steering)
     reference = respond(case, rig)
     step, derivative, signed = [], [], []
     for name in names:
@@ -72,7 +74,7 @@ def local_sensitivities(
         step.append(measured(case, reference, changed.minus(reference)) / SHARE)
         slope = response_slope(case, rig, name)
         derivative.append(measured(case, reference, slope))
-        signed.append(np.copysign(derivative[-1], deviations(reference, slope)))
+        signed.append(np.copysign(derivative[-1], deviations(case, reference, slope)))
     return LocalSensitivities(case, reference, names, np.array(step), np.array(derivative), np.array(signed))
 
 
@@ -88,24 +90,24 @@ def response_slope(case: Case, rig: Rig, name: str) -> Response:
     """
     sys = system(case.model, rig, case.speed, outputs=SERIES)
     by = system_slope(case.model, rig, case.speed, SERIES, name)
-    push, push_slope = case.angle * sys.b[:, 0], case.angle * by.b[:, 0]
-    x, s = _both(sys.a, by.a, np.append(push, push_slope), np.zeros(2 * len(push)), case)
-    series = x @ sys.c.T + case.angle * sys.d[:, 0]
-    slope = s @ sys.c.T + x @ by.c.T + case.angle * by.d[:, 0]
+    push = np.append(sys.b[:, 0], by.b[:, 0])
+    x, s = _both(sys.a, by.a, push, np.zeros(len(push)), case.wheel)
+    series = x @ sys.c.T + np.outer(case.wheel, sys.d[:, 0])
+    slope = s @ sys.c.T + x @ by.c.T + np.outer(case.wheel, by.d[:, 0])
     return Response(
         slope[:, :4],
-        slope[-1, 4:],
+        slope[:, 4:],
         *_place_slopes(case, rig, name, series, slope),
         by_logarithm(lambda at: steady_values(case, at), rig, name),
         _track_slope(case, rig, name),
     )
 
 
-def _both(a: Array, slope: Array, push: Array, start: Array, case: Case) -> tuple[Array, Array]:
-    """(x, dx/dln p), each (samples, n), of x' = A x + push."""
+def _both(a: Array, slope: Array, push: Array, start: Array, wheel: Array) -> tuple[Array, Array]:
+    """(x, dx/dln p), each (samples, n), of x' = A x + b w. push: b and its derivative."""
     n = len(a)
     whole = np.block([[a, np.zeros((n, n))], [slope, a]])
-    states = run_linear(whole, push, start, case.samples)
+    states = run_linear(whole, push, start, wheel)
     return states[:, :n], states[:, n:]
 
 
@@ -135,5 +137,5 @@ def _track_slope(case: Case, rig: Rig, name: str) -> Array:
     slope = by.a - np.outer(by.b[:, 0], case.gain)
     n = len(closed)
     start = np.concatenate([BESIDE_M * (np.array(sys.states) == "y_t"), np.zeros(n)])
-    x, s = _both(closed, slope, np.zeros(2 * n), start, case)
+    x, s = _both(closed, slope, np.zeros(2 * n), start, np.zeros(case.samples))
     return np.asarray(s @ sys.c[0] + x @ by.c[0], dtype=np.float64)

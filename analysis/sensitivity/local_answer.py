@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tilth.analysis.report.curves import numbers
 from tilth.analysis.sensitivity.frequency import TRANSFERS, frequency_sensitivities
 from tilth.analysis.sensitivity.local import LocalSensitivities, local_sensitivities, overall
-from tilth.analysis.sensitivity.outputs import NAMES, STEP_S, Unstable, case_of, respond
+from tilth.analysis.sensitivity.outputs import NAMES, STEP, STEP_S, Unstable, case_of, respond
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS, scaled
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.parameters import Rig
@@ -39,10 +39,11 @@ class LocalQuestion(NamedTuple):
     outputs: tuple[str, ...] = NAMES
     parameters: tuple[str, ...] = MACHINE_PARAMETERS
     exact: bool = False
+    steering: str = STEP
 
 
 def local_answer(rig: Rig, question: LocalQuestion) -> dict[str, Any]:
-    """Keys "step", "speeds", "refused".
+    """Keys "step", "input", "speeds", "refused".
 
     speeds: [{"speed", "model", "seconds", "outputs", "local": {parameter: {output: value, …, "overall"}}}], a
     value in per cent of the output for each per cent of the parameter, None where it has none. refused:
@@ -55,7 +56,12 @@ def local_answer(rig: Rig, question: LocalQuestion) -> dict[str, Any]:
             at = {"speed": speed, "model": model.name}
             try:
                 found = local_sensitivities(
-                    model, rig, speed, seconds=seconds, parameters=question.parameters
+                    model,
+                    rig,
+                    speed,
+                    seconds=seconds,
+                    steering=question.steering,
+                    parameters=question.parameters,
                 )
             except Unstable as error:
                 refused.append(at | {"reason": str(error)})
@@ -68,7 +74,12 @@ def local_answer(rig: Rig, question: LocalQuestion) -> dict[str, Any]:
             )
     if not speeds:
         raise ValueError(refused[0]["reason"])
-    return {"step": "exact" if question.exact else "1 %", "speeds": speeds, "refused": refused}
+    return {
+        "step": "exact" if question.exact else "1 %",
+        "input": question.steering,
+        "speeds": speeds,
+        "refused": refused,
+    }
 
 
 def table_of(found: LocalSensitivities, values: Array, outputs: Sequence[str]) -> dict[str, Any]:
@@ -96,15 +107,18 @@ def another_point(rig: Rig, question: LocalQuestion) -> dict[str, Any] | None:
         return None
 
 
-def changed_curves(rig: Rig, model: Model, speeds: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def changed_curves(
+    rig: Rig, model: Model, speeds: Sequence[Mapping[str, Any]], steering: str = STEP
+) -> dict[str, Any]:
     """Of figures 6.6 and 6.7: {parameter: [{"speed", "t_s", "reference", "changed"}]}, yaw rates in rad/s.
 
     speeds: entries of `local_answer` of that model; both rigs get the same input for as long.
     """
     found: dict[str, Any] = {name: [] for name in CHANGED}
     for entry in speeds:
-        case = case_of(model, rig, entry["speed"], entry["seconds"])
-        rows = np.unique(np.geomspace(1, case.samples, POINTS).round().astype(int)) - 1
+        case = case_of(model, rig, entry["speed"], entry["seconds"], steering=steering)
+        spaced = np.geomspace if steering == STEP else np.linspace  # a step answers most at once
+        rows = np.unique(spaced(1, case.samples, POINTS).round().astype(int)) - 1
         reference = respond(case, rig).velocities[rows, 1]
         for name in CHANGED:
             changed = respond(case, scaled(rig, {name: BY})).velocities[rows, 1]

@@ -18,6 +18,7 @@ from tilth.analysis.report.wording import NOTHING, fixed, listed
 from tilth.analysis.sensitivity.global_page import global_section
 from tilth.analysis.sensitivity.local_answer import BY, OVERALL
 from tilth.analysis.sensitivity.outputs import OUTPUTS, SIX
+from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import RIG_PARAMETERS
 
 GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -68,9 +69,11 @@ def _short(data: Mapping[str, Any]) -> ReportSection:
         )
     parts.append(
         ReportText(
-            "The wheels are turned by 10° at once, and each parameter in turn is changed. Of curves the root "
-            "mean square of the change over that of the curve is taken; of places the distance of the ends "
-            "over the radius of the turn; else the change over the value (Karkee 2009, 6.10 to 6.17)."
+            f"The wheels: {manoeuvre_named(data['input']).meaning}, to 10°. Each parameter in turn is "
+            "changed. Of curves the root mean square of the change over that of the curve is taken; of "
+            "places the distance of the ends over the radius of the turn; else the change over the value "
+            "(Karkee 2009, 6.10 to 6.17). Of "
+            "another manoeuvre than a step headings are curves, and the radius is of the mean yaw rate."
         )
     )
     return ReportSection("short", "In short", tuple(parts))
@@ -211,7 +214,7 @@ def _curves(curves: Mapping[str, Any], model: str) -> ReportSection:
     parts = tuple(
         ReportFigure(
             f"{model}-changed-{name}", "changed",
-            f"The tractor's yaw rate after the step of 10°, as it is and with {name} {100 * (BY - 1):.0f} % "
+            f"The tractor's yaw rate with that input, as it is and with {name} {100 * (BY - 1):.0f} % "
             f"larger. Figure {figure} of the dissertation.",
             f"Two curves for each of {len(shown)} speeds.",
             {"name": f"{name} + {100 * (BY - 1):.0f} %",

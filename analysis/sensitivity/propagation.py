@@ -20,6 +20,7 @@ from tilth.analysis.sensitivity.local import response_slope
 from tilth.analysis.sensitivity.outputs import (
     NAMES,
     OUTPUTS,
+    STEP,
     STILL,
     Case,
     Unstable,
@@ -58,6 +59,7 @@ class UncertaintyQuestion(NamedTuple):
     outputs: tuple[str, ...] = NAMES
     wanted: Mapping[str, float] = {}
     draws: int = DRAWS
+    steering: str = STEP
 
 
 class Asked(NamedTuple):
@@ -81,7 +83,7 @@ def outputs_of(asked: Asked, points: Array) -> Array:
     for row, point in zip(found, points, strict=True):
         rig = asked.rig._replace(**dict(zip(asked.names, point.tolist(), strict=True)))
         if float(eigenvalues(system(case.model, rig, case.speed).a).real.max()) <= STILL:
-            row[:] = deviations(reference, respond(case, rig).minus(reference)) * per
+            row[:] = deviations(case, reference, respond(case, rig).minus(reference)) * per
     return found
 
 
@@ -93,7 +95,7 @@ def per_unit(case: Case, rig: Rig) -> Array:
 
 
 def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> dict[str, Any]:
-    """Keys "source", "parameters", "speeds", "refused".
+    """Keys "source", "input", "parameters", "speeds", "refused".
 
     parameters: {name: {"median", "log_sd"}}. speeds: [{"speed", "model", "seconds", "draws",
     "unstable_share", "outputs": {output: as `_output`}}]. refused: [{"speed", "model", "reason"}]. Raises
@@ -106,7 +108,7 @@ def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> dict[
             for speed, seconds in zip(question.speeds, question.seconds, strict=True):
                 at = {"speed": speed, "model": model.name}
                 try:
-                    case = case_of(model, known.rig, speed, seconds)
+                    case = case_of(model, known.rig, speed, seconds, steering=question.steering)
                 except Unstable as error:
                     refused.append(at | {"reason": str(error)})
                     continue
@@ -117,7 +119,13 @@ def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> dict[
         name: {"median": float(median), "log_sd": float(sd)}
         for name, median, sd in zip(known.names, known.median, known.log_sd, strict=True)
     }
-    return {"source": known.source, "parameters": parameters, "speeds": speeds, "refused": refused}
+    return {
+        "source": known.source,
+        "input": question.steering,
+        "parameters": parameters,
+        "speeds": speeds,
+        "refused": refused,
+    }
 
 
 def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each: Map) -> dict[str, Any]:
@@ -135,7 +143,7 @@ def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each:
     alone = found[len(FACTORS) :]
     per = per_unit(case, known.rig)
     changes = [response_slope(case, known.rig, name) for name in known.names]
-    terms = products(changes) * per[:, None, None] ** 2 * known.log_covariance
+    terms = products(case, changes) * per[:, None, None] ** 2 * known.log_covariance
     outputs = {}
     for name in question.outputs:
         k = NAMES.index(name)

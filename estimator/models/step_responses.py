@@ -28,11 +28,15 @@ OUTPUTS: Final = ("v", "r_t", "r_i", "position", "psi_t", "psi_i")
 FIELDS: Final = (*GEOMETRY, *PARAMETERS)
 """Columns of an array of rigs."""
 PACKED: Final = 7  # states
-_SIDE_BY_SIDE: Final = 4  # points; each with its changed rigs
-_TERMS: Final = 22  # of the exponential's series, for a norm of 2 at most
+AHEAD: Final = 16  # samples that are worked out from one state
+_DOUBLINGS: Final = 4  # of a step, to so many
+_NORM: Final = 0.5  # of the exponential's series
+_TERMS: Final = 13  # which are enough for it
 _TWO_PI: Final = 2 * math.pi
 _TURN: Final = 1 / _TWO_PI
 _WHOLE: Final = 1.5 * 2.0**52  # added and taken away again: rounds to a whole number
+_S: Final = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))  # sine's series
+_C: Final = tuple((-1) ** k / math.factorial(2 * k) for k in range(1, 9))  # cosine's
 
 
 @kernel
@@ -70,154 +74,190 @@ def step_changes(
     root mean square over root mean square; position: distance of the ends over the radius of the turn at the
     end; headings: change over value, at the end.
     """
-    points, variants = a.shape[0], a.shape[1]
-    lanes = _SIDE_BY_SIDE
-    width = lanes * variants
-    z = np.zeros((7, 8, width))
-    f = np.zeros((8, 8, width))
-    spare = np.zeros((8, 8, width))
-    sums = np.zeros((6, width))
-    for first in range(0, points, lanes):
-        for variant in range(variants):
-            for lane in range(lanes):
-                point = min(first + lane, points - 1)
-                at = variant * lanes + lane
-                for i in range(7):
-                    for j in range(7):
-                        z[i, j, at] = a[point, variant, i, j] * step_s
-                    z[i, 7, at] = b[point, variant, i] * angle * step_s
-        _discretise(z, step_s, f, spare)
-        ends = _march(f, speed, samples, step_s, lanes, sums)
-        for variant in range(1, variants):
-            for lane in range(min(lanes, points - first)):
-                at = variant * lanes + lane
-                out = shares[first + lane, variant - 1]
-                for k in range(3):
-                    out[k] = math.sqrt(sums[k, at] / sums[k, lane])
-                apart = math.hypot(sums[3, at] - sums[3, lane], sums[4, at] - sums[4, lane])
-                out[3] = apart * abs(ends[1, lane]) / speed
-                psi_i, psi_i_changed = ends[7, lane] - ends[6, lane], ends[7, at] - ends[6, at]
-                out[4] = abs((ends[7, at] - ends[7, lane]) / ends[7, lane])
-                out[5] = abs((psi_i_changed - psi_i) / psi_i)
+    z = np.zeros((8, 8))
+    f = np.zeros((8, 8))
+    spare = np.zeros((3, 8, 8))
+    rows = np.zeros((4, 8, AHEAD))
+    reference = np.zeros((3, samples + AHEAD))
+    own, ends = np.zeros(9), np.zeros(9)
+    for point in range(a.shape[0]):
+        for variant in range(a.shape[1]):
+            for i in range(7):
+                for j in range(7):
+                    z[i, j] = a[point, variant, i, j] * step_s
+                z[i, 7] = b[point, variant, i] * angle * step_s
+            z[7, 1] = step_s
+            _discretise(z, f, spare)
+            _look_ahead(f, rows)
+            _march(f, rows, speed, samples, step_s, variant == 0, reference, spare, ends)
+            if variant == 0:
+                own[:] = ends
+                continue
+            out = shares[point, variant - 1]
+            for k in range(3):
+                out[k] = math.sqrt(ends[k] / own[k])
+            out[3] = math.hypot(ends[3] - own[3], ends[4] - own[4]) * abs(own[5]) / speed
+            for k in range(6, 8):
+                out[k - 2] = abs((ends[k] - own[k]) / own[k])
 
 
-def _discretise(z: Array, step_s: float, f: Array, spare: Array) -> None:
-    """Fill f, (8, 8, w): rows the states and psi_t, columns the states and the constant push, over one step.
+def _discretise(z: Array, f: Array, spare: Array) -> None:
+    """Fill f, (8, 8): the exponential of a step, less one. Rows: the states and psi_t; columns: the states
+    and the constant push, for no state depends on psi_t.
 
-    z: (7, 8, w), A and the push, times the step. Squared as often as the largest norm needs.
+    z: (8, 8), A and the push, times the step; its last row turns r_t into psi_t. Squared as often as needed.
     """
-    width = z.shape[2]
     norm = 0.0
-    for at in range(width):
-        for i in range(7):
-            row = 0.0
-            for j in range(7):
-                row += abs(z[i, j, at])
-            norm = max(norm, row)
+    for i in range(7):
+        row = 0.0
+        for j in range(7):
+            row += abs(z[i, j])
+        norm = max(norm, row)
     halvings = 0
-    while norm > 2.0 and halvings < 40:
+    while norm > _NORM and halvings < 40:
         norm *= 0.5
         halvings += 1
     part = 0.5**halvings
-    # With psi_t as an eighth state the exponential minus one is the sum of terms T_k = Z T_{k-1} / k.
-    term = np.zeros((8, 8, width))
-    after = spare
+    # The exponential minus one is the sum of terms T_k = Z T_{k-1} / k.
     for i in range(8):
         for j in range(8):
-            for at in range(width):
-                turned = step_s * part if j == 1 and i == 7 else 0.0
-                term[i, j, at] = z[i, j, at] * part if i < 7 else turned
-                f[i, j, at] = term[i, j, at]
+            spare[0, i, j] = z[i, j] * part
+            f[i, j] = spare[0, i, j]
     for k in range(2, _TERMS + 1):
-        scale = part / k
-        for i in range(7):
+        now, after = spare[k % 2], spare[1 - k % 2]
+        _product(z, now, part / k, after)
+        for i in range(8):
             for j in range(8):
-                for at in range(width):
-                    after[i, j, at] = scale * (
-                        z[i, 0, at] * term[0, j, at] + z[i, 1, at] * term[1, j, at]
-                        + z[i, 2, at] * term[2, j, at] + z[i, 3, at] * term[3, j, at]
-                        + z[i, 4, at] * term[4, j, at] + z[i, 5, at] * term[5, j, at]
-                        + z[i, 6, at] * term[6, j, at]
-                    )  # fmt: skip
+                f[i, j] += after[i, j]
+    for _ in range(halvings):
+        _twice(f, spare[0])
+
+
+def _product(left: Array, right: Array, scale: float, out: Array) -> None:
+    """scale times left times right, (8, 8): over the seven states that rows and columns have in common."""
+    for i in range(8):
         for j in range(8):
-            for at in range(width):
-                after[7, j, at] = scale * step_s * term[1, j, at]
-        for i in range(8):
-            for j in range(8):
-                for at in range(width):
-                    term[i, j, at] = after[i, j, at]
-                    f[i, j, at] += after[i, j, at]
-    for _ in range(halvings):  # exp(2 Z) - 1 = (exp(Z) - 1)^2 + 2 (exp(Z) - 1)
-        for i in range(8):
-            for j in range(8):
-                for at in range(width):
-                    total = 2.0 * f[i, j, at]
-                    for k in range(7):
-                        total += f[i, k, at] * f[k, j, at]
-                    after[i, j, at] = total
-        for i in range(8):
-            for j in range(8):
-                for at in range(width):
-                    f[i, j, at] = after[i, j, at]
+            out[i, j] = scale * (
+                left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
+                + left[i, 3] * right[3, j] + left[i, 4] * right[4, j] + left[i, 5] * right[5, j]
+                + left[i, 6] * right[6, j]
+            )  # fmt: skip
 
 
-def _march(f: Array, speed: float, samples: int, step_s: float, lanes: int, sums: Array) -> Array:
-    """States at the last sample, (8, w). f: exponential less one, added to the state at each step.
+def _twice(f: Array, spare: Array) -> None:
+    """From one step to two: exp(2 Z) - 1 = (exp(Z) - 1)^2 + 2 (exp(Z) - 1)."""
+    _product(f, f, 1.0, spare)
+    for i in range(8):
+        for j in range(8):
+            f[i, j] = spare[i, j] + 2.0 * f[i, j]
 
-    Fills sums, (5, w): of v^2, r_t^2, r_i^2 in the first rigs' columns and of the squared differences from
-    them in the others; north and east of the tractor's CG at the end, m (6.10, 6.11).
+
+def _look_ahead(f: Array, rows: Array) -> None:
+    """Fill rows, (4, 8, AHEAD): what v, r_t, r_i and the change of psi_t will be after 1, 2, … steps, by the
+    states now and the push. Rows of powers of the step, each from the one before."""
+    for out in range(4):
+        row = rows[out]
+        at = out if out < 3 else 7
+        for s in range(8):
+            row[s, 0] = f[at, s] + (1.0 if at == s and at < 3 else 0.0)
+        for j in range(1, AHEAD):
+            for s in range(8):
+                more = row[s, j - 1]
+                for i in range(7):
+                    more += row[i, j - 1] * f[i, s]
+                row[s, j] = more + (f[7, s] if at == 7 else 0.0)
+
+
+def _march(
+    f: Array, rows: Array, speed: float, samples: int, step_s: float, first: bool, reference: Array,
+    spare: Array, ends: Array,
+) -> None:  # fmt: skip
+    """Fill ends, (9,): sums of v^2, r_t^2, r_i^2, of the first rig, which are kept in `reference`, or of
+    the squared differences from it; north and east of the tractor's CG at the end, m (6.10, 6.11); there
+    r_t, psi_t, psi_i.
+
+    f: over one step, overwritten. rows: of `_look_ahead`. So many samples are worked out from one state.
     """
-    width = f.shape[2]
-    x = np.zeros((8, width))
-    y = np.zeros((8, width))
-    cosine = np.ones(width)
-    sine = np.zeros(width)
-    turn_sine = np.zeros(width)
-    turn_cosine = np.zeros(width)
-    sums[:, :] = 0.0
-    sums[3, :] = speed * step_s  # at t = 0
-    for _ in range(samples - 1):
-        for i in range(8):
-            # In two parts, and not in one: a compiler makes vectors of a loop over few rows only.
-            for at in range(width):
-                y[i, at] = (
-                    f[i, 0, at] * x[0, at] + f[i, 1, at] * x[1, at]
-                    + f[i, 2, at] * x[2, at] + f[i, 3, at] * x[3, at]
+    x = np.zeros(8)
+    x[7] = 1.0
+    y = np.zeros((4, AHEAD))
+    sums = np.zeros((5, AHEAD))
+    one = spare[1]
+    one[:, :] = f
+    for _ in range(_DOUBLINGS):
+        _twice(f, spare[0])
+    psi = 0.0
+    at = 1
+    while at < samples:
+        count = min(AHEAD, samples - at)
+        x0, x1, x2, x3, x4, x5, x6 = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
+        for out in range(4):
+            row = rows[out]
+            start = psi if out == 3 else 0.0
+            for j in range(AHEAD):
+                y[out, j] = start + (
+                    row[0, j] * x0 + row[1, j] * x1 + row[2, j] * x2 + row[3, j] * x3
+                    + row[4, j] * x4 + row[5, j] * x5 + row[6, j] * x6 + row[7, j]
                 )  # fmt: skip
-            for at in range(width):
-                y[i, at] += (
-                    f[i, 4, at] * x[4, at] + f[i, 5, at] * x[5, at] + f[i, 6, at] * x[6, at] + f[i, 7, at]
-                )
-            for at in range(width):
-                y[i, at] += x[i, at]
-        # The heading turns by t, folded into half a turn: sine and cosine by their series.
-        for at in range(width):
-            t = y[7, at] - x[7, at]
-            t -= _TWO_PI * ((t * _TURN + _WHOLE) - _WHOLE)
-            q = t * t
-            turn_sine[at] = t * (
-                1 + q * (-1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 - q * (1 / 39916800)))))
-            )
-            turn_cosine[at] = 1 + q * (
-                -1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 - q * (1 / 3628800))))
-            )
-        for at in range(width):
-            turned = cosine[at] * turn_cosine[at] - sine[at] * turn_sine[at]
-            sine[at] = sine[at] * turn_cosine[at] + cosine[at] * turn_sine[at]
-            cosine[at] = turned
-        for at in range(width):
-            sums[3, at] += (speed * cosine[at] - y[0, at] * sine[at]) * step_s
-        for at in range(width):
-            sums[4, at] += (speed * sine[at] + y[0, at] * cosine[at]) * step_s
-        for k in range(3):
-            for at in range(lanes):
-                sums[k, at] += y[k, at] * y[k, at]
-            for variant in range(1, width // lanes):
-                for lane in range(lanes):
-                    change = y[k, variant * lanes + lane] - y[k, lane]
-                    sums[k, variant * lanes + lane] += change * change
-        x, y = y, x
-    return x
+        _add(y, count, at, first, reference, sums)
+        _add_path(y, count, speed, step_s, sums)
+        psi = y[3, count - 1]
+        if count == AHEAD:
+            _ahead(f, x)
+        else:
+            for _ in range(count):
+                _ahead(one, x)
+        at += count
+    for k in range(5):
+        total = speed * step_s if k == 3 else 0.0  # at t = 0
+        for j in range(AHEAD):
+            total += sums[k, j]
+        ends[k] = total
+    ends[5], ends[6], ends[7] = x[1], psi, psi - x[6]
+
+
+def _ahead(f: Array, x: Array) -> None:
+    """The states, (8,), as f leads on; the last stays one."""
+    x0, x1, x2, x3, x4, x5, x6 = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
+    for i in range(7):
+        x[i] += (
+            f[i, 0] * x0 + f[i, 1] * x1 + f[i, 2] * x2 + f[i, 3] * x3 + f[i, 4] * x4 + f[i, 5] * x5
+            + f[i, 6] * x6 + f[i, 7]
+        )  # fmt: skip
+
+
+def _add(y: Array, count: int, at: int, first: bool, reference: Array, sums: Array) -> None:
+    """Squares of the velocities of the samples from `at` on, or of their differences from the reference."""
+    for k in range(3):
+        kept = reference[k, at : at + AHEAD]
+        if first:
+            for j in range(count):
+                kept[j] = y[k, j]
+                sums[k, j] += y[k, j] * y[k, j]
+        else:
+            for j in range(count):
+                change = y[k, j] - kept[j]
+                sums[k, j] += change * change
+
+
+def _add_path(y: Array, count: int, speed: float, step_s: float, sums: Array) -> None:
+    """The path, sample by sample. Sine and cosine by their series, of half the heading within a turn."""
+    for j in range(count):
+        h = y[3, j]
+        h = 0.5 * (h - _TWO_PI * ((h * _TURN + _WHOLE) - _WHOLE))
+        q = h * h
+        sine = h * (
+            1 + q * (_S[0] + q * (_S[1] + q * (_S[2] + q * (_S[3] + q * (_S[4] + q * (_S[5] + q * (
+                _S[6] + q * _S[7])))))))
+        )  # fmt: skip
+        cosine = 1 + q * (
+            _C[0] + q * (_C[1] + q * (_C[2] + q * (_C[3] + q * (_C[4] + q * (_C[5] + q * (
+                _C[6] + q * _C[7]))))))
+        )  # fmt: skip
+        east = 2 * sine * cosine
+        north = 1 - 2 * sine * sine
+        sums[3, j] += (speed * north - y[0, j] * east) * step_s
+        sums[4, j] += (speed * east + y[0, j] * north) * step_s
 
 
 def packed_systems(

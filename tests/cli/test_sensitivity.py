@@ -146,12 +146,24 @@ def test_the_same_question_gives_the_same_bytes(
 def test_every_figure_is_drawn_the_same_each_time(kind: str) -> None:
     curve = {"t_s": [0.0, 1.0], "reference": [0.0, 1.0], "changed": [0.0, 1.1]}
     panel: dict[str, Any] = {
-        "title": "x", "label": "y", "series": [{"name": "1 m/s", "values": [0.1, None]}], **curve,
+        "title": "x",
+        "label": "y",
+        "series": [{"name": "1 m/s", "values": [0.1, None]}],
+        **curve,
         "lines": [{"name": "C_af", "gain": [0.1, 0.2], "phase": [0.0, -0.1]}],
-        "edges": [-1.0, 0.0, 1.0], "counts": [3.0, 4.0], "first_order_sd": 0.5,
-        "model": [0.1, 0.3], "first_order": [0.1, 0.2],
-        "shares": [0.0, 3.0], "low": "1", "high": "2",
-    }  # fmt: skip
+        "edges": [-1.0, 0.0, 1.0],
+        "counts": [3.0, 4.0],
+        "first_order_sd": 0.5,
+        "model": [0.1, 0.3],
+        "first_order": [0.1, 0.2],
+        "shares": [0.0, 3.0],
+        "low": "1",
+        "high": "2",
+    }
+    if kind == "pairs":
+        line = {"at": [[1.0, 3.0], [0.0, 2.0]], "growth": [[-1.0, 1.0], [0.5, 2.0]]}
+        panel = {"names": ["C_af", "C_ar"], "low_to_high": [[1.0, 2.0, 3.0], [0.0, 1.0, 2.0]],
+                 "shares": [[0.0, 1.0], [None, 0.5]], "line": line}  # fmt: skip
     for count in (1, 4, 5):
         data = {
             "rows": ["v", "r_t"], "panels": [panel] * count, "label": "%", "name": "C_af",
@@ -191,7 +203,7 @@ def test_a_speed_at_which_it_is_unstable_is_left_out_and_told(answer: Answer, tm
         (["--out", "a.pdf"], "give a name that ends in .html"),
         (["--out", "nowhere/a.html"], "there is no such folder"),
         (["--points", "500"], "--points needs --global"),
-        (["--indices"], "--indices needs --global"),
+        (["--no-indices"], "--no-indices needs --global"),
         (["--global", "--points", "5"], "from 100 up"),
         (["--global", "--box", "C_af=2"], "give NAME=LOW:HIGH"),
         (["--global", "--box", "C_af=0:2"], "give a range above zero"),
@@ -199,7 +211,7 @@ def test_a_speed_at_which_it_is_unstable_is_left_out_and_told(answer: Answer, tm
         (["--global", "--box", "C_af=1e5:2e5", "--from", "a.mcap"], "give one of them"),
         (["--global", "--from", "none.mcap"], "none.mcap"),
         (["--global", "--workers", "0"], "from 1 up"),
-        (["--global", "--points", "100", "--model", "kinematic", "--speed", "1"], "take the dynamic"),
+        (["--input", "wiggle"], "invalid choice"),
     ],
 )
 def test_wrong_use(answer: Answer, words: list[str], told: str) -> None:
@@ -212,14 +224,66 @@ def test_over_many_rigs(answer: Answer, tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     words = (MACHINE, "--speed", 7.5, "--seconds", 1, "--outputs", "r_t", "--global", "--points", 200)
     box = ("--box", "C_af=100e3:400e3", "--box", "C_ar=60e3:900e3")
-    status, out, _ = answer(*words, *box, "--workers", 1, "--json", "--out", tmp_path / "a.html")
+    status, out, _ = answer(
+        *words, *box, "--workers", 1, "--json", "--out", tmp_path / "a.html", "--no-indices"
+    )
     (entry,) = json.loads(out, parse_constant=pytest.fail)["speeds"]
     assert status == 0 and set(entry["global"]) == {"C_af", "C_ar"} and entry["points"] == 200
     assert 0 < entry["unstable_share"] < 1 and "C_ar low" in entry["unstable_where"]
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "200 random rigs of the box" in page and "relaxation-global-7-5-unstable" in page
-    status, out, _ = answer(*words, *box, "--workers", 1, "--indices")
+    assert "relaxation-global-7-5-pairs" in page and "of the unstable rigs have" in page
+    status, out, _ = answer(*words, *box, "--workers", 1)
     assert status == 0 and "of the rigs are unstable" in out and "what makes the variance of r_t" in out
+
+
+def test_the_shape_of_the_json(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keys and nesting that programs rely on; the outer indices are the means of those by output."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    box = ("--box", "C_af=100e3:300e3", "--box", "C_ai=60e3:300e3")
+    words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 100, "--workers", 1, "--json")
+    (entry,) = json.loads(answer(MACHINE, *words, *box)[1], parse_constant=pytest.fail)["speeds"]
+    assert {"speed", "outputs", "local", "global", "unstable_share"} <= set(entry)
+    for row in entry["global"].values():
+        assert {"mean", "median", "q05", "q95", "sobol_first", "sobol_total"} <= set(row)
+        for kind in ("sobol_first", "sobol_total"):
+            assert list(row[kind]) == ["value", "low", "high"]
+            inner = [row["by_output"][output][kind]["value"] for output in SIX]
+            assert row[kind]["value"] == pytest.approx(np.mean(inner))
+            assert row[kind]["low"] < row[kind]["value"] < row[kind]["high"]
+        means = [row["by_output"][output]["mean"] for output in SIX]
+        assert row["mean"] == pytest.approx(np.mean(means))
+        assert set(row["by_output"]) == set(NAMES)
+
+
+def test_over_many_rigs_by_any_model_input_and_output(
+    answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = (
+        "--speed",
+        3,
+        "--seconds",
+        1,
+        "--global",
+        "--points",
+        100,
+        "--workers",
+        1,
+        "--no-indices",
+        "--json",
+    )
+    asked = ("--model", "kinematic", "--input", "chirp", "--outputs", "cross_track,r_i", "--box", "d=2:4")
+    (entry,) = json.loads(answer(MACHINE, *words, *asked)[1], parse_constant=pytest.fail)["speeds"]
+    row = entry["global"]["d"]
+    assert entry["global_outputs"] == ["r_i", "cross_track"] or set(row["by_output"]) == {
+        "r_i",
+        "cross_track",
+    }
+    assert row["sobol_first"] is None and entry["unstable_share"] == 0.0
+    for output, local in entry["local"]["d"].items():
+        if output in row["by_output"]:
+            assert 0.3 * local < row["by_output"][output]["median"] < 3 * local
 
 
 def test_rigs_by_the_covariance_of_a_log(
@@ -228,15 +292,16 @@ def test_rigs_by_the_covariance_of_a_log(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = write_run(tmp_path / "a.mcap")
     words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 200, "--workers", 1, "--json")
-    status, out, _ = answer(MACHINE, *words, "--from", log, "--outputs", "off_tracking", "--indices")
+    status, out, _ = answer(MACHINE, *words, "--from", log, "--outputs", "off_tracking")
     said = json.loads(out, parse_constant=pytest.fail)
     (entry,) = said["speeds"]
     assert status == 0 and "covariance" in said["design"]["what"] and entry["unstable_share"] == 0.0
-    local = entry["local"]["C_af"]["overall"]
-    assert entry["global"]["C_af"]["median"] == pytest.approx(local, rel=0.3)
-    rows = entry["indices"]["outputs"]["off_tracking"]
+    rows = entry["global"]
+    local = entry["local"]["C_ai"]["off_tracking"]
+    assert rows["C_ai"]["median"] == rows["C_ai"]["by_output"]["off_tracking"]["median"]
+    assert rows["C_ai"]["median"] == pytest.approx(local, rel=0.3)
     assert rows["C_ai"]["sobol_total"]["low"] > 0.1 and rows["sigma_f"]["sobol_total"]["high"] < 0.05
-    assert rows["C_ai"]["morris"] is None and entry["indices"]["lost"] == 0.0
+    assert rows["C_ai"]["by_output"]["off_tracking"]["morris"] is None and entry["indices"]["lost"] == 0.0
 
 
 def test_a_report_is_never_overwritten(answer: Answer, tmp_path: Path) -> None:

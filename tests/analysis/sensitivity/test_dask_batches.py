@@ -115,6 +115,12 @@ def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))
 
 
+@pytest.mark.parametrize("address", ["nonsense", "host:8786", "tcp://host", ""])
+def test_what_is_no_address(address: str, tmp_path: Path) -> None:
+    with pytest.raises(DaskProblem, match="no address of a Dask scheduler; give one such as"):
+        run(PLAN, tmp_path, on_dask(address))
+
+
 def test_a_scheduler_without_workers(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from paths import SHARED
+from scipy.integrate import solve_ivp
 
 from tilth.analysis.sensitivity import local, outputs
 from tilth.analysis.sensitivity.local import local_sensitivities, overall, response_slope
@@ -51,11 +52,15 @@ def test_the_derivative_is_the_limit_of_the_step(model: Model, monkeypatch: pyte
     assert 0 < apart[1] < 0.11 * apart[0] < 0.11 * 0.02
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-def test_every_derivative_is_that_of_the_response(model: Model) -> None:
+@pytest.mark.parametrize(
+    ("model", "steering"),
+    [*((model, outputs.STEP) for model in MODELS), *((RELAXATION, name) for name in outputs.STEERINGS[1:])],
+    ids=lambda one: getattr(one, "name", one),
+)
+def test_every_derivative_is_that_of_the_response(model: Model, steering: str) -> None:
     """Against central differences of the whole response, each part and each parameter; the nonlinear model's
     own matrices are differences, and rougher."""
-    case = case_of(model, TABLE_7_2, 3.0, 1.0)
+    case = case_of(model, TABLE_7_2, 3.0, 1.0, steering=steering)
     h = 1e-4
     for name in MACHINE_PARAMETERS:
         slope = response_slope(case, TABLE_7_2, name)
@@ -95,7 +100,7 @@ def test_off_tracking_is_that_of_the_paths(monkeypatch: pytest.MonkeyPatch) -> N
     case = case_of(RELAXATION, TABLE_7_2, 4.5, 20.0, np.radians(4.0))
     series = []
     for seconds in np.linspace(10.0, 20.0, 41):
-        part = case._replace(samples=round(seconds / outputs.STEP_S))
+        part = case._replace(wheel=case.wheel[: round(seconds / outputs.STEP_S)])
         answer = respond(part, TABLE_7_2)
         series.append((answer.place, answer.implement_place))
     radii = []
@@ -108,13 +113,15 @@ def test_off_tracking_is_that_of_the_paths(monkeypatch: pytest.MonkeyPatch) -> N
     assert found == pytest.approx(radii[0] - radii[1], abs=5e-4)
 
 
-def test_a_change_is_measured_as_the_source_says() -> None:
+@pytest.mark.parametrize("steering", outputs.STEERINGS)
+def test_a_change_is_measured_as_the_source_says(steering: str) -> None:
     """All equations of 6.2.2.1 by hand for a change that is known: every curve is 2 % larger."""
-    case = case_of(RELAXATION, TABLE_7_2, 4.5, 6.0)
+    case = case_of(RELAXATION, TABLE_7_2, 4.5, 6.0, steering=steering)
     reference = respond(case, TABLE_7_2)
     change = outputs.Response(*(0.02 * part for part in reference))
     found = dict(zip(NAMES, measured(case, reference, change), strict=True))
-    radius = 4.5 / reference.velocities[-1, 1]
+    r = reference.velocities[:, 1]
+    radius = 4.5 / (r[-1] if steering == outputs.STEP else np.sqrt(np.mean(r**2)))
     for name in NAMES:
         if "position" not in name:
             assert found[name] == pytest.approx(0.02), name
@@ -135,3 +142,20 @@ def test_an_unknown_parameter_is_named() -> None:
 def test_a_simulation_without_end_is_refused() -> None:
     with pytest.raises(ValueError, match="give --seconds from"):
         case_of(RELAXATION, TABLE_7_2, 4.5, 1e6)
+
+
+def test_the_answer_to_any_steering_is_that_of_an_integrator() -> None:
+    """scipy's, with wheels that move linearly between the samples."""
+    case = case_of(RELAXATION, TABLE_7_2, 4.5, 3.0, steering="random")
+    a, b = RELAXATION.matrices(TABLE_7_2, 4.5)
+    at = outputs.STEP_S * np.arange(case.samples)
+    assert np.ptp(case.wheel) > np.radians(5.0)
+
+    def rate(t: float, x: outputs.Array) -> outputs.Array:
+        return np.asarray(a @ x + b[:, 0] * np.interp(t, at, case.wheel))
+
+    x = solve_ivp(rate, (0, at[-1]), np.zeros(len(a)), "DOP853", at, rtol=1e-9, atol=1e-12, max_step=0.01).y.T
+    found = respond(case, TABLE_7_2)
+    np.testing.assert_allclose(found.velocities[:, :3], x[:, :3], atol=1e-6)
+    psi = [RELAXATION.states.index(name) for name in ("psi_t", "psi_i")]
+    np.testing.assert_allclose(found.headings, x[:, psi], atol=1e-6)

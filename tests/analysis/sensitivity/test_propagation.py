@@ -50,11 +50,12 @@ def test_small_uncertainties_are_those_of_the_first_order(correlations: list[tup
         assert sum(shares) == pytest.approx(1.0), name
 
 
-def test_products_are_squares_of_what_a_change_does() -> None:
+@pytest.mark.parametrize("steering", ["step", "chirp"])
+def test_products_are_squares_of_what_a_change_does(steering: str) -> None:
     """Through the whole model: a small change of each parameter in both directions."""
-    case = case_of(RELAXATION, TABLE_7_2, 4.5, 6.0)
+    case = case_of(RELAXATION, TABLE_7_2, 4.5, 6.0, steering=steering)
     changes = [response_slope(case, TABLE_7_2, name) for name in VARIED]
-    squares = np.diagonal(products(changes), axis1=1, axis2=2) * per_unit(case, TABLE_7_2)[:, None] ** 2
+    squares = np.diagonal(products(case, changes), axis1=1, axis2=2) * per_unit(case, TABLE_7_2)[:, None] ** 2
     step = 1e-4
     values = np.array([getattr(TABLE_7_2, name) for name in VARIED])
     found = outputs_of(Asked(case, TABLE_7_2, VARIED), values * (1.0 + step * np.eye(len(VARIED))))
