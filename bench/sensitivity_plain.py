@@ -82,6 +82,7 @@ def by_exponentials(points: Array, speed: float, samples: int, share: float = 0.
     step = np.asarray(expm(whole))
     x = np.zeros((len(whole), size, 1))
     x[:, -1] = 1.0
+    now = x[..., 0].reshape(count, k + 1, size)
     squares = np.zeros((3, count, k + 1))
     path = np.zeros((2, count, k + 1))
     for _ in range(samples):

@@ -61,6 +61,7 @@ class Joint:
 
     mean: Array  # [n]
     covariance: Array  # [n, n]
+    prior_mean: Array  # [n]
     prior_sd: Array  # [n]
     agreement: Agreement
     seconds: float  # of driving
@@ -135,7 +136,8 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
     whole_mean[shared] = all_of.point[shared] + mean
     whole[np.ix_(shared, shared)] = covariance
     whole += pem.of_masses(np.diag(prior_sd**2))
-    return Joint(whole_mean, whole, prior_sd, agreement, sum(all_of.seconds[k] for k in rows))
+    seconds = sum(all_of.seconds[k] for k in rows)
+    return Joint(whole_mean, whole, prior_mean, prior_sd, agreement, seconds)
 
 
 def _inverse(matrix: Array) -> Array:

@@ -72,7 +72,8 @@ def _square(numbers: Sequence[float]) -> list[list[float]] | None:
 
 
 def _joint(joint: Joint) -> dict[str, Any]:
-    sds = np.sqrt(np.diag(joint.covariance))
+    variances, moved = np.diag(joint.covariance).tolist(), (joint.mean - joint.prior_mean).tolist()
+    sds = np.sqrt(variances)
     return {
         "parameters": {
             name: _parameter(float(joint.mean[k]), float(sds[k]), float(joint.prior_sd[k]))
@@ -82,7 +83,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
         "nuisances": {
             name: {
                 "value": float(joint.mean[k]),
-                "sd": nuisance_sd(name, float(joint.covariance[k, k]), float(joint.prior_sd[k])),
+                "sd": nuisance_sd(name, variances[k], float(joint.prior_sd[k]), moved[k]),
             }
             for k, name in enumerate(NAMES)
             if k > 5 and joint.prior_sd[k] > 0.0 and name not in NOISES

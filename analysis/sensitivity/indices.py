@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri, stdtrit
-from scipy.stats import qmc
 
 from tilth.analysis.sensitivity.designs import ParameterBox
 
@@ -26,6 +25,13 @@ SCRAMBLES: Final = 16
 POINTS: Final = 64  # of each scramble, a power of two
 MORRIS_LEVELS: Final = 4
 _INSIDE: Final = 1e-9  # of the unit interval: a normal score is finite
+
+
+def _sobol_points(k: int, points: int, rng: np.random.Generator) -> Array:
+    """Points of the unit cube of k dimensions, (points, k), scrambled."""
+    from scipy.stats import qmc  # importing it takes half a second, so only where it is needed
+
+    return np.asarray(qmc.Sobol(k, rng=rng).random(points))
 
 
 class Inputs(NamedTuple):
@@ -97,7 +103,7 @@ def sobol(
     found, lost = [], 0.0
     k = len(inputs.names)
     for scramble in range(scrambles):
-        cube = qmc.Sobol(2 * k, rng=np.random.default_rng((seed, scramble))).random(points)
+        cube = _sobol_points(2 * k, points, np.random.default_rng((seed, scramble)))
         scores = ndtri(np.clip(cube, _INSIDE, 1.0 - _INSIDE))
         groups = _groups(scores[:, :k], scores[:, k:], inputs)
         answers = outputs(inputs.of_scores(np.concatenate(groups)))
@@ -206,7 +212,7 @@ def dgsm(
     """
     k = len(inputs.names)
     low, high = np.array(inputs.low), np.array(inputs.high)
-    cube = qmc.Sobol(k, rng=np.random.default_rng(seed)).random(points)
+    cube = _sobol_points(k, points, np.random.default_rng(seed))
     groups = [cube]
     for j in range(k):
         moved = cube.copy()

@@ -366,7 +366,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
     parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
-    prior_sd = unknowns.prior(machine)[1]
+    prior_mean, prior_sd = unknowns.prior(machine)
     covariance = np.diag(prior_sd[unknowns.SIX] ** 2)
     covariance[:3, :3] = state.log_covariance
     return Estimate(
@@ -379,7 +379,12 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         nuisances={
             name: (
                 float(state.x[AT[name]]),
-                nuisance_sd(name, state.P[AT[name], AT[name]], prior_sd[unknowns.AT[name]]),
+                nuisance_sd(
+                    name,
+                    state.P[AT[name], AT[name]],
+                    prior_sd[unknowns.AT[name]],
+                    float(state.x[AT[name]] - prior_mean[unknowns.AT[name]]),
+                ),
             )
             for name in PUBLISHED
         },

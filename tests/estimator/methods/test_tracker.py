@@ -403,6 +403,21 @@ def test_what_is_said_of_other_unknowns_has_room_for_errors_of_the_model() -> No
         assert 0.999 * least <= said[name][1] <= 1.1 * least, name
 
 
+def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
+    state = tracker.initial(MACHINE)
+    place, sd = AT["roll_zero_tractor_front"], state.prior_sd[AT["roll_zero_tractor_front"]]
+    state.covariance[place, place] *= 1e-6
+    for moved, expected in (
+        (0.5, 1.0),
+        (-1.0, 1.0),
+        (4.0, math.hypot(1.0, 3.0)),
+        (-4.0, math.hypot(1.0, 3.0)),
+    ):
+        state.mean[place] = state.prior_mean[place] + moved * sd
+        said = tracker.estimate(state, MACHINE, 1).nuisances["roll_zero_tractor_front"]
+        assert said[1] == pytest.approx(expected * sd, rel=1e-6)
+
+
 def test_the_yaw_of_a_pair_is_as_unknown_as_the_survey_of_its_antennas() -> None:
     loose = [receiver.model_copy(update={"survey_sd": 0.05}) for receiver in MACHINE.receiver]
     machine = MACHINE.model_copy(update={"receiver": loose})
