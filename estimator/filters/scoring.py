@@ -49,8 +49,6 @@ solution far away: on a side slope at 4 and more sds, with C_ar half too high. R
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-
-
 STUCK_STEP: Final = 3.0  # posterior sds: a search that ends with more to go is stuck
 TRIES: Final = 4  # of a step, each with MORE damping than the one before
 MORE: Final = 30.0
