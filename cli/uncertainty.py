@@ -80,6 +80,15 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="half of the 95 %% interval that is wanted of an output (off_tracking=0.04, r_t=5%%): says how "
         "well each parameter must be known for it; again for more",
     )
+    _add_simulation(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
+    )
+
+
+def _add_simulation(parser: argparse.ArgumentParser) -> None:
+    """What is simulated, and how often."""
     parser.add_argument(
         "--speed",
         action="append",
@@ -109,10 +118,6 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         default=DRAWS,
         metavar="N",
         help=f"rigs that are drawn at each speed ({DRAWS})",
-    )
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
     )
 
 

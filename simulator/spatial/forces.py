@@ -34,6 +34,9 @@ DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
 ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
 
 
+Vector = tuple[float, float, float]
+
+
 class TyreSet(NamedTuple):
     """Constants of the six tyres for the kernel; arrays of shape (6,) unless said."""
 
@@ -82,13 +85,13 @@ def tyres_of(vehicle: Vehicle) -> TyreSet:
 
 
 @kernel
-def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:
+def _unit(x: float, y: float, z: float) -> Vector:
     long = math.sqrt(x * x + y * y + z * z)
     return x / long, y / long, z / long
 
 
 @kernel
-def _cross(one: tuple[float, float, float], two: tuple[float, float, float]) -> tuple[float, float, float]:
+def _cross(one: Vector, two: Vector) -> Vector:
     return (
         one[1] * two[2] - one[2] * two[1],
         one[2] * two[0] - one[0] * two[2],
@@ -97,12 +100,12 @@ def _cross(one: tuple[float, float, float], two: tuple[float, float, float]) -> 
 
 
 @kernel
-def _dot(one: tuple[float, float, float], two: tuple[float, float, float]) -> float:
+def _dot(one: Vector, two: Vector) -> float:
     return one[0] * two[0] + one[1] * two[1] + one[2] * two[2]
 
 
 @kernel
-def _rotated(turn: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
+def _rotated(turn: Array, v: Vector) -> Vector:
     """turn: a body's axes as columns, shape (9,), row by row."""
     return (
         turn[0] * v[0] + turn[1] * v[1] + turn[2] * v[2],
@@ -165,6 +168,30 @@ def steering_angles(tyres: TyreSet, mean: float) -> tuple[float, float]:
 
 
 @kernel
+def contact_of(
+    field: HeightField, turn: Array, hub: Vector, delta: float, radius: float
+) -> tuple[Vector, Vector, Vector, Vector, float, float, float]:
+    """(point of contact, m; its unit vectors ahead, to the right and down along the ground's normal; distance
+    of the hub, m; height of the ground, m; camber, rad) of a disc.
+
+    turn: the axes of its body as columns, shape (9,). hub: place of its centre, m. delta: rad.
+    """
+    axis = _rotated(turn, (-math.sin(delta), math.cos(delta), 0.0))
+    reach = (turn[2] * radius, turn[5] * radius, turn[8] * radius)  # below, along the body's z
+    up, north, east = height(field, hub[0] + reach[0], hub[1] + reach[1])
+    down = _unit(north, east, 1.0)  # the ground's normal
+    ahead = _cross(axis, down)
+    ahead = _unit(ahead[0], ahead[1], ahead[2])
+    right = _cross(down, ahead)
+    below = _cross(ahead, axis)
+    # The ground near by is a plane: where the disc's plane meets it, along `below`.
+    short = north * reach[0] + east * reach[1] + reach[2] - (hub[2] + reach[2] + up)
+    far = short / (north * below[0] + east * below[1] + below[2])
+    contact = (hub[0] + far * below[0], hub[1] + far * below[1], hub[2] + far * below[2])
+    return contact, ahead, right, down, far, up, math.asin(_dot(axis, down))
+
+
+@kernel
 def apply_forces(
     field: HeightField, tyres: TyreSet, soil: Array, delta: float, target_speed: float, step: float,
     xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
@@ -185,28 +212,15 @@ def apply_forces(
         turn = xmat[b]
         place = _rotated(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
         hub = (xpos[b, 0] + place[0], xpos[b, 1] + place[1], xpos[b, 2] + place[2])
-        delta = angles[k] if k < 2 else 0.0
-        axis = _rotated(turn, (-math.sin(delta), math.cos(delta), 0.0))
-        radius = tyres.radius[k]
-        reach = (turn[2] * radius, turn[5] * radius, turn[8] * radius)  # below, along the body's z
-        up, north, east = height(field, hub[0] + reach[0], hub[1] + reach[1])
-        down = _unit(north, east, 1.0)  # the ground's normal
-        ahead = _cross(axis, down)
-        ahead = _unit(ahead[0], ahead[1], ahead[2])
-        right = _cross(down, ahead)
-        below = _cross(ahead, axis)
-        # The ground near by is a plane: where the disc's plane meets it, along `below`.
-        short = north * reach[0] + east * reach[1] + reach[2] - (hub[2] + reach[2] + up)
-        far = short / (north * below[0] + east * below[1] + below[2])
-        contact = (hub[0] + far * below[0], hub[1] + far * below[1], hub[2] + far * below[2])
+        steered = angles[k] if k < 2 else 0.0
+        contact, ahead, right, down, far, up, camber = contact_of(field, turn, hub, steered, tyres.radius[k])
         arm = (contact[0] - root[0], contact[1] - root[1], contact[2] - root[2])
         spun = _cross((cvel[b, 0], cvel[b, 1], cvel[b, 2]), arm)
         moving = (cvel[b, 3] + spun[0], cvel[b, 4] + spun[1], cvel[b, 5] + spun[2])
-        deflection = radius - far
+        deflection = tyres.radius[k] - far
         load = 0.0
         if deflection > 0.0:
             load = max(tyres.stiffness[k] * deflection + tyres.damping[k] * _dot(moving, down), 0.0)
-        camber = math.asin(_dot(axis, down))
         pushed, side, slip[k] = tyre_on_ground(
             k, tyres, soil, drive[0], slip[k], _dot(moving, ahead), _dot(moving, right), load, camber, step
         )
