@@ -62,7 +62,7 @@ TIGHT_SHARE: Final = 0.1
 """In tight turns (fit_covariance.TIGHT) the joint filter follows the motion, but learns no tyres: one
 linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
 that was their beginnings and ends, and errors of the model are as in them."""
-TIGHT_SD: Final = np.array([0.27, 0.22, 0.30, 0.27, 0.22, 0.30])
+TIGHT_SD: Final = np.array([0.27, 0.22, 0.27, 0.27, 0.22, 0.27])
 """Sds of the six logarithms from errors of the model in such driving: slow, with wheels that turn fast, and
 one linearisation at a time. In fields of the planar virtual tractor they came out a third too low."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
@@ -70,9 +70,11 @@ SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_FADING: Final = 2.0  # m^2/s: over the square of the speed how long the ground's pushes last, s
-"""From what pem finds: 0.1 s at 4.5 m/s, 0.3 s at 3 m/s and in fields of the spatial plant, more in planar
-ones. With 0.45 m at any speed stiffnesses came out 40 % low in fields of the planar plant, now 35 %."""
+PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; the slower the rig, the longer
+PUSH_SPEED: Final = 3.0  # m/s: below it, the pushes last longer still, with the square of the speed
+"""From what pem finds: 0.1 s at 4.5 m/s, 0.3 s and more in headland turns. With 0.45 m at any speed
+stiffnesses came out 40 % low in fields of the planar plant, so 35 %; longer at 3 m/s, one rig in twelve was
+lost."""
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
 FIRST_PUSHES: Final = 15.0
@@ -194,7 +196,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
     speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
-    ground = GroundNoise(sds[:3], PUSH_FADING / speed**2, float(sds[3]))
+    memory_s = PUSH_LENGTH / speed * max(1.0, PUSH_SPEED / speed) ** 2
+    ground = GroundNoise(sds[:3], memory_s, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
