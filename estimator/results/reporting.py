@@ -24,13 +24,15 @@ LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean
 NUISANCE_MODEL_SD: Final[dict[str, float]] = {
     "wheel_zero": 0.0015, "wheel_gain": 0.02, "latency": 0.01, "roll_late_t": 0.02, "roll_late_i": 0.02,
     "pair_t": 0.002, "pair_i": 0.002, "lever_t": 0.01, "lever_i": 0.01,
+    "aside_i": 0.02,
     **dict.fromkeys(ROLL_ZEROS, 0.01),
 }  # fmt: skip
 """By how much errors of the model move an unknown that is no tyre's, in its unit; part of its published sd.
 On the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of them."""
-DOUBTED: Final = (*ROLL_ZEROS, "latency", "wheel_gain")
+DOUBTED: Final = (*ROLL_ZEROS, "latency", "wheel_gain", "aside_i")
 """What errors of the model move far: on steps of 30 s rolls' zeros of 10 mrad sd came out as much as 44 mrad
-off, latency by 47 ms, and the gain of `steady_state` by 5 %."""
+off, latency by 47 ms, and the gain of `steady_state` by 5 %; a side slope all the way is taken for zeros of
+rolls and for antennas aside."""
 RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
 
 
