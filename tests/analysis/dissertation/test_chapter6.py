@@ -24,7 +24,7 @@ def test_the_kept_means_are_those_of_a_sample() -> None:
     parts = [part_of(plan, int(start), int(start) + 50) for start in starts]
     unstable = sum(int(part.unstable[0, 0].sum()) for part in parts) / 1500
     assert unstable == pytest.approx(entry["unstable_share"], abs=0.05)
-    total = sum(part.stable.total for part in parts) / sum(part.stable.counted for part in parts)
+    total = np.sum([part.stable.total for part in parts], axis=0) / sum(part.stable.counted for part in parts)
     kept = [row["mean"] for row in entry["global_stable"].values()]
     overall = total.reshape(len(kept), -1)[:, 0]  # of each parameter the mean over the outputs comes first
     np.testing.assert_allclose(overall, kept, rtol=0.25)
