@@ -80,10 +80,12 @@ def run_guidance(
     say: Callable[[str], None] = lambda text: None,
     watch: Callable[[str], object] | None = None,
     work: Work = WORK,
+    listen: str = "",
 ) -> Guided:
     """Drive the field in real time. Raises DemoError.
 
-    stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint.
+    stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint. listen: that
+    endpoint; the machine file's if not given, or the next that is free.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     _compiled(stop, say)
@@ -94,7 +96,7 @@ def run_guidance(
         rig = _Process("tilth.simulator.real_time_rig")
         ends.callback(rig.close)
         text = on_loopback(text, _started(rig, text, seed, work, stop))
-        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
+        endpoint = free_endpoint(listen or parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
         machine = parse_machine(text)
         if watch is not None:

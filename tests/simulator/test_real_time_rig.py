@@ -123,8 +123,10 @@ def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded
             "tilth/*/replay/event", lambda sample: received.append(sample.payload.to_bytes())
         )
 
+    # The usual endpoint may be taken by another test's daemon before that of the demo opens.
+    listen = "tcp/127.0.0.1:0"
     # Long enough for a busy computer to open all sessions before it ends.
-    guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=60.0))
+    guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=60.0), listen=listen)
     pages[0].close()
     assert "pipe" not in capfd.readouterr().err.lower()  # all processes have said their last word
     messages = [event.text for event in map(pb.Event.FromString, received) if event.kind == "guidance"]

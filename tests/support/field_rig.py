@@ -53,6 +53,12 @@ class FieldRig:
         self._process.kill()
         self._process.wait(PATIENCE_S)
 
+    def stop(self) -> None:
+        """As a person does: the log is finished."""
+        assert self._process is not None
+        self._process.terminate()
+        self._process.wait(PATIENCE_S)
+
     def unplug(self, *mounts: str) -> None:
         self._unplugged = set(mounts)
 
