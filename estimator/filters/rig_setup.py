@@ -51,7 +51,7 @@ class RigSetup(NamedTuple):
     roll: RollModes
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
     speed_sd: float  # m/s, of the measured speed
-    slope_sd: float = 0.5  # m/s^2, of gravity along the cross slope: 3 degrees
+    slope_sd: float = 0.7  # m/s^2, of gravity along the cross slope: 4 degrees
     scale: float = 1.0  # of all motions, which makes the model linear where it is small
 
 

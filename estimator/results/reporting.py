@@ -105,14 +105,14 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
     """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave; without any the
     machine file states the value as exact, and the sd is zero. moved: from the prior's mean.
 
-    It is not above the prior's, but where one of DOUBTED has moved further than that: what goes beyond is
-    rather an error of the model.
+    It is not above the prior's, but where one of DOUBTED has moved further than half of that: what goes beyond
+    is rather an error of the model.
     """
     if variance <= 0.0:
         return 0.0
     sd = math.sqrt(variance)
     said = min(math.hypot(sd, NUISANCE_MODEL_SD.get(name, 0.0)), max(prior_sd, sd))
-    return math.hypot(said, max(abs(moved) - prior_sd, 0.0)) if name in DOUBTED else said
+    return math.hypot(said, max(abs(moved) - prior_sd / 2.0, 0.0)) if name in DOUBTED else said
 
 
 def six_parameter_estimate(

@@ -409,9 +409,9 @@ def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
     state.covariance[place, place] *= 1e-6
     for moved, expected in (
         (0.5, 1.0),
-        (-1.0, 1.0),
-        (4.0, math.hypot(1.0, 3.0)),
-        (-4.0, math.hypot(1.0, 3.0)),
+        (-1.0, math.hypot(1.0, 0.5)),
+        (4.0, math.hypot(1.0, 3.5)),
+        (-4.0, math.hypot(1.0, 3.5)),
     ):
         state.mean[place] = state.prior_mean[place] + moved * sd
         said = tracker.estimate(state, MACHINE, 1).nuisances["roll_zero_tractor_front"]
