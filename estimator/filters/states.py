@@ -45,9 +45,9 @@ START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05
 """Sds of the states before X_PUSH, at first."""
 START_PLACE: Final = 1.0  # m
 SLOPE_LENGTH: Final = 20.0
-"""m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all the
-way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for slope:
-sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
+"""m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all
+the way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for
+slope: sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
 UNEVEN_LENGTH: Final = 1.5  # m
 
 

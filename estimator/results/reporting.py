@@ -105,8 +105,8 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
     """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave; without any the
     machine file states the value as exact, and the sd is zero. moved: from the prior's mean.
 
-    It is not above the prior's, but where one of DOUBTED has moved further than half of that: what goes beyond
-    is rather an error of the model.
+    It is not above the prior's, but where one of DOUBTED has moved further than half of that: what goes
+    beyond is rather an error of the model.
     """
     if variance <= 0.0:
         return 0.0

@@ -84,8 +84,8 @@ def run_guidance(
 ) -> Guided:
     """Drive the field in real time. Raises DemoError.
 
-    stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint. listen: that
-    endpoint; the machine file's if not given, or the next that is free.
+    stop: asked ten times a second. say: told what takes its time. watch: told the Zenoh endpoint. listen:
+    that endpoint; the machine file's if not given, or the next that is free.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     _compiled(stop, say)
