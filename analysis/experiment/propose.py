@@ -1,0 +1,255 @@
+"""Proposes a plan of experiments: what to steer, so that the least known of the six is known best.
+
+Each kind of run has a few numbers: frequencies, how long angles are held, the amplitude. They are searched
+for the smallest worst sd that its replicates leave, under the limits and with room in the field; then kinds are
+chosen that are best together.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.random import default_rng
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from tilth.analysis.experiment.predict import Known, angles_of, drives_of, sds, told_by
+from tilth.analysis.fit.joint import Told
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.models.planned_run import Scheduled, Way, check, needed, way, wheel_angle
+from tilth.schemas.experiment import (
+    AnyRun,
+    Chirp,
+    Limits,
+    Multisine,
+    Plan,
+    PlanError,
+    Random,
+    Rectangle,
+    Step,
+    Steps,
+    Turn,
+)
+from tilth.schemas.flow import PARAMETERS
+
+Array = NDArray[np.float64]
+
+TRIES: Final = 14  # evaluations of one kind
+TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
+SHORTEST_S: Final = 8.0  # of a proposed run
+MOST_REPLICATES: Final = 40  # of the step that a plan is compared with
+LEAST_AMPLITUDE: Final = 1.0  # degrees
+SAFE: Final = 0.98  # of a limit: numbers are rounded afterwards
+
+
+class Number(NamedTuple):
+    """One of the few numbers of a kind, searched on a logarithmic scale."""
+
+    key: str
+    low: float
+    start: float
+    high: float
+
+
+NUMBERS: Final[dict[str, tuple[Number, ...]]] = {
+    "step": (),
+    "steps": (Number("hold_s", 0.8, 2.5, 6.0),),
+    "chirp": (Number("low_hz", 0.03, 0.08, 0.3), Number("high_hz", 0.2, 0.5, 1.0)),
+    "random": (Number("shortest_s", 0.3, 0.6, 2.0), Number("longest_s", 0.6, 2.0, 5.0)),
+    "multisine": (Number("low_hz", 0.03, 0.08, 0.3), Number("high_hz", 0.3, 0.6, 1.0)),
+    "turn": (),
+}
+"""Of each kind, beside its amplitude, which is the largest allowed: what is steered further tells more, until
+the tyre curves count (fit_covariance.TIGHT), which is beyond the limits' default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a person asks for."""
+
+    name: str
+    speed: float  # m/s
+    seconds: float  # of a run
+    replicates: int
+    seed: int
+    field: Rectangle
+    limits: Limits
+    kinds: tuple[str, ...]
+    count: int = 3  # kinds in the plan
+
+
+class Candidate(NamedTuple):
+    """The best run of a kind."""
+
+    run: AnyRun
+    told: tuple[Told, ...]  # by its replicates
+    sd: Array  # (6,), after them
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A plan, and what it is worth."""
+
+    plan: Plan
+    seconds: float  # of steering
+    sd: Array  # (6,) of the logarithms, after the plan
+    before: Array  # (6,)
+    step_seconds: float  # that held steps take for the same worst sd
+    reached: bool  # whether they get there at all, by MOST_REPLICATES
+
+    @property
+    def faster(self) -> float:
+        """Seconds of held steps over those of the plan."""
+        return self.step_seconds / self.seconds
+
+
+Progress = Callable[[str], None]
+
+
+def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None) -> Proposal:
+    """Raises PlanError where the field or the limits leave no run of any use."""
+    best: list[Candidate] = []
+    refusals: list[str] = []
+    for kind in wanted.kinds:
+        progress(f"searching the best {kind}")
+        try:
+            best.append(_best(known, wanted, kind))
+        except PlanError as error:
+            refusals.append(str(error))
+    if not best:
+        raise PlanError(refusals[0])
+    progress("choosing what is best together")
+    chosen = _together(known, best, wanted.count)
+    runs = [
+        one.run.model_copy(update={"predicted": _named(one.sd)})
+        for one in sorted(chosen, key=lambda one: float(one.sd.max()))
+    ]
+    plan = Plan(
+        name=wanted.name, machine=known.machine.name, seed=wanted.seed, field=wanted.field,
+        limits=wanted.limits, run=tuple(runs),
+    )  # fmt: skip
+    check(plan, rig_of(known.machine), [(one, angles_of(plan, one)) for one in drives_of(plan)])
+    sd = sds(known, [told_by(known, one, plan.limits, plan.seed) for one in drives_of(plan)])
+    plan = plan.model_copy(update={"predicted": _named(sd)})
+    seconds = sum(run.seconds * run.replicates for run in plan.run)
+    progress("comparing it with held steps")
+    steps_s, reached = seconds_of_steps(known, wanted, float(sd.max()))
+    return Proposal(plan, seconds, sd, sds(known, ()), steps_s, reached)
+
+
+def _named(sd: Array) -> dict[str, float]:
+    return {name: round(float(value), 3) for name, value in zip(PARAMETERS, sd, strict=True)}
+
+
+def _best(known: Known, wanted: Wanted, kind: str) -> Candidate:
+    """Raises PlanError where it has no room."""
+    numbers = NUMBERS[kind]
+
+    def made(logs: Array) -> AnyRun:
+        values = {
+            number.key: _rounded(float(np.clip(np.exp(log), number.low, number.high)))
+            for number, log in zip(numbers, logs, strict=True)
+        }
+        for low, high in (("low_hz", "high_hz"), ("shortest_s", "longest_s")):
+            if low in values:
+                values[high] = max(values[high], values[low])
+        return _largest(known, wanted, kind, values)
+
+    def worst(logs: Array) -> float:
+        try:
+            return float(np.log(_after(known, wanted, made(logs), alone=True).sd.max()))
+        except PlanError:
+            return 1.0  # no room
+
+    start: Array = np.log([number.start for number in numbers])
+    found = start
+    if numbers:
+        simplex = np.vstack([start, start + 0.4 * np.eye(len(numbers))])
+        options: dict[str, Any] = {"maxfev": TRIES, "initial_simplex": simplex, "xatol": 0.1, "fatol": 0.005}
+        found = np.asarray(minimize(worst, start, method="Nelder-Mead", options=options).x)
+    return _after(known, wanted, made(found), alone=False)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _after(known: Known, wanted: Wanted, run: AnyRun, alone: bool) -> Candidate:
+    """alone: the first replicate stands for all, which takes less time."""
+    replicates = range(1, run.replicates + 1)
+    told = tuple(
+        told_by(known, Scheduled(1, 1 if alone else k, run), wanted.limits, wanted.seed) for k in replicates
+    )
+    return Candidate(run, told, sds(known, told))
+
+
+def _largest(known: Known, wanted: Wanted, kind: str, values: dict[str, float]) -> AnyRun:
+    """The run with the largest amplitude that the limits allow, as long as the field lets it be. Raises
+    PlanError."""
+    limits, field, rig = wanted.limits, wanted.field, rig_of(known.machine)
+    speed = min(wanted.speed, TURN_SPEED) if kind == "turn" else wanted.speed
+    seconds, refusal = wanted.seconds, ""
+    while seconds >= SHORTEST_S:
+        run = _run(kind, values, speed, limits.wheel_angle_deg, seconds, wanted.replicates)
+        hardest = max(float(np.max(np.abs(one.lateral_acceleration))) for one in _ways(rig, run, wanted))
+        share = min(1.0, SAFE * limits.lateral_acceleration / hardest)
+        amplitude = np.floor(10.0 * run.amplitude_deg * share) / 10.0
+        if amplitude < LEAST_AMPLITUDE:
+            raise PlanError(f"{kind} at {speed:g} m/s: the limits allow no {LEAST_AMPLITUDE:g}° of the wheels")
+        run = run.model_copy(update={"amplitude_deg": float(amplitude)})
+        long, wide = np.max([needed(run, one) for one in _ways(rig, run, wanted)], axis=0)
+        usable = field.length - (0.0 if kind == "turn" else 2 * field.headland)
+        if long <= usable and wide <= field.width:
+            return run
+        refusal = (
+            f"the field is too small for {kind} runs at {speed:g} m/s: {seconds:g} s take {long:.0f} m by "
+            f"{wide:.0f} m, it has {usable:.0f} m between its headlands by {field.width:.0f} m; give a "
+            "larger --field, or a lower --speed"
+        )
+        seconds = float(np.floor(min(0.85 * seconds, seconds - 1.0)))
+    raise PlanError(refusal or f"runs of less than {SHORTEST_S:g} s tell too little: give more --seconds")
+
+
+def _ways(rig: Rig, run: AnyRun, wanted: Wanted) -> list[Way]:
+    """Where its replicates go."""
+    replicates = range(1, run.replicates + 1) if run.kind == "random" else (1,)
+    found = []
+    for k in replicates:
+        one = Scheduled(1, k, run)
+        angles = wheel_angle(one, wanted.limits, default_rng([wanted.seed, *one.key]))
+        found.append(way(rig, run.speed, angles))
+    return found
+
+
+def _run(
+    kind: str, values: dict[str, float], speed: float, amplitude: float, seconds: float, replicates: int
+) -> AnyRun:
+    made = {"step": Step, "steps": Steps, "chirp": Chirp, "random": Random, "multisine": Multisine, "turn": Turn}
+    fields = {"kind": kind, "speed": speed, "amplitude_deg": amplitude, "seconds": seconds}
+    return made[kind].model_validate({**fields, "replicates": replicates, **values})
+
+
+def _together(known: Known, best: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
+    """So many kinds that leave the smallest worst sd: of several, since kinds that disagree tell what a model
+    lacks."""
+    choices = itertools.combinations(best, min(count, len(best)))
+    return min(choices, key=lambda some: float(sds(known, [t for one in some for t in one.told]).max()))
+
+
+def seconds_of_steps(known: Known, wanted: Wanted, worst: float) -> tuple[float, bool]:
+    """(s of held steps, to either side in turn, of the largest amplitude allowed, until the worst sd is as
+    small as that; whether that is reached). Between whole steps it is interpolated."""
+    run = _largest(known, wanted, "step", {})
+    both = [told_by(known, Scheduled(1, k, run), wanted.limits, wanted.seed) for k in (1, 2)]
+    before = float(sds(known, ()).max())
+    low, high, found = 0, 1, before
+    while high <= MOST_REPLICATES:
+        after = float(sds(known, [both[k % 2] for k in range(high)]).max())
+        if after <= worst:
+            share = (np.log(before) - np.log(worst)) / max(np.log(before) - np.log(after), 1e-9)
+            return (low + float(share) * (high - low)) * run.seconds, True
+        low, before = high, after
+        high += max(1, high // 4)
+    return low * run.seconds, found <= worst
