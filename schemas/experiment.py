@@ -33,9 +33,9 @@ class _Section(BaseModel):
 class Limits(_Section):
     """What no run may exceed, and when a run is broken off."""
 
-    wheel_angle_deg: float = Field(default=15.0, gt=0, le=37, description="of the wheels")
+    wheel_angle_deg: float = Field(default=12.0, gt=0, le=37, description="of the wheels")
     wheel_rate_degps: float = Field(default=15.0, gt=0, le=60, description="how fast a driver turns them")
-    lateral_acceleration: float = Field(default=2.0, gt=0, le=5, description="m/s^2")
+    lateral_acceleration: float = Field(default=2.5, gt=0, le=5, description="m/s^2")
     braking: float = Field(default=1.5, gt=0, le=8, description="m/s^2: a harder one breaks a run off")
     off_the_bar_deg: float = Field(default=5.0, gt=0, le=20, description="of a driver who looks away")
     off_the_bar_s: float = Field(default=1.5, gt=0, le=20, description="after which he has looked away")

@@ -35,12 +35,10 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
 def worth(proposal: Proposal) -> str:
     """What a plan brings, in one sentence."""
     worst = PARAMETERS[int(proposal.sd.argmax())]
+    what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {share(float(proposal.sd.max()))}"
     bound = "" if proposal.reached else "more than "
-    return (
-        f"{proposal.seconds:.0f} s of steering leave {worst} as the least known, {share(float(proposal.sd.max()))}"
-        f" (95 %); held steps need {bound}{proposal.step_seconds:.0f} s for that, {bound}{proposal.faster:.1f} "
-        "times as long."
-    )
+    steps = f"held steps need {bound}{proposal.step_seconds:.0f} s to be as good"
+    return f"{what}; {steps}, {bound}{proposal.faster:.1f} times as long."
 
 
 def _run(run: AnyRun) -> list[str]:

@@ -21,6 +21,7 @@ from tilth.analysis.fit.steering_terms import terms_at
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NOISE, SIX
+from tilth.estimator.methods import pem
 from tilth.estimator.models.planned_run import Scheduled, schedule, wheel_angle
 from tilth.estimator.record.record import KIND, PLACE, SD, TICK, Record
 from tilth.estimator.record.windows import WINDOW
@@ -150,6 +151,13 @@ def sds(known: Known, told: Sequence[Told]) -> Array:
     if not told and known.before is None:
         return np.asarray(unknowns.prior(known.machine)[1][SIX], np.float64)
     return np.asarray(np.sqrt(np.diag(joined(known, told).covariance)[SIX]), np.float64)
+
+
+def worst_of(known: Known, sd: Array) -> float:
+    """The largest of six such sds, without what the machine file does not know of the masses: driving tells
+    stiffnesses over masses only, whichever way one drives."""
+    masses = np.diag(pem.of_masses(np.diag(unknowns.prior(known.machine)[1] ** 2)))[SIX]
+    return float(np.sqrt(np.max(np.square(sd) - masses)))
 
 
 def predicted(known: Known, plan: Plan) -> Array:

@@ -15,7 +15,7 @@ from numpy.random import default_rng
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from tilth.analysis.experiment.predict import Known, angles_of, drives_of, sds, told_by
+from tilth.analysis.experiment.predict import Known, angles_of, drives_of, sds, told_by, worst_of
 from tilth.analysis.fit.joint import Told
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.models.planned_run import Scheduled, Way, check, needed, way, wheel_angle
@@ -41,7 +41,7 @@ TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 SHORTEST_S: Final = 8.0  # of a proposed run
 MOST_REPLICATES: Final = 40  # of the step that a plan is compared with
 LEAST_AMPLITUDE: Final = 1.0  # degrees
-SAFE: Final = 0.98  # of a limit: numbers are rounded afterwards
+SAFE: Final = 0.8  # of the acceleration at which a run is broken off: tyres may hold better than expected
 
 
 class Number(NamedTuple):
@@ -55,14 +55,15 @@ class Number(NamedTuple):
 
 NUMBERS: Final[dict[str, tuple[Number, ...]]] = {
     "step": (),
-    "steps": (Number("hold_s", 0.8, 2.5, 6.0),),
-    "chirp": (Number("low_hz", 0.03, 0.08, 0.3), Number("high_hz", 0.2, 0.5, 1.0)),
-    "random": (Number("shortest_s", 0.3, 0.6, 2.0), Number("longest_s", 0.6, 2.0, 5.0)),
-    "multisine": (Number("low_hz", 0.03, 0.08, 0.3), Number("high_hz", 0.3, 0.6, 1.0)),
+    "steps": (Number("hold_s", 1.0, 2.5, 6.0),),
+    "chirp": (Number("low_hz", 0.04, 0.08, 0.2), Number("high_hz", 0.2, 0.5, 0.6)),
+    "random": (Number("shortest_s", 0.5, 0.7, 2.0), Number("longest_s", 1.0, 2.0, 5.0)),
+    "multisine": (Number("low_hz", 0.04, 0.08, 0.2), Number("high_hz", 0.2, 0.5, 0.6)),
     "turn": (),
 }
 """Of each kind, beside its amplitude, which is the largest allowed: what is steered further tells more, until
-the tyre curves count (fit_covariance.TIGHT), which is beyond the limits' default."""
+the tyre curves count (fit_covariance.TIGHT), which is beyond the limits' default. Nothing is quicker than a
+person can follow a bar."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +125,7 @@ def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None
     chosen = _together(known, best, wanted.count)
     runs = [
         one.run.model_copy(update={"predicted": _named(one.sd)})
-        for one in sorted(chosen, key=lambda one: float(one.sd.max()))
+        for one in sorted(chosen, key=lambda one: worst_of(known, one.sd))
     ]
     plan = Plan(
         name=wanted.name, machine=known.machine.name, seed=wanted.seed, field=wanted.field,
@@ -135,7 +136,7 @@ def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None
     plan = plan.model_copy(update={"predicted": _named(sd)})
     seconds = sum(run.seconds * run.replicates for run in plan.run)
     progress("comparing it with held steps")
-    steps_s, reached = seconds_of_steps(known, wanted, float(sd.max()))
+    steps_s, reached = seconds_of_steps(known, wanted, worst_of(known, sd))
     return Proposal(plan, seconds, sd, sds(known, ()), steps_s, reached)
 
 
@@ -159,7 +160,7 @@ def _best(known: Known, wanted: Wanted, kind: str) -> Candidate:
 
     def worst(logs: Array) -> float:
         try:
-            return float(np.log(_after(known, wanted, made(logs), alone=True).sd.max()))
+            return float(np.log(worst_of(known, _after(known, wanted, made(logs), alone=True).sd)))
         except PlanError:
             return 1.0  # no room
 
@@ -235,7 +236,7 @@ def _together(known: Known, best: Sequence[Candidate], count: int) -> tuple[Cand
     """So many kinds that leave the smallest worst sd: of several, since kinds that disagree tell what a model
     lacks."""
     choices = itertools.combinations(best, min(count, len(best)))
-    return min(choices, key=lambda some: float(sds(known, [t for one in some for t in one.told]).max()))
+    return min(choices, key=lambda some: worst_of(known, sds(known, [t for one in some for t in one.told])))
 
 
 def seconds_of_steps(known: Known, wanted: Wanted, worst: float) -> tuple[float, bool]:
@@ -243,13 +244,13 @@ def seconds_of_steps(known: Known, wanted: Wanted, worst: float) -> tuple[float,
     small as that; whether that is reached). Between whole steps it is interpolated."""
     run = _largest(known, wanted, "step", {})
     both = [told_by(known, Scheduled(1, k, run), wanted.limits, wanted.seed) for k in (1, 2)]
-    before = float(sds(known, ()).max())
-    low, high, found = 0, 1, before
+    before = worst_of(known, sds(known, ()))
+    low, high = 0, 1
     while high <= MOST_REPLICATES:
-        after = float(sds(known, [both[k % 2] for k in range(high)]).max())
+        after = worst_of(known, sds(known, [both[k % 2] for k in range(high)]))
         if after <= worst:
             share = (np.log(before) - np.log(worst)) / max(np.log(before) - np.log(after), 1e-9)
             return (low + float(share) * (high - low)) * run.seconds, True
         low, before = high, after
         high += max(1, high // 4)
-    return low * run.seconds, found <= worst
+    return low * run.seconds, False
