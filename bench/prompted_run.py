@@ -13,7 +13,6 @@ import numpy as np
 from numpy.random import default_rng
 from numpy.typing import NDArray
 
-from tilth.analysis.experiment.predict import angles_of, drives_of
 from tilth.client.experiment.following import wanted_at
 from tilth.client.experiment.prompter import (
     FINISHED,
@@ -26,7 +25,6 @@ from tilth.client.experiment.prompter import (
     Prompt,
     Tick,
     conditions_of,
-    course_of,
     drive_at,
     run_s,
     step,
@@ -144,13 +142,10 @@ class Prompted:
         if drive is None:
             return Bar(prompt.phase, 0.0, self.course.drives[-1].scheduled.run.speed, True)
         wanted = wanted_at(drive.angles, run_s(prompt)) if prompt.phase == RUNNING else 0.0
-        room = prompt.place is None or all(c.met for c in conditions_of(prompt, self.course) if c.name == "room")
+        room = prompt.place is None or all(
+            c.met for c in conditions_of(prompt, self.course) if c.name == "room"
+        )
         return Bar(prompt.phase, wanted, drive.scheduled.run.speed, room)
-
-
-def course_for(plan: Plan, rig: Rig) -> Course:
-    """The plan's drives, as the runner has them."""
-    return course_of(plan, rig, [(one, angles_of(plan, one)) for one in drives_of(plan)])
 
 
 def placed(prompt: Prompt, plan: Plan) -> Prompt:

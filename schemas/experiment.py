@@ -47,9 +47,9 @@ class Rectangle(_Section):
     length: float = Field(ge=30, le=5000, description="m, along the runs")
     width: float = Field(ge=10, le=5000, description="m, to the right of the corner")
     headland: float = Field(default=20.0, ge=0, le=200, description="m, at both ends: for turning only")
-    corner: tuple[
-        Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]
-    ] | None = Field(default=None, description="latitude, longitude; the left one at the near end, degrees")
+    corner: tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]] | None = (
+        Field(default=None, description="latitude, longitude; the left one at the near end, degrees")
+    )
     heading_deg: float | None = Field(
         default=None, ge=-360, le=360, description="of its length, clockwise from north"
     )

@@ -22,7 +22,8 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
     plan = proposal.plan
     lines = [_HEAD.format(source=f" from {source}" if source else "", path=path, worth=worth(proposal))]
     lines += [f"name = {_value(plan.name)}", f"machine = {_value(plan.machine)}"]
-    lines += [f"seed = {plan.seed}  # of the order and of random steering", f"countdown_s = {plan.countdown_s:g}"]
+    lines += [f"seed = {plan.seed}  # of the order and of random steering"]
+    lines += [f"countdown_s = {plan.countdown_s:g}"]
     lines += [_predicted(plan.predicted, "after all runs"), ""]
     lines += ["[limits]", *_keys(plan.limits.model_dump(exclude_none=True)), ""]
     lines += ["[field]  # without a corner it lies where and as the tractor stands at the first start"]
@@ -35,7 +36,8 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
 def worth(proposal: Proposal) -> str:
     """What a plan brings, in one sentence."""
     worst = PARAMETERS[int(proposal.sd.argmax())]
-    what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {share(float(proposal.sd.max()))}"
+    left = share(float(proposal.sd.max()))
+    what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {left}"
     bound = "" if proposal.reached else "more than "
     steps = f"held steps need {bound}{proposal.step_seconds:.0f} s to be as good"
     return f"{what}; {steps}, {bound}{proposal.faster:.1f} times as long."

@@ -22,7 +22,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.methods import pem
-from tilth.estimator.models.planned_run import Scheduled, schedule, wheel_angle
+from tilth.estimator.models.planned_run import Scheduled, drives, wheel_angle
 from tilth.estimator.record.record import KIND, PLACE, SD, TICK, Record
 from tilth.estimator.record.windows import WINDOW
 from tilth.estimator.results.advice import HERTZ, expected, planned_rows
@@ -71,16 +71,6 @@ def from_log(machine: Machine, fitted: Fitted) -> Known:
     return Known(machine, point, fitted.linearised, tuple(rates))
 
 
-def angles_of(plan: Plan, scheduled: Scheduled) -> Array:
-    """Wheel angles of a run of a plan, rad, (n,): the same for who plans, prompts and simulates."""
-    return wheel_angle(scheduled, plan.limits, default_rng([plan.seed, *scheduled.key]))
-
-
-def drives_of(plan: Plan) -> tuple[Scheduled, ...]:
-    """All runs of a plan in the order in which they are driven."""
-    return schedule(plan, default_rng(plan.seed))
-
-
 def told_by(known: Known, scheduled: Scheduled, limits: Limits, seed: int) -> Told:
     """What a run will tell."""
     run = scheduled.run
@@ -88,7 +78,7 @@ def told_by(known: Known, scheduled: Scheduled, limits: Limits, seed: int) -> To
     drawn = (seed, *scheduled.key) if run.kind == "random" else ()
     name = (run.model_dump_json(exclude={"replicates", "predicted"}), side, drawn, limits.wheel_rate_degps)
     if name not in known.cache:
-        angles = wheel_angle(scheduled, limits, default_rng([seed, *scheduled.key]))
+        angles = wheel_angle(scheduled, limits, default_rng((seed, *scheduled.key)))
         known.cache[name] = told_of(known, run.speed, angles)
     return known.cache[name]
 
@@ -98,9 +88,7 @@ def told_of(known: Known, speed: float, angles: Array) -> Told:
     angles = np.concatenate([np.zeros(round(LEAD_S / DT)), angles])
     record = expected(known.machine, known.point, speed, angles, _rows(known, len(angles)))
     noise = known.point[NOISE].copy()
-    return tuple(
-        terms_at(known.machine, FittedWindow(part, noise), known.point) for part in _windows(record)
-    )
+    return tuple(terms_at(known.machine, FittedWindow(part, noise), known.point) for part in _windows(record))
 
 
 def _rows(known: Known, count: int) -> Array:
@@ -121,7 +109,7 @@ def _rows(known: Known, count: int) -> Array:
 
 def _windows(record: Record) -> list[Record]:
     """As the estimator takes a long drive: in windows of at most WINDOW."""
-    found = []
+    found: list[Record] = []
     for first in range(0, len(record.ticks), WINDOW_TICKS):
         last = min(first + WINDOW_TICKS, len(record.ticks))
         if found and last - first < SHORTEST_TICKS:
@@ -162,4 +150,5 @@ def worst_of(known: Known, sd: Array) -> float:
 
 def predicted(known: Known, plan: Plan) -> Array:
     """Sds of the six logarithms after a whole plan, (6,)."""
-    return sds(known, [told_by(known, one, plan.limits, plan.seed) for one in drives_of(plan)])
+    planned = drives(plan, default_rng)
+    return sds(known, [told_by(known, one, plan.limits, plan.seed) for one, _ in planned])

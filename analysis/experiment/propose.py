@@ -1,8 +1,8 @@
 """Proposes a plan of experiments: what to steer, so that the least known of the six is known best.
 
 Each kind of run has a few numbers: frequencies, how long angles are held, the amplitude. They are searched
-for the smallest worst sd that its replicates leave, under the limits and with room in the field; then kinds are
-chosen that are best together.
+for the smallest worst sd that its replicates leave, under the limits and with room in the field; then kinds
+are chosen that are best together.
 """
 
 import itertools
@@ -13,25 +13,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.random import default_rng
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 from scipy.optimize import minimize
 
-from tilth.analysis.experiment.predict import Known, angles_of, drives_of, sds, told_by, worst_of
+from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, worst_of
 from tilth.analysis.fit.joint import Told
 from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.estimator.models.planned_run import Scheduled, Way, check, needed, way, wheel_angle
-from tilth.schemas.experiment import (
-    AnyRun,
-    Chirp,
-    Limits,
-    Multisine,
-    Plan,
-    PlanError,
-    Random,
-    Rectangle,
-    Step,
-    Steps,
-    Turn,
-)
+from tilth.estimator.models.planned_run import Scheduled, Way, check, drives, needed, way, wheel_angle
+from tilth.schemas.experiment import AnyRun, Limits, Plan, PlanError, Rectangle, Run
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
@@ -41,6 +30,7 @@ TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 SHORTEST_S: Final = 8.0  # of a proposed run
 MOST_REPLICATES: Final = 40  # of the step that a plan is compared with
 LEAST_AMPLITUDE: Final = 1.0  # degrees
+_RUN: Final[TypeAdapter[AnyRun]] = TypeAdapter(Run)
 SAFE: Final = 0.8  # of the acceleration at which a run is broken off: tyres may hold better than expected
 
 
@@ -131,8 +121,8 @@ def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None
         name=wanted.name, machine=known.machine.name, seed=wanted.seed, field=wanted.field,
         limits=wanted.limits, run=tuple(runs),
     )  # fmt: skip
-    check(plan, rig_of(known.machine), [(one, angles_of(plan, one)) for one in drives_of(plan)])
-    sd = sds(known, [told_by(known, one, plan.limits, plan.seed) for one in drives_of(plan)])
+    check(plan, rig_of(known.machine), drives(plan, default_rng))
+    sd = predicted(known, plan)
     plan = plan.model_copy(update={"predicted": _named(sd)})
     seconds = sum(run.seconds * run.replicates for run in plan.run)
     progress("comparing it with held steps")
@@ -198,7 +188,7 @@ def _largest(known: Known, wanted: Wanted, kind: str, values: dict[str, float]) 
         share = min(1.0, SAFE * limits.lateral_acceleration / hardest)
         amplitude = np.floor(10.0 * run.amplitude_deg * share) / 10.0
         if amplitude < LEAST_AMPLITUDE:
-            raise PlanError(f"{kind} at {speed:g} m/s: the limits allow no {LEAST_AMPLITUDE:g}° of the wheels")
+            raise PlanError(f"{kind} at {speed:g} m/s: the limits leave less than {LEAST_AMPLITUDE:g}°")
         run = run.model_copy(update={"amplitude_deg": float(amplitude)})
         long, wide = np.max([needed(run, one) for one in _ways(rig, run, wanted)], axis=0)
         usable = field.length - (0.0 if kind == "turn" else 2 * field.headland)
@@ -219,7 +209,7 @@ def _ways(rig: Rig, run: AnyRun, wanted: Wanted) -> list[Way]:
     found = []
     for k in replicates:
         one = Scheduled(1, k, run)
-        angles = wheel_angle(one, wanted.limits, default_rng([wanted.seed, *one.key]))
+        angles = wheel_angle(one, wanted.limits, default_rng((wanted.seed, *one.key)))
         found.append(way(rig, run.speed, angles))
     return found
 
@@ -227,9 +217,8 @@ def _ways(rig: Rig, run: AnyRun, wanted: Wanted) -> list[Way]:
 def _run(
     kind: str, values: dict[str, float], speed: float, amplitude: float, seconds: float, replicates: int
 ) -> AnyRun:
-    made = {"step": Step, "steps": Steps, "chirp": Chirp, "random": Random, "multisine": Multisine, "turn": Turn}
     fields = {"kind": kind, "speed": speed, "amplitude_deg": amplitude, "seconds": seconds}
-    return made[kind].model_validate({**fields, "replicates": replicates, **values})
+    return _RUN.validate_python({**fields, "replicates": replicates, **values})
 
 
 def _together(known: Known, best: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:

@@ -65,7 +65,8 @@ def _room(now: Seen, run: AnyRun, way: Way, plan: Plan, place: Place | None) -> 
     if math.isnan(left):
         return Condition("room", False, "where the tractor stands is not known")
     if left < 0.0:
-        return Condition("room", False, f"{-left:.0f} m of room are missing: turn round, or start further back")
+        text = f"{-left:.0f} m of room are missing: turn round, or start further back"
+        return Condition("room", False, text)
     return Condition("room", True, f"room ahead, {left:.0f} m to spare")
 
 

@@ -9,19 +9,19 @@ which are asked of the daemon, and answered by `Marked`.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.random import default_rng
 from numpy.typing import NDArray
 
 from tilth.client.experiment import conditions
 from tilth.client.experiment.conditions import Condition
-from tilth.client.experiment.following import disturbed, followed, off_the_bar, wanted_at
+from tilth.client.experiment.following import disturbed, followed, off_the_bar
 from tilth.client.experiment.sight import Place, Seen, abort_reason, place_of
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.models.planned_run import Scheduled, Way, way
+from tilth.estimator.models.planned_run import DT, Scheduled, Way, check, drives, way
 from tilth.schemas.experiment import Plan
 
 Array = NDArray[np.float64]
@@ -33,7 +33,8 @@ ARM, STOP, SKIP = "arm", "stop", "skip"
 ORDERS: Final = (ARM, STOP, SKIP)
 LEAD_S: Final = 1.0  # straight, marked, before the planned run: a filter settles
 SILENT_S: Final = 1.0  # without a pose
-MARK_S: Final = 10.0  # a disk may stall; longer than that a mark is lost
+MARK_S: Final = 12.0  # a disk may stall; longer than that a mark is lost
+START_MARK_S: Final = 6.0  # nobody is to steer for long while the start is not in the log
 KEPT_S: Final = 3.0  # of the driving, before a run
 
 
@@ -48,7 +49,7 @@ class Drive:
     @property
     def seconds(self) -> float:
         """From the start mark to the end mark."""
-        return LEAD_S + (len(self.angles) - 1) * 0.02
+        return LEAD_S + (len(self.angles) - 1) * DT
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +113,11 @@ class Marked(NamedTuple):
 Input = Seen | Tick | Order | Marked
 
 
-def course_of(plan: Plan, rig: Rig, drives: Sequence[tuple[Scheduled, Array]]) -> Course:
-    """drives: the runs in their order with their wheel angles."""
-    made = [Drive(one, angles, way(rig, one.run.speed, angles)) for one, angles in drives]
-    return Course(plan, tuple(made))
+def course_of(plan: Plan, rig: Rig) -> Course:
+    """A plan, ready to be driven. Raises PlanError where a run is too hard or has no room."""
+    planned = drives(plan, default_rng)
+    check(plan, rig, planned)
+    return Course(plan, tuple(Drive(one, angles, way(rig, one.run.speed, angles)) for one, angles in planned))
 
 
 def step(prompt: Prompt, course: Course, came: Input) -> tuple[Prompt, tuple[Mark, ...]]:
@@ -156,7 +158,8 @@ def conditions_of(prompt: Prompt, course: Course) -> tuple[Condition, ...]:
     drive = drive_at(prompt, course)
     if drive is None:
         return ()
-    return conditions.of(prompt.track, prompt.now_s, drive.scheduled.run, drive.way, course.plan, prompt.place)
+    run = drive.scheduled.run
+    return conditions.of(prompt.track, prompt.now_s, run, drive.way, course.plan, prompt.place)
 
 
 def _see(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark, ...]]:
@@ -175,6 +178,8 @@ def _tick(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
     silent_s = prompt.now_s - prompt.track[-1].t_s if prompt.track else 0.0
     if prompt.phase == RUNNING and silent_s > SILENT_S:
         return _end(prompt, course, "aborted", f"no pose has come for {silent_s:.1f} s")
+    if prompt.phase == RUNNING and not prompt.recorded and prompt.now_s - prompt.since_s > START_MARK_S:
+        return _end(prompt, course, "aborted", "the daemon has not confirmed the mark at its start")
     if prompt.phase == NOTING and prompt.now_s - prompt.since_s > MARK_S:
         return _end(prompt, course, "disturbed", "the daemon has not confirmed the mark at its end")
     if prompt.phase == RUNNING and run_s(prompt) + LEAD_S > _length(prompt, course):
@@ -200,7 +205,8 @@ def _order(prompt: Prompt, course: Course, kind: str) -> tuple[Prompt, tuple[Mar
     if kind == STOP and prompt.phase == RUNNING:
         return _end(prompt, course, "aborted", "stopped by the driver")
     if kind == STOP and prompt.phase in (LINING_UP, COUNTDOWN):
-        return replace(prompt, phase=IDLE, since_s=prompt.now_s, said="Stopped. Arm it when you are ready."), ()
+        said = "Stopped. Arm it when you are ready."
+        return replace(prompt, phase=IDLE, since_s=prompt.now_s, said=said), ()
     if kind == SKIP and prompt.phase in (IDLE, LINING_UP, COUNTDOWN):
         return _next(prompt, course, "skipped", "skipped by the driver")
     return prompt, ()
@@ -280,7 +286,8 @@ def _end(prompt: Prompt, course: Course, outcome: str, reason: str) -> tuple[Pro
     attempt = Attempt(name, outcome, reason)
     word = "Broken off" if outcome == "aborted" else "Disturbed"
     again = replace(
-        prompt, phase=IDLE, since_s=prompt.now_s, tries=prompt.tries + 1, attempts=(*prompt.attempts, attempt),
+        prompt, phase=IDLE, since_s=prompt.now_s, tries=prompt.tries + 1,
+        attempts=(*prompt.attempts, attempt),
         said=f"{word}: {reason}. It will be driven again: arm it when you are ready.",
     )  # fmt: skip
     return again, (Mark(f"{name} {outcome} ({reason})"),)

@@ -63,7 +63,8 @@ def _trouble(pose: Pose) -> str:
         return f"receivers are lost or do not fit: {', '.join(lost).replace('_', ' ')}"
     if pose.wheel_angle is None:
         return "the wheel angle is not heard"
-    if pose.tractor.heading is None or pose.tractor.x is None or pose.tractor.yaw_rate is None:
+    body = pose.tractor
+    if None in (body.x, body.y, body.heading, body.yaw_rate, body.forward_velocity):
         return "the tractor's pose is not known"
     return ""
 
@@ -103,7 +104,8 @@ def abort_reason(limits: Limits, field: Rectangle, place: Place | None, track: t
     if sideways > limits.lateral_acceleration:
         return f"{sideways:.1f} m/s² to the side; the plan allows {limits.lateral_acceleration:g}"
     if abs(now.wheel_angle) > math.radians(limits.wheel_angle_deg) + BEYOND_ANGLE:
-        return f"the wheels are at {math.degrees(now.wheel_angle):.0f}°; the plan allows {limits.wheel_angle_deg:g}°"
+        angle = math.degrees(now.wheel_angle)
+        return f"the wheels are at {angle:.0f}°; the plan allows {limits.wheel_angle_deg:g}°"
     if place is not None:
         second = np.array([0.0, max(now.speed, 0.0)])
         if room_left(field, place, now, second, np.zeros(2), True) < 0.0:

@@ -4,7 +4,7 @@ Where it goes is what the linear model with relaxation says at the machine file'
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -63,7 +63,7 @@ class Way(NamedTuple):
 
 
 def schedule(plan: Plan, rng: Generator) -> tuple[Scheduled, ...]:
-    """All drives in randomised blocks: first replicates of all runs, shuffled, then second ones, and so on."""
+    """All drives in randomised blocks: the first replicates of all runs, shuffled, then the second ones."""
     order: list[Scheduled] = []
     for replicate in range(1, max(run.replicates for run in plan.run) + 1):
         block = [
@@ -84,6 +84,15 @@ def wheel_angle(scheduled: Scheduled, limits: Limits, rng: Generator) -> Array:
     amplitude = math.radians(run.amplitude_deg)
     wanted = _steering(run, time, amplitude, rng)
     return rate_limited(-wanted if left else wanted, math.radians(limits.wheel_rate_degps) * DT)
+
+
+def drives(plan: Plan, draws: Callable[[tuple[int, ...]], Generator]) -> tuple[tuple[Scheduled, Array], ...]:
+    """All runs of a plan with their wheel angles, in the order in which they are driven. draws: makes a
+    generator of a seed, as numpy's default_rng; so who plans, prompts and simulates has the same runs."""
+    return tuple(
+        (one, wheel_angle(one, plan.limits, draws((plan.seed, *one.key))))
+        for one in schedule(plan, draws((plan.seed,)))
+    )
 
 
 def _steering(run: AnyRun, time: Array, amplitude: float, rng: Generator) -> Array:
@@ -121,10 +130,10 @@ def room(field: Rectangle, along: Array, across: Array, turning: bool) -> float:
     return float(min(np.min(one) for one in inside))
 
 
-def check(plan: Plan, rig: Rig, drives: Iterable[tuple[Scheduled, Array]]) -> None:
-    """Raises PlanError where a run is too hard for the limits or has no room in the field. drives: each run
-    with its wheel angles."""
-    for scheduled, angles in drives:
+def check(plan: Plan, rig: Rig, planned: Iterable[tuple[Scheduled, Array]]) -> None:
+    """Raises PlanError where a run is too hard for the limits or has no room in the field. planned: as
+    `drives`."""
+    for scheduled, angles in planned:
         run, found = scheduled.run, way(rig, scheduled.run.speed, angles)
         hardest = float(np.max(np.abs(found.lateral_acceleration)))
         most = plan.limits.lateral_acceleration
