@@ -91,8 +91,8 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
     for run in runs:
         if run.machine.name != machine.name:
             raise WrongUse(
-                f"{run.sources[0].name} is of {run.machine.name}, {args.machine} is of {machine.name}; give the "
-                "log of this rig, or leave out --from"
+                f"{run.sources[0].name} is of {run.machine.name}, {args.machine} is of {machine.name}; give "
+                "the log of this rig, or leave out --from"
             )
     runs = open_runs(args.logs, machine=(machine, text), say=_say)
     wanted = choose(runs)

@@ -48,18 +48,19 @@ def _speed(lately: Sequence[Seen], run: AnyRun, long: bool) -> Condition:
     near = abs(speeds[-1] - run.speed) <= max(SPEED_SHARE * run.speed, SPEED_LEAST)
     steady = max(speeds) - min(speeds) <= WANDER
     kmh = f"{3.6 * speeds[-1]:.1f} of {3.6 * run.speed:.1f} km/h"
-    return Condition("speed", near and steady and long, kmh if near and steady else f"{kmh}: hold this speed")
+    met = near and steady and long
+    return Condition("speed", met, kmh if met else f"{kmh}: hold this speed")
 
 
 def _straight(lately: Sequence[Seen], long: bool) -> Condition:
     bends = [abs(one.yaw_rate) / max(one.speed, 0.5) for one in lately]
-    straight = max(bends) <= BEND
-    return Condition("straight", straight and long, "straight" if straight else "drive straight")
+    straight = long and max(bends) <= BEND
+    return Condition("straight", straight, "straight" if straight else "drive straight")
 
 
 def _room(now: Seen, run: AnyRun, way: Way, plan: Plan, place: Place | None) -> Condition:
     if place is None:
-        return Condition("room", False, "where the field lies is not known yet")
+        return Condition("room", True, "the field will begin where you arm the first run")
     lead = max(now.speed, 0.0) * (plan.countdown_s + 1.0)
     left = room_left(plan.field, place, now, way.ahead + lead, way.aside, run.kind == "turn")
     if math.isnan(left):

@@ -168,7 +168,10 @@ def _see(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark
     kept = prompt.track
     if prompt.phase != RUNNING:
         kept = tuple(one for one in kept if seen.t_s - one.t_s <= KEPT_S)
-    prompt = replace(prompt, track=(*kept, seen))
+    place = prompt.place
+    if place is None and course.plan.field.corner is not None and not seen.trouble:
+        place = place_of(course.plan.field, seen)
+    prompt = replace(prompt, track=(*kept, seen), place=place)
     if prompt.phase == RUNNING:
         return _while_running(prompt, course, seen)
     return _lined_up(prompt, course)
