@@ -29,12 +29,12 @@ from tilth.client.experiment.prompter import (
     run_s,
     step,
 )
-from tilth.client.experiment.sight import Place, Seen
+from tilth.client.experiment.sight import FieldPlace, Seen
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.actuator import Actuator
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import Rig
-from tilth.schemas.experiment import Plan
+from tilth.schemas.experiment import ExperimentPlan
 from tilth.simulator.pilots import ACCELERATION
 from tilth.simulator.prompted_driver import Bar, Person, PromptedDriver
 from tilth.simulator.scenario import STEP_S
@@ -148,6 +148,6 @@ class Prompted:
         return Bar(prompt.phase, wanted, drive.scheduled.run.speed, room)
 
 
-def placed(prompt: Prompt, plan: Plan) -> Prompt:
+def placed(prompt: Prompt, plan: ExperimentPlan) -> Prompt:
     """With the field about the lane that the driver follows: the corner left of where he starts."""
-    return replace(prompt, place=Place(0.0, -plan.field.width / 2, 0.0))
+    return replace(prompt, place=FieldPlace(0.0, -plan.field.width / 2, 0.0))

@@ -11,15 +11,15 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse, duration
-from tilth.cli.experiment_learned import Learning
+from tilth.cli.experiment_learned import FitOfRuns
 from tilth.cli.experiment_screen import Screen
 from tilth.cli.mark import client_config
 from tilth.client.experiment.prompter import Course, course_of
-from tilth.client.experiment.runner import TURN_S, Runner
-from tilth.client.experiment.wires import Wires
+from tilth.client.experiment.runner import TURN_S, PlanRunner
+from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
-from tilth.schemas.experiment import KINDS, Plan, PlanError, Rectangle, parse_plan
+from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, parse_plan
 from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         return _drive(args, course, wires)
 
 
-def _read(path: Path) -> Plan:
+def _read(path: Path) -> ExperimentPlan:
     try:
         return parse_plan(path.read_text(encoding="utf-8"))
     except PlanError as error:
@@ -107,7 +107,7 @@ def _read(path: Path) -> Plan:
         raise WrongUse(f"{path}: the plan cannot be read ({reason})") from None
 
 
-def _wires(args: argparse.Namespace, plan: Plan) -> Wires:
+def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
     """Raises WrongUse, ZError."""
     try:
         session = zenoh.open(client_config(args.config, [args.connect]))
@@ -121,7 +121,7 @@ def _wires(args: argparse.Namespace, plan: Plan) -> Wires:
         if others:
             raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; the daemon here is of {others}')
         raise WrongUse(_nobody(args))
-    return Wires(session, meant.base(args.prefix))
+    return PrompterWires(session, meant.base(args.prefix))
 
 
 def _nobody(args: argparse.Namespace) -> str:
@@ -129,7 +129,7 @@ def _nobody(args: argparse.Namespace) -> str:
     return f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
 
 
-def _course(path: Path, plan: Plan, wires: Wires) -> Course:
+def _course(path: Path, plan: ExperimentPlan, wires: PrompterWires) -> Course:
     """Checks that the plan fits the rig, and that this may mark. Raises WrongUse."""
     try:
         course = course_of(plan, wires.rig().rig)
@@ -143,11 +143,11 @@ def _course(path: Path, plan: Plan, wires: Wires) -> Course:
     return course
 
 
-def _drive(args: argparse.Namespace, course: Course, wires: Wires) -> int:
+def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> int:
     """Until all is driven and it has been seen, or until Ctrl-C."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    runner = Runner(wires, course)
-    learning: Learning | None = None
+    runner = PlanRunner(wires, course)
+    learning: FitOfRuns | None = None
     with Screen() as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
@@ -158,7 +158,7 @@ def _drive(args: argparse.Namespace, course: Course, wires: Wires) -> int:
             if pressed:
                 runner.order(pressed)
             if runner.finished and learning is None:
-                learning = Learning(course.plan, wires.logs)
+                learning = FitOfRuns(course.plan, wires.logs)
             if learning is not None:
                 runner.learned, runner.commands = learning.told()
                 if learning.over and not screen.asks:

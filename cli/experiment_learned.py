@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.schemas.experiment import Plan
+from tilth.schemas.experiment import ExperimentPlan
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.spread import of_logarithm, share
@@ -16,10 +16,10 @@ from tilth.schemas.spread import of_logarithm, share
 LONGEST: Final = 4_000_000  # bytes of an answer
 
 
-class Learning:
+class FitOfRuns:
     """Begins at once; `told` says how it stands, at any moment."""
 
-    def __init__(self, plan: Plan, logs: Sequence[str]) -> None:
+    def __init__(self, plan: ExperimentPlan, logs: Sequence[str]) -> None:
         """logs: paths on the daemon's computer, which need not be this one."""
         self._plan, self._logs = plan, list(logs)
         self._commands = (command("report", *self._logs, "--out", f"{plan.name}.html"),) if logs else ()

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
 from tilth.analysis.experiment.predict import Known, from_log, from_machine
-from tilth.analysis.experiment.propose import Wanted
+from tilth.analysis.experiment.propose import WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.log import LogError
-from tilth.schemas.experiment import KINDS, Limits, PlanError, Rectangle
+from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.machine import Machine
 
 KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
@@ -52,13 +52,13 @@ def propose(args: argparse.Namespace) -> int:
     return 0
 
 
-def _wanted(args: argparse.Namespace) -> Wanted:
+def _wanted(args: argparse.Namespace) -> WantedPlan:
     """Raises WrongUse, PlanError."""
     field: Rectangle = args.field
     try:
         if args.headland is not None:
             field = Rectangle(length=field.length, width=field.width, headland=args.headland)
-        limits = Limits() if args.angle is None else Limits(wheel_angle_deg=args.angle)
+        limits = DrivingLimits() if args.angle is None else DrivingLimits(wheel_angle_deg=args.angle)
     except ValueError:
         raise WrongUse(
             "--headland: two of them must leave some of the field; --angle: from 0 to 37 degrees"
@@ -68,7 +68,7 @@ def _wanted(args: argparse.Namespace) -> Wanted:
     if not 6 <= args.seconds <= 60:
         raise WrongUse(f"--seconds {args.seconds:g}: give 6 to 60 s for a run")
     kinds = tuple(args.kind) or KINDS_PROPOSED
-    return Wanted(
+    return WantedPlan(
         name=_name(args.out), speed=args.speed, seconds=args.seconds, replicates=args.replicates,
         seed=args.seed, field=field, limits=limits, kinds=kinds, count=args.runs,
     )  # fmt: skip

@@ -26,11 +26,11 @@ Hertz = Annotated[float, Field(ge=0.02, le=2.0)]
 Hold = Annotated[float, Field(ge=0.2, le=30.0, description="s")]
 
 
-class _Section(BaseModel):
+class _PlanSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Limits(_Section):
+class DrivingLimits(_PlanSection):
     """What no run may exceed, and when a run is broken off."""
 
     wheel_angle_deg: float = Field(default=12.0, gt=0, le=37, description="of the wheels")
@@ -41,7 +41,7 @@ class Limits(_Section):
     off_the_bar_s: float = Field(default=1.5, gt=0, le=20, description="after which he has looked away")
 
 
-class Rectangle(_Section):
+class Rectangle(_PlanSection):
     """Where to drive. Without a corner it lies where and as the tractor stands at the first start."""
 
     length: float = Field(ge=30, le=5000, description="m, along the runs")
@@ -65,7 +65,7 @@ class Rectangle(_Section):
         return self
 
 
-class _Run(_Section):
+class _RunBase(_PlanSection):
     speed: float = Field(ge=1.5, le=12, description="m/s")
     amplitude_deg: float = Field(gt=0, le=37, description="largest angle of the wheels")
     seconds: float = Field(ge=6, le=60, description="of steering")
@@ -78,20 +78,20 @@ class _Run(_Section):
     )
 
 
-class Step(_Run):
+class StepRun(_RunBase):
     """The wheels turned at once and held."""
 
     kind: Literal["step"]
 
 
-class Steps(_Run):
+class StepsRun(_RunBase):
     """To one side and the other."""
 
     kind: Literal["steps"]
     hold_s: Hold = 3.0
 
 
-class Chirp(_Run):
+class ChirpRun(_RunBase):
     """Swinging faster and faster."""
 
     kind: Literal["chirp"]
@@ -99,7 +99,7 @@ class Chirp(_Run):
     high_hz: Hertz = 0.5
 
 
-class Random(_Run):
+class RandomRun(_RunBase):
     """Levels drawn within the amplitude, held for a while that is drawn too."""
 
     kind: Literal["random"]
@@ -113,7 +113,7 @@ class Random(_Run):
         return self
 
 
-class Multisine(_Run):
+class MultisineRun(_RunBase):
     """Many frequencies at once."""
 
     kind: Literal["multisine"]
@@ -127,7 +127,7 @@ class Multisine(_Run):
         return self
 
 
-class Turn(_Run):
+class TurnRun(_RunBase):
     """As into a headland turn: the wheels turned within two seconds, and held."""
 
     kind: Literal["turn"]
@@ -138,18 +138,18 @@ def _kind(raw: Any) -> str | None:
 
 
 Run = Annotated[
-    Annotated[Step, Tag("step")]
-    | Annotated[Steps, Tag("steps")]
-    | Annotated[Chirp, Tag("chirp")]
-    | Annotated[Random, Tag("random")]
-    | Annotated[Multisine, Tag("multisine")]
-    | Annotated[Turn, Tag("turn")],
+    Annotated[StepRun, Tag("step")]
+    | Annotated[StepsRun, Tag("steps")]
+    | Annotated[ChirpRun, Tag("chirp")]
+    | Annotated[RandomRun, Tag("random")]
+    | Annotated[MultisineRun, Tag("multisine")]
+    | Annotated[TurnRun, Tag("turn")],
     Discriminator(_kind, custom_error_type="kind", custom_error_message=_SAY_KIND),
 ]
-AnyRun = Step | Steps | Chirp | Random | Multisine | Turn
+AnyRun = StepRun | StepsRun | ChirpRun | RandomRun | MultisineRun | TurnRun
 
 
-class Plan(_Section):
+class ExperimentPlan(_PlanSection):
     """All of a plan."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$", description="part of every mark")
@@ -157,7 +157,7 @@ class Plan(_Section):
     seed: int = Field(default=1, ge=0, le=2**31, description="of the order and of random steering")
     countdown_s: float = Field(default=3.0, ge=1, le=20)
     field: Rectangle
-    limits: Limits = Limits()
+    limits: DrivingLimits = DrivingLimits()
     run: tuple[Run, ...] = Field(min_length=1, max_length=50)
     predicted: Mapping[str, float] = Field(
         default_factory=dict, description="sd of the logarithms by all runs; for reading"
@@ -177,13 +177,13 @@ class Plan(_Section):
         return self
 
 
-def parse_plan(text: str) -> Plan:
+def parse_plan(text: str) -> ExperimentPlan:
     """Raises PlanError."""
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise PlanError(f"not a TOML file: {str(error).lower()}") from None
     try:
-        return Plan.model_validate(raw)
+        return ExperimentPlan.model_validate(raw)
     except ValidationError as error:
-        raise PlanError(sentence(error, raw, Plan)) from None
+        raise PlanError(sentence(error, raw, ExperimentPlan)) from None

@@ -26,7 +26,7 @@ from tilth.estimator.models.planned_run import Scheduled, drives, wheel_angle
 from tilth.estimator.record.record import KIND, PLACE, SD, TICK, Record
 from tilth.estimator.record.windows import WINDOW
 from tilth.estimator.results.advice import HERTZ, expected, planned_rows
-from tilth.schemas.experiment import Limits, Plan
+from tilth.schemas.experiment import DrivingLimits, ExperimentPlan
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def from_log(machine: Machine, fitted: Fitted) -> Known:
     return Known(machine, point, fitted.linearised, tuple(rates))
 
 
-def told_by(known: Known, scheduled: Scheduled, limits: Limits, seed: int) -> Told:
+def told_by(known: Known, scheduled: Scheduled, limits: DrivingLimits, seed: int) -> Told:
     """What a run will tell."""
     run = scheduled.run
     side = scheduled.replicate % 2 if run.side == "both" else 0
@@ -148,7 +148,7 @@ def worst_of(known: Known, sd: Array) -> float:
     return float(np.sqrt(np.max(np.square(sd) - masses)))
 
 
-def predicted(known: Known, plan: Plan) -> Array:
+def predicted(known: Known, plan: ExperimentPlan) -> Array:
     """Sds of the six logarithms after a whole plan, (6,)."""
     planned = drives(plan, default_rng)
     return sds(known, [told_by(known, one, plan.limits, plan.seed) for one, _ in planned])

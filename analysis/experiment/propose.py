@@ -20,7 +20,7 @@ from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, wo
 from tilth.analysis.fit.joint import Told
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.models.planned_run import Scheduled, Way, check, drives, needed, way, wheel_angle
-from tilth.schemas.experiment import AnyRun, Limits, Plan, PlanError, Rectangle, Run
+from tilth.schemas.experiment import AnyRun, DrivingLimits, ExperimentPlan, PlanError, Rectangle, Run
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ person can follow a bar."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class WantedPlan:
     """What a person asks for."""
 
     name: str
@@ -66,12 +66,12 @@ class Wanted:
     replicates: int
     seed: int
     field: Rectangle
-    limits: Limits
+    limits: DrivingLimits
     kinds: tuple[str, ...]
     count: int = 3  # kinds in the plan
 
 
-class Candidate(NamedTuple):
+class BestRun(NamedTuple):
     """The best run of a kind."""
 
     run: AnyRun
@@ -83,7 +83,7 @@ class Candidate(NamedTuple):
 class Proposal:
     """A plan, and what it is worth."""
 
-    plan: Plan
+    plan: ExperimentPlan
     seconds: float  # of steering
     sd: Array  # (6,) of the logarithms, after the plan
     before: Array  # (6,)
@@ -99,9 +99,9 @@ class Proposal:
 Progress = Callable[[str], None]
 
 
-def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None) -> Proposal:
+def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: None) -> Proposal:
     """Raises PlanError where the field or the limits leave no run of any use."""
-    best: list[Candidate] = []
+    best: list[BestRun] = []
     refusals: list[str] = []
     for kind in wanted.kinds:
         progress(f"searching the best {kind}")
@@ -117,7 +117,7 @@ def propose(known: Known, wanted: Wanted, progress: Progress = lambda text: None
         one.run.model_copy(update={"predicted": _named(one.sd)})
         for one in sorted(chosen, key=lambda one: worst_of(known, one.sd))
     ]
-    plan = Plan(
+    plan = ExperimentPlan(
         name=wanted.name, machine=known.machine.name, seed=wanted.seed, field=wanted.field,
         limits=wanted.limits, run=tuple(runs),
     )  # fmt: skip
@@ -134,7 +134,7 @@ def _named(sd: Array) -> dict[str, float]:
     return {name: round(float(value), 3) for name, value in zip(PARAMETERS, sd, strict=True)}
 
 
-def _best(known: Known, wanted: Wanted, kind: str) -> Candidate:
+def _best(known: Known, wanted: WantedPlan, kind: str) -> BestRun:
     """Raises PlanError where it has no room."""
     numbers = NUMBERS[kind]
 
@@ -167,16 +167,16 @@ def _rounded(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def _after(known: Known, wanted: Wanted, run: AnyRun, alone: bool) -> Candidate:
+def _after(known: Known, wanted: WantedPlan, run: AnyRun, alone: bool) -> BestRun:
     """alone: the first replicate stands for all, which takes less time."""
     replicates = range(1, run.replicates + 1)
     told = tuple(
         told_by(known, Scheduled(1, 1 if alone else k, run), wanted.limits, wanted.seed) for k in replicates
     )
-    return Candidate(run, told, sds(known, told))
+    return BestRun(run, told, sds(known, told))
 
 
-def _largest(known: Known, wanted: Wanted, kind: str, values: dict[str, float]) -> AnyRun:
+def _largest(known: Known, wanted: WantedPlan, kind: str, values: dict[str, float]) -> AnyRun:
     """The run with the largest amplitude that the limits allow, as long as the field lets it be. Raises
     PlanError."""
     limits, field, rig = wanted.limits, wanted.field, rig_of(known.machine)
@@ -203,7 +203,7 @@ def _largest(known: Known, wanted: Wanted, kind: str, values: dict[str, float]) 
     raise PlanError(refusal or f"runs of less than {SHORTEST_S:g} s tell too little: give more --seconds")
 
 
-def _ways(rig: Rig, run: AnyRun, wanted: Wanted) -> list[Way]:
+def _ways(rig: Rig, run: AnyRun, wanted: WantedPlan) -> list[Way]:
     """Where its replicates go."""
     replicates = range(1, run.replicates + 1) if run.kind == "random" else (1,)
     found = []
@@ -221,14 +221,14 @@ def _run(
     return _RUN.validate_python({**fields, "replicates": replicates, **values})
 
 
-def _together(known: Known, best: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
+def _together(known: Known, best: Sequence[BestRun], count: int) -> tuple[BestRun, ...]:
     """So many kinds that leave the smallest worst sd: of several, since kinds that disagree tell what a model
     lacks."""
     choices = itertools.combinations(best, min(count, len(best)))
     return min(choices, key=lambda some: worst_of(known, sds(known, [t for one in some for t in one.told])))
 
 
-def seconds_of_steps(known: Known, wanted: Wanted, worst: float) -> tuple[float, bool]:
+def seconds_of_steps(known: Known, wanted: WantedPlan, worst: float) -> tuple[float, bool]:
     """(s of held steps, to either side in turn, of the largest amplitude allowed, until the worst sd is as
     small as that; whether that is reached). Between whole steps it is interpolated."""
     run = _largest(known, wanted, "step", {})

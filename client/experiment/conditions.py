@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from tilth.client.experiment.sight import Place, Seen, room_left
+from tilth.client.experiment.sight import FieldPlace, Seen, room_left
 from tilth.estimator.models.planned_run import Way
-from tilth.schemas.experiment import AnyRun, Plan
+from tilth.schemas.experiment import AnyRun, ExperimentPlan
 
 STEADY_S: Final = 2.0  # so long
 SPEED_SHARE: Final = 0.07  # of the speed wanted, at least SPEED_LEAST
@@ -27,7 +27,7 @@ class Condition(NamedTuple):
 
 
 def of(
-    track: Sequence[Seen], now_s: float, run: AnyRun, way: Way, plan: Plan, place: Place | None
+    track: Sequence[Seen], now_s: float, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None
 ) -> tuple[Condition, ...]:
     """track: poses lately, the last one now."""
     if not track or now_s - track[-1].t_s > FRESH_S:
@@ -58,7 +58,7 @@ def _straight(lately: Sequence[Seen], long: bool) -> Condition:
     return Condition("straight", straight, "straight" if straight else "drive straight")
 
 
-def _room(now: Seen, run: AnyRun, way: Way, plan: Plan, place: Place | None) -> Condition:
+def _room(now: Seen, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None) -> Condition:
     if place is None:
         return Condition("room", True, "the field will begin where you arm the first run")
     lead = max(now.speed, 0.0) * (plan.countdown_s + 1.0)

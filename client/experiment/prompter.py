@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from tilth.client.experiment import conditions
 from tilth.client.experiment.conditions import Condition
 from tilth.client.experiment.following import disturbed, followed, off_the_bar
-from tilth.client.experiment.sight import Place, Seen, abort_reason, place_of
+from tilth.client.experiment.sight import FieldPlace, Seen, abort_reason, place_of
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.planned_run import DT, Scheduled, Way, check, drives, way
-from tilth.schemas.experiment import Plan
+from tilth.schemas.experiment import ExperimentPlan
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ KEPT_S: Final = 3.0  # of the driving, before a run
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class PlannedDrive:
     """One run of the plan, ready to be driven. angles: rad, planned_run.DT apart."""
 
     scheduled: Scheduled
@@ -56,8 +56,8 @@ class Drive:
 class Course:
     """What does not change while a plan is driven."""
 
-    plan: Plan
-    drives: tuple[Drive, ...]
+    plan: ExperimentPlan
+    drives: tuple[PlannedDrive, ...]
 
 
 class Attempt(NamedTuple):
@@ -78,7 +78,7 @@ class Prompt:
     since_s: float = 0.0  # when the phase began, s of the poses' clock
     now_s: float = -math.inf
     track: tuple[Seen, ...] = ()  # lately; in a run, all of it
-    place: Place | None = None
+    place: FieldPlace | None = None
     off_s: float = 0.0  # how long the wheels have been off the bar
     attempts: tuple[Attempt, ...] = ()
     said: str = ""  # the last thing to tell the driver
@@ -113,11 +113,13 @@ class Marked(NamedTuple):
 Input = Seen | Tick | Order | Marked
 
 
-def course_of(plan: Plan, rig: Rig) -> Course:
+def course_of(plan: ExperimentPlan, rig: Rig) -> Course:
     """A plan, ready to be driven. Raises PlanError where a run is too hard or has no room."""
     planned = drives(plan, default_rng)
     check(plan, rig, planned)
-    return Course(plan, tuple(Drive(one, angles, way(rig, one.run.speed, angles)) for one, angles in planned))
+    return Course(
+        plan, tuple(PlannedDrive(one, angles, way(rig, one.run.speed, angles)) for one, angles in planned)
+    )
 
 
 def step(prompt: Prompt, course: Course, came: Input) -> tuple[Prompt, tuple[Mark, ...]]:
@@ -133,7 +135,7 @@ def step(prompt: Prompt, course: Course, came: Input) -> tuple[Prompt, tuple[Mar
             return _marked(prompt, course, came)
 
 
-def drive_at(prompt: Prompt, course: Course) -> Drive | None:
+def drive_at(prompt: Prompt, course: Course) -> PlannedDrive | None:
     """The run that is due; None once all are done."""
     return course.drives[prompt.at] if prompt.at < len(course.drives) else None
 

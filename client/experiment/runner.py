@@ -7,17 +7,19 @@ from typing import Final
 
 from tilth.client.experiment.prompter import FINISHED, Course, Input, Order, Prompt, Tick, step
 from tilth.client.experiment.shown import shown
-from tilth.client.experiment.wires import Wires
+from tilth.client.experiment.wires import PrompterWires
 from tilth.schemas.proto import tilth_pb2 as pb
 
 TURN_S: Final = 0.1
 ANOTHER_RUN_S: Final = 60.0  # poses that jump so far are of another clock
 
 
-class Runner:
+class PlanRunner:
     """`turn` it ten times a second."""
 
-    def __init__(self, wires: Wires, course: Course, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, wires: PrompterWires, course: Course, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self._wires, self._course, self._now_s = wires, course, now_s
         self._ahead_s = -math.inf  # of the poses' clock before this one: that of the pose that came fastest
         self.prompt = Prompt()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models.planned_run import room
 from tilth.estimator.pose.geometry import rotate, to_plane
-from tilth.schemas.experiment import Limits, Rectangle
+from tilth.schemas.experiment import DrivingLimits, Rectangle
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class Seen(NamedTuple):
     origin_deg: tuple[float, float] = (0.0, 0.0)  # of the plane
 
 
-class Place(NamedTuple):
+class FieldPlace(NamedTuple):
     """Where a field's rectangle lies in the plane of the poses: its corner, m, and its length's heading."""
 
     north: float
@@ -69,15 +69,15 @@ def _trouble(pose: Pose) -> str:
     return ""
 
 
-def place_of(field: Rectangle, seen: Seen) -> Place:
+def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
     """Where the rectangle lies: by its corner, or else with the tractor in the middle of its near end."""
     if field.corner is not None and field.heading_deg is not None:
-        return Place(*to_plane(seen.origin_deg, *field.corner), math.radians(field.heading_deg))
+        return FieldPlace(*to_plane(seen.origin_deg, *field.corner), math.radians(field.heading_deg))
     north, east = rotate((0.0, -field.width / 2), seen.heading)
-    return Place(seen.north + north, seen.east + east, seen.heading)
+    return FieldPlace(seen.north + north, seen.east + east, seen.heading)
 
 
-def in_field(place: Place, seen: Seen, ahead: Array, aside: Array) -> tuple[Array, Array]:
+def in_field(place: FieldPlace, seen: Seen, ahead: Array, aside: Array) -> tuple[Array, Array]:
     """(along, across), m from the corner, (n,), of points ahead of the tractor and aside, to the right."""
     turned = seen.heading - place.heading
     along, across = rotate((seen.north - place.north, seen.east - place.east), -place.heading)
@@ -85,12 +85,16 @@ def in_field(place: Place, seen: Seen, ahead: Array, aside: Array) -> tuple[Arra
     return along + ahead * cosine - aside * sine, across + ahead * sine + aside * cosine
 
 
-def room_left(field: Rectangle, place: Place, seen: Seen, ahead: Array, aside: Array, turning: bool) -> float:
+def room_left(
+    field: Rectangle, place: FieldPlace, seen: Seen, ahead: Array, aside: Array, turning: bool
+) -> float:
     """m that the way keeps from the edges, negative where it leaves the field."""
     return room(field, *in_field(place, seen, ahead, aside), turning)
 
 
-def abort_reason(limits: Limits, field: Rectangle, place: Place | None, track: tuple[Seen, ...]) -> str:
+def abort_reason(
+    limits: DrivingLimits, field: Rectangle, place: FieldPlace | None, track: tuple[Seen, ...]
+) -> str:
     """Why a run must be broken off now, "" where it need not. track: of the run so far, at least one."""
     now = track[-1]
     if now.trouble:

@@ -20,7 +20,7 @@ ENCODING: Final = f"application/protobuf;{pb.ExperimentState.DESCRIPTOR.full_nam
 SILENT: Final = "the daemon does not answer; is this key an operator's?"
 
 
-class Wires:
+class PrompterWires:
     """One daemon, below `base`. The session is closed with it."""
 
     def __init__(self, session: zenoh.Session, base: str) -> None:

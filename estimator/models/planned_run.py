@@ -19,14 +19,14 @@ from tilth.estimator.models.parameters import Rig
 from tilth.schemas.experiment import (
     KINDS,
     AnyRun,
-    Chirp,
-    Limits,
-    Multisine,
-    Plan,
+    ChirpRun,
+    DrivingLimits,
+    ExperimentPlan,
+    MultisineRun,
     PlanError,
-    Random,
+    RandomRun,
     Rectangle,
-    Steps,
+    StepsRun,
 )
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ class Way(NamedTuple):
     lateral_acceleration: Array  # m/s^2
 
 
-def schedule(plan: Plan, rng: Generator) -> tuple[Scheduled, ...]:
+def schedule(plan: ExperimentPlan, rng: Generator) -> tuple[Scheduled, ...]:
     """All drives in randomised blocks: the first replicates of all runs, shuffled, then the second ones."""
     order: list[Scheduled] = []
     for replicate in range(1, max(run.replicates for run in plan.run) + 1):
@@ -75,7 +75,7 @@ def schedule(plan: Plan, rng: Generator) -> tuple[Scheduled, ...]:
     return tuple(order)
 
 
-def wheel_angle(scheduled: Scheduled, limits: Limits, rng: Generator) -> Array:
+def wheel_angle(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) -> Array:
     """Wheel angles to follow, rad, DT apart, (n,): straight for START_S, then the run's steering, as fast as
     the limits let it be. rng: for random levels."""
     run = scheduled.run
@@ -86,7 +86,9 @@ def wheel_angle(scheduled: Scheduled, limits: Limits, rng: Generator) -> Array:
     return rate_limited(-wanted if left else wanted, math.radians(limits.wheel_rate_degps) * DT)
 
 
-def drives(plan: Plan, draws: Callable[[tuple[int, ...]], Generator]) -> tuple[tuple[Scheduled, Array], ...]:
+def drives(
+    plan: ExperimentPlan, draws: Callable[[tuple[int, ...]], Generator]
+) -> tuple[tuple[Scheduled, Array], ...]:
     """All runs of a plan with their wheel angles, in the order in which they are driven. draws: makes a
     generator of a seed, as numpy's default_rng; so who plans, prompts and simulates has the same runs."""
     return tuple(
@@ -97,13 +99,13 @@ def drives(plan: Plan, draws: Callable[[tuple[int, ...]], Generator]) -> tuple[t
 
 def _steering(run: AnyRun, time: Array, amplitude: float, rng: Generator) -> Array:
     match run:
-        case Steps():
+        case StepsRun():
             return manoeuvres.steps(time, amplitude, rng, run.hold_s)
-        case Chirp():
+        case ChirpRun():
             return manoeuvres.chirp(time, amplitude, rng, run.low_hz, run.high_hz)
-        case Multisine():
+        case MultisineRun():
             return manoeuvres.multisine(time, amplitude, rng, run.low_hz, run.high_hz)
-        case Random():
+        case RandomRun():
             return manoeuvres.random_levels(time, amplitude, rng, run.shortest_s, run.longest_s)
         case _:
             return manoeuvre_named(run.kind).wheel_angle(time, amplitude, rng)
@@ -130,7 +132,7 @@ def room(field: Rectangle, along: Array, across: Array, turning: bool) -> float:
     return float(min(np.min(one) for one in inside))
 
 
-def check(plan: Plan, rig: Rig, planned: Iterable[tuple[Scheduled, Array]]) -> None:
+def check(plan: ExperimentPlan, rig: Rig, planned: Iterable[tuple[Scheduled, Array]]) -> None:
     """Raises PlanError where a run is too hard for the limits or has no room in the field. planned: as
     `drives`."""
     for scheduled, angles in planned:
