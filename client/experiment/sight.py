@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 LOST_FLAGS: Final = WITHOUT_RTK | MISPLACED | {FlagKind.LOST, FlagKind.MISSING}
 BEYOND_ANGLE: Final = math.radians(3.0)  # of the wheels over the plan's limit: a driver is not exact
 BACKWARDS: Final = -0.2  # m/s
-OVER_S: Final = 1.0  # over which braking is measured
+OVER_S: Final = 0.6  # over which braking is measured
 LEAST_S: Final = 0.35  # at least
 
 

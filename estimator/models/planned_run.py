@@ -32,7 +32,7 @@ from tilth.schemas.experiment import (
 Array = NDArray[np.float64]
 
 DT: Final = 0.02  # s, between samples of a planned run
-BESIDE_M: Final = 3.0  # half the width of the rig: as much room is kept from the field's sides
+BESIDE_M: Final = 5.0  # kept free at the sides: half the rig, and what a driver is off
 RUN_UP_S: Final = 4.0  # straight and at speed before a run: steady, and the countdown
 
 

@@ -121,7 +121,10 @@ def test_the_room_is_that_to_the_nearest_edge() -> None:
     ("plan", "words"),
     [
         (plan_of("step", amplitude_deg=12, speed=8), ("run[1], step", "m/s^2", "allows 2.5", "at most")),
-        (plan_of("chirp", seconds=60, speed=9, amplitude_deg=2), ("run[1], chirp", "m that are long", "360 m")),
+        (
+            plan_of("chirp", seconds=60, speed=9, amplitude_deg=2),
+            ("run[1], chirp", "m that are long", "360 m"),
+        ),
         (plan_of("step", amplitude_deg=3), ("run[1], step", "m that are wide", "80 m", "shorter or slower")),
     ],
 )
