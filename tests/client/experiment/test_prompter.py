@@ -8,6 +8,7 @@ import pytest
 from paths import ROOT
 from prompted_run import Prompted, placed
 
+from tilth.client.experiment.following import wanted_at
 from tilth.client.experiment.prompter import (
     ARM,
     COUNTDOWN,
@@ -31,7 +32,6 @@ from tilth.client.experiment.prompter import (
     course_of,
     step,
 )
-from tilth.client.experiment.following import wanted_at
 from tilth.client.experiment.shown import shown
 from tilth.client.experiment.sight import FieldPlace, Seen
 from tilth.estimator.models.parameters import TABLE_5_1
