@@ -77,14 +77,15 @@ def lines_of(answer: Mapping[str, Any], predicted: Mapping[str, float]) -> tuple
     lines = []
     for name in PARAMETERS:
         row = answer["joint"]["parameters"][name]
-        unit = "N/rad" if name.startswith("C_") else "m"
         expected = f"; expected {share(predicted[name])}" if name in predicted else ""
         if row["value"] is None:
             lines.append(f"{name}: {row['reason']}{expected}")
             continue
-        text = of_logarithm(row["value"], row["sd"], unit)
-        sd = math.sqrt(answer["joint"]["log_covariance"][PARAMETERS.index(name)][PARAMETERS.index(name)])
-        lines.append(f"{name}: {text}, {share(sd)}{expected}")
+        scale, unit = (1e-3, "kN/rad") if name.startswith("C_") else (1.0, "m")
+        k = PARAMETERS.index(name)
+        percent = share(math.sqrt(answer["joint"]["log_covariance"][k][k])).removesuffix(" (95 %)")
+        text = of_logarithm(scale * row["value"], scale * row["sd"], unit)
+        lines.append(f"{name}: {text}, {percent}{expected}")
     if len(answer["runs"]) > 1:
         lines.append(answer["agreement"]["sentence"])
     return tuple(lines)
