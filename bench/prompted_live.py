@@ -13,10 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import can
 import numpy as np
@@ -140,6 +140,10 @@ def drive_plan(
         )  # fmt: skip
         stack.callback(_close, rig)
         port = int(_told(rig, machine_text, seed, seconds, scenario)["port"])
+        facts: list[dict[str, Any]] = []
+        assert rig.stdin is not None and rig.stdout is not None
+        reading = threading.Thread(target=_read, args=(rig.stdout, facts), daemon=True)
+        reading.start()  # it tells ten times a second where the implement is, and must not wait
         text = on_loopback(machine_text, port)
         endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
@@ -161,13 +165,13 @@ def drive_plan(
 
         summary = run_daemon(machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=over)
         driver.stopping = True
+        if prompter[0].poll() is None:
+            prompter[0].terminate()
         said, _ = prompter[0].communicate(timeout=30.0)
-        assert rig.stdin is not None and rig.stdout is not None
         rig.stdin.write(b'{"stop": true}\n')
-        rig.stdin.flush()
-        last: dict[str, Any] = {}
-        while "sent" not in last and (line := rig.stdout.readline()):
-            last = json.loads(line)
+        rig.stdin.close()
+        reading.join(30.0)
+        last: dict[str, Any] = facts[-1] if facts else {}
         return Live(summary, tuple(driver.states), said, prompter[0].returncode, int(last.get("late", 0)))
 
 
@@ -179,6 +183,13 @@ def _told(rig: subprocess.Popen[bytes], text: str, seed: int, seconds: float, sc
     rig.stdin.write(json.dumps(order).encode() + b"\n")
     rig.stdin.flush()
     return json.loads(rig.stdout.readline())
+
+
+def _read(lines: IO[bytes], facts: list[dict[str, Any]]) -> None:
+    for line in lines:
+        fact = json.loads(line)
+        if "sent" in fact:
+            facts.append(fact)
 
 
 def _prompter(plan: Path, endpoint: str) -> subprocess.Popen[str]:
@@ -193,7 +204,8 @@ def _prompter(plan: Path, endpoint: str) -> subprocess.Popen[str]:
 
 def _close(rig: subprocess.Popen[bytes]) -> None:
     assert rig.stdin is not None and rig.stdout is not None
-    rig.stdin.close()
+    with suppress(BrokenPipeError):
+        rig.stdin.close()
     rig.terminate()
     rig.wait(30.0)
     rig.stdout.close()

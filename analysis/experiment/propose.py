@@ -146,7 +146,7 @@ def _best(known: Known, wanted: WantedPlan, kind: str) -> BestRun:
         for low, high in (("low_hz", "high_hz"), ("shortest_s", "longest_s")):
             if low in values:
                 values[high] = max(values[high], values[low])
-        return _largest(known, wanted, kind, values)
+        return largest(known, wanted, kind, values)
 
     def worst(logs: Array) -> float:
         try:
@@ -176,7 +176,7 @@ def _after(known: Known, wanted: WantedPlan, run: AnyRun, alone: bool) -> BestRu
     return BestRun(run, told, sds(known, told))
 
 
-def _largest(known: Known, wanted: WantedPlan, kind: str, values: dict[str, float]) -> AnyRun:
+def largest(known: Known, wanted: WantedPlan, kind: str, values: dict[str, float]) -> AnyRun:
     """The run with the largest amplitude that the limits allow, as long as the field lets it be. Raises
     PlanError."""
     limits, field, rig = wanted.limits, wanted.field, rig_of(known.machine)
@@ -231,7 +231,7 @@ def _together(known: Known, best: Sequence[BestRun], count: int) -> tuple[BestRu
 def seconds_of_steps(known: Known, wanted: WantedPlan, worst: float) -> tuple[float, bool]:
     """(s of held steps, to either side in turn, of the largest amplitude allowed, until the worst sd is as
     small as that; whether that is reached). Between whole steps it is interpolated."""
-    run = _largest(known, wanted, "step", {})
+    run = largest(known, wanted, "step", {})
     both = [told_by(known, Scheduled(1, k, run), wanted.limits, wanted.seed) for k in (1, 2)]
     before = worst_of(known, sds(known, ()))
     low, high = 0, 1

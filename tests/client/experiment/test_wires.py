@@ -10,7 +10,7 @@ from client_daemon import until
 from loopback import PATIENCE_S
 from stage import Stage
 
-from tilth.client.experiment.prompter import IDLE, LINING_UP, course_of
+from tilth.client.experiment.prompter import IDLE, LINING_UP, Marked, course_of
 from tilth.client.experiment.runner import PlanRunner
 from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import open_session
@@ -67,8 +67,13 @@ def order(page: zenoh.Session, payload: bytes) -> str:
 def test_a_mark_is_answered_or_refused_in_the_daemons_words(wires: PrompterWires, stage: Stage) -> None:
     assert wires.mark_now("one start").refusal == ""
     wires.mark("another start")
-    answers = []
-    until(lambda: bool(answers.extend(wires.answers()) or answers))
+    answers: list[Marked] = []
+
+    def answered() -> bool:
+        answers.extend(wires.answers())
+        return bool(answers)
+
+    until(answered)
     assert [(one.text, one.refusal) for one in answers] == [("another start", "")]
     stage.order(refusal="the disk is full")
     until(lambda: wires.mark_now("a third").refusal == "the disk is full")

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.random import default_rng
+from numpy.typing import NDArray
 from paths import ROOT
 
 from tilth.estimator.models.manoeuvres import FADE_S, START_S, multisine, rate_limited
@@ -81,7 +82,7 @@ def test_who_plans_prompts_and_simulates_has_the_same_runs() -> None:
 
 def test_a_multisine_has_the_lines_that_were_asked_for_and_a_low_peak() -> None:
     seconds, dt = 20.0, 0.02
-    time = np.arange(round((START_S + seconds) / dt) + 1) * dt
+    time: NDArray[np.float64] = np.arange(round((START_S + seconds) / dt) + 1, dtype=np.float64) * dt
     waves = multisine(time, 1.0, default_rng(0), 0.1, 0.5)
     assert np.abs(waves).max() == pytest.approx(1.0)
     steered = waves[time >= START_S + FADE_S]
