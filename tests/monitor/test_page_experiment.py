@@ -17,12 +17,12 @@ import pytest
 from loopback import PATIENCE_S
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
 from stage import Monitor, Stage
 
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = ROOT / "docs/pictures"
-PHONE = {"width": 390, "height": 844}
+PHONE: ViewportSize = {"width": 390, "height": 844}
 SOON_MS = 60_000
 
 expect.set_options(timeout=SOON_MS)
