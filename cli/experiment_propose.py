@@ -94,10 +94,17 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
                 f"{run.sources[0].name} is of {run.machine.name}, {args.machine} is of {machine.name}; give "
                 "the log of this rig, or leave out --from"
             )
-    runs = open_runs(args.logs, machine=(machine, text), say=_say)
+    if not all(_same_rig(run.machine, machine) for run in runs):
+        runs = open_runs(args.logs, machine=(machine, text), say=_say)  # replayed with the other file
     wanted = choose(runs)
     _say(f"fitting {len(wanted)} stretches of driving in the log")
     return from_log(machine, fit_all(wanted))
+
+
+def _same_rig(one: Machine, other: Machine) -> bool:
+    """Whether two machine files differ in buses, network and logging at most."""
+    outside = {"bus": other.bus, "zenoh": other.zenoh, "log": other.log}
+    return one.model_copy(update=outside) == other
 
 
 def _say(text: str) -> None:

@@ -42,7 +42,7 @@ class DrivingLimits(_PlanSection):
 
 
 class Rectangle(_PlanSection):
-    """Where to drive. Without a corner it lies where and as the tractor stands at the first start."""
+    """Where to drive. Without a corner its near headland ends where the first run is armed."""
 
     length: float = Field(ge=30, le=5000, description="m, along the runs")
     width: float = Field(ge=10, le=5000, description="m, to the right of the corner")

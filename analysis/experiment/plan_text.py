@@ -26,7 +26,7 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
     lines += [f"countdown_s = {plan.countdown_s:g}"]
     lines += [_predicted(plan.predicted, "after all runs"), ""]
     lines += ["[limits]", *_keys(plan.limits.model_dump(exclude_none=True)), ""]
-    lines += ["[field]  # without a corner it lies where and as the tractor stands at the first start"]
+    lines += ["[field]  # without a corner its near headland ends where the first run is armed"]
     lines += [*_keys(plan.field.model_dump(exclude_none=True)), ""]
     for run in plan.run:
         lines += _run(run)

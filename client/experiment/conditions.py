@@ -61,12 +61,14 @@ def _straight(lately: Sequence[Seen], long: bool) -> Condition:
 def _room(now: Seen, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None) -> Condition:
     if place is None:
         return Condition("room", True, "the field will begin where you arm the first run")
-    lead = max(now.speed, 0.0) * (plan.countdown_s + 1.0)
-    left = room_left(plan.field, place, now, way.ahead + lead, way.aside, run.kind == "turn")
+    lead, turning = max(now.speed, 0.0) * (plan.countdown_s + 1.0), run.kind == "turn"
+    left = room_left(plan.field, place, now, way.ahead + lead, way.aside, turning)
     if math.isnan(left):
         return Condition("room", False, "where the tractor stands is not known")
     if left < 0.0:
         text = f"{-left:.0f} m of room are missing: turn round, or start further back"
+        if room_left(plan.field, place, now, way.ahead + lead - left, way.aside, turning) >= 0.0:
+            text = f"drive on for {-left:.0f} m, past the headland"
         return Condition("room", False, text)
     return Condition("room", True, f"room ahead, {left:.0f} m to spare")
 

@@ -70,10 +70,11 @@ def _trouble(pose: Pose) -> str:
 
 
 def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
-    """Where the rectangle lies: by its corner, or else with the tractor in the middle of its near end."""
+    """Where the rectangle lies: by its corner, or else with the tractor in the middle of the line where its
+    near headland ends."""
     if field.corner is not None and field.heading_deg is not None:
         return FieldPlace(*to_plane(seen.origin_deg, *field.corner), math.radians(field.heading_deg))
-    north, east = rotate((0.0, -field.width / 2), seen.heading)
+    north, east = rotate((-field.headland, -field.width / 2), seen.heading)
     return FieldPlace(seen.north + north, seen.east + east, seen.heading)
 
 

@@ -242,6 +242,16 @@ def test_a_run_waits_for_each_condition_and_says_which(name: str, changes: dict[
     assert play.prompt.phase == LINING_UP and "Countdown stopped" in play.prompt.said
 
 
+def test_on_the_headland_it_says_how_far_to_go_on() -> None:
+    play = Play()
+    play.go(3.0, north=1.0)
+    words = {one.name: one.text for one in conditions_of(play.prompt, COURSE)}
+    assert words["room"] == "drive on for 1 m, past the headland"
+    play.go(3.0, north=380.0)
+    words = {one.name: one.text for one in conditions_of(play.prompt, COURSE)}
+    assert "turn round, or start further back" in words["room"]
+
+
 def test_what_is_shown_follows_the_phase() -> None:
     play = Play()
     assert shown(play.prompt, COURSE).text.startswith("Arm the first run")

@@ -48,7 +48,7 @@ def test_the_field_lies_by_its_corner_or_about_the_tractor() -> None:
     assert place.heading == pytest.approx(math.pi / 2)
     here = place_of(FIELD, seen)
     along, across = in_field(here, seen, np.zeros(1), np.zeros(1))
-    assert (along[0], across[0]) == pytest.approx((0.0, 30.0), abs=1e-9)
+    assert (along[0], across[0]) == pytest.approx((20.0, 30.0), abs=1e-9)
 
 
 def test_room_is_counted_from_where_the_tractor_stands_and_faces() -> None:
