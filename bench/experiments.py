@@ -50,7 +50,7 @@ from tilth.simulator.traffic import host_clock, traffic
 Array = NDArray[np.float64]
 
 SPEED: Final = 4.5
-FIELD: Final = Rectangle(length=1000, width=80)
+FIELD: Final = Rectangle(length=1000, width=120)
 PLANTS: Final = {
     "planar": Scenario(
         speed=SPEED, other_traffic=False, soil=Soil(grip=0.7, rolling=0.06),
@@ -116,7 +116,7 @@ def drive_plan(machine: Machine, plan: ExperimentPlan, scenario: Scenario, seed:
     course = course_of(plan, rig_of(machine))
     one = Prompted(course, rig_of(machine), PERSON, seed)
     one.prompt = placed(one.prompt, plan)
-    seconds = 60.0 * len(course.drives) + 200.0
+    seconds = 75.0 * len(course.drives) + 200.0
     truth = drive(machine, seed, seconds, scenario, driven_by=lambda setting: one)
     if not one.finished:
         raise RuntimeError(f"only {one.prompt.at} runs were driven in {seconds:.0f} s")

@@ -30,6 +30,7 @@ TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 SHORTEST_S: Final = 8.0  # of a proposed run
 MOST_REPLICATES: Final = 40  # of the step that a plan is compared with
 LEAST_AMPLITUDE: Final = 1.0  # degrees
+DRIFT: Final = 0.85  # of the field's width, of a proposed run: a driver comes off its course
 _RUN: Final[TypeAdapter[AnyRun]] = TypeAdapter(Run)
 SAFE: Final = 0.8  # of the acceleration at which a run is broken off: tyres may hold better than expected
 
@@ -192,7 +193,7 @@ def largest(known: Known, wanted: WantedPlan, kind: str, values: dict[str, float
         run = run.model_copy(update={"amplitude_deg": float(amplitude)})
         long, wide = np.max([needed(run, one) for one in _ways(rig, run, wanted)], axis=0)
         usable = field.length - (0.0 if kind == "turn" else 2 * field.headland)
-        if long <= usable and wide <= field.width:
+        if long <= usable and wide <= DRIFT * field.width:
             return run
         refusal = (
             f"the field is too small for {kind} runs at {speed:g} m/s: {seconds:g} s take {long:.0f} m by "

@@ -27,9 +27,10 @@ class Condition(NamedTuple):
 
 
 def of(
-    track: Sequence[Seen], now_s: float, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None
-) -> tuple[Condition, ...]:
-    """track: poses lately, the last one now."""
+    track: Sequence[Seen], now_s: float, run: AnyRun, way: Way, plan: ExperimentPlan,
+    place: FieldPlace | None, slack: float = 0.0,
+) -> tuple[Condition, ...]:  # fmt: skip
+    """track: poses lately, the last one now. slack: m of room that may be missing."""
     if not track or now_s - track[-1].t_s > FRESH_S:
         return (Condition("receivers", False, "no pose is heard"),)
     now = track[-1]
@@ -39,7 +40,7 @@ def of(
         Condition("receivers", not now.trouble, now.trouble or "receivers are well"),
         _speed(lately, run, long),
         _straight(lately, long),
-        _room(now, run, way, plan, place),
+        _room(now, run, way, plan, place, slack),
     )
 
 
@@ -58,19 +59,21 @@ def _straight(lately: Sequence[Seen], long: bool) -> Condition:
     return Condition("straight", straight, "straight" if straight else "drive straight")
 
 
-def _room(now: Seen, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None) -> Condition:
+def _room(
+    now: Seen, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None, slack: float
+) -> Condition:
     if place is None:
         return Condition("room", True, "the field will begin where you arm the first run")
     lead, turning = max(now.speed, 0.0) * (plan.countdown_s + 1.0), run.kind == "turn"
     left = room_left(plan.field, place, now, way.ahead + lead, way.aside, turning)
     if math.isnan(left):
         return Condition("room", False, "where the tractor stands is not known")
-    if left < 0.0:
+    if left < -slack:
         text = f"{-left:.0f} m of room are missing: turn round, or start further back"
         if room_left(plan.field, place, now, way.ahead + lead - left, way.aside, turning) >= 0.0:
             text = f"drive on for {-left:.0f} m, past the headland"
         return Condition("room", False, text)
-    return Condition("room", True, f"room ahead, {left:.0f} m to spare")
+    return Condition("room", True, f"room ahead, {max(left, 0.0):.0f} m to spare")
 
 
 def speed_fault(speed: float, wanted: float) -> str:

@@ -36,6 +36,7 @@ SILENT_S: Final = 1.0  # without a pose
 MARK_S: Final = 12.0  # a disk may stall; longer than that a mark is lost
 START_MARK_S: Final = 6.0  # nobody is to steer for long while the start is not in the log
 KEPT_S: Final = 3.0  # of the driving, before a run
+SLACK_M: Final = 2.0  # of the room kept free, that may go in a countdown: the heading is not held exactly
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +162,8 @@ def conditions_of(prompt: Prompt, course: Course) -> tuple[Condition, ...]:
     if drive is None:
         return ()
     run = drive.scheduled.run
-    return conditions.of(prompt.track, prompt.now_s, run, drive.way, course.plan, prompt.place)
+    slack = SLACK_M if prompt.phase == COUNTDOWN else 0.0
+    return conditions.of(prompt.track, prompt.now_s, run, drive.way, course.plan, prompt.place, slack)
 
 
 def _see(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark, ...]]:

@@ -35,7 +35,7 @@ from tilth.client.experiment.prompter import (
 from tilth.client.experiment.shown import shown
 from tilth.client.experiment.sight import FieldPlace, Seen
 from tilth.estimator.models.parameters import TABLE_5_1
-from tilth.schemas.experiment import parse_plan
+from tilth.schemas.experiment import Rectangle, parse_plan
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
@@ -286,11 +286,13 @@ def test_a_field_without_a_corner_begins_where_the_first_run_is_armed() -> None:
 
 def prompted(seed: int, **changes: object) -> Prompted:
     machine = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text(encoding="utf-8"))
-    one = Prompted(COURSE, TABLE_5_1, Person(looks_away=0.02), seed, **changes)  # type: ignore[arg-type]
-    one.prompt = placed(one.prompt, PLAN)
+    plan = PLAN.model_copy(update={"field": Rectangle(length=900, width=120)})  # seldom to turn round
+    course = course_of(plan, TABLE_5_1)
+    one = Prompted(course, TABLE_5_1, Person(looks_away=0.02), seed, **changes)  # type: ignore[arg-type]
+    one.prompt = placed(one.prompt, plan)
     rough = Ground(roll_sd_deg=0.7, force_sd=0.015)
     scenario = Scenario(speed=SPEED, other_traffic=False, soil=Soil(grip=0.7, rolling=0.06), ground=rough)
-    drive(machine, seed, 900.0, scenario, driven_by=lambda setting: one)
+    drive(machine, seed, 560.0, scenario, driven_by=lambda setting: one)
     return one
 
 
