@@ -38,6 +38,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
+    ("experiment", "propose a plan of experiments, or prompt a driver through one"),
     ("discover", "listen to a bus and draft a machine file"),
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),

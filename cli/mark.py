@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.config is not None:
         prefix, name = _of_key(args.config)
     try:
-        session = zenoh.open(_config(args.config, [args.endpoint] if args.endpoint else endpoints))
+        session = zenoh.open(client_config(args.config, [args.endpoint] if args.endpoint else endpoints))
     except zenoh.ZError:
         if args.config is not None:
             raise WrongUse(f"no daemon can be reached: {try_key(args.config).text}") from None
@@ -102,7 +102,7 @@ def _of_key(path: Path) -> tuple[str, str]:
     return holder.prefix, holder.machine
 
 
-def _config(file: Path | None, endpoints: list[str]) -> zenoh.Config:
+def client_config(file: Path | None, endpoints: list[str]) -> zenoh.Config:
     if file is not None:
         config = zenoh.Config.from_file(str(file))
     else:

@@ -13,7 +13,16 @@ import zenoh
 from google.protobuf.message import DecodeError, Message
 
 from tilth.estimator.models.parameters import GEOMETRY, RIG_PARAMETERS, TABLE_5_1, Rig, checked
-from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
+from tilth.schemas.flow import (
+    PARAMETERS,
+    BodyPose,
+    Estimate,
+    Event,
+    ParameterEstimate,
+    Pose,
+    Status,
+    known_flags,
+)
 from tilth.schemas.proto import tilth_pb2 as pb
 
 LARGEST: Final = 64 * 1024  # bytes of a payload; an estimate has one or two thousand
@@ -21,6 +30,7 @@ LONGEST: Final = 500  # characters of a text that is passed on
 _RANGE: Final = {row.name: (row.low, row.high) for row in RIG_PARAMETERS}
 _N: Final = len(PARAMETERS)
 _SYMMETRIC: Final = 1e-6  # of the largest variance
+_BODY: Final = tuple(BodyPose.__dataclass_fields__)
 
 M = TypeVar("M", bound=Message)
 
@@ -134,6 +144,31 @@ def _wrong_covariance(covariance: Sequence[float]) -> str:
     if np.linalg.eigvalsh(matrix)[0] < -_SYMMETRIC * scale:
         return "a covariance with a negative variance"
     return ""
+
+
+def pose_of(data: bytes, encoding: str) -> Pose:
+    """What came as a pose; numbers that are none are left out. Raises Refused."""
+    message = parse(pb.Pose, data, encoding)
+    origin = message.origin_latitude_deg, message.origin_longitude_deg
+    if message.t_ns == 0 or not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0):
+        raise Refused("a pose without a time or a place")
+    return Pose(
+        message.t_ns, *origin, _body(message.tractor), _body(message.implement),
+        _number(message, "articulation"), _number(message, "sd_articulation"),
+        _number(message, "wheel_angle"), _number(message, "sd_wheel_angle"),
+        message.direction, None, message.sd_time, message.receivers, known_flags(message.flags),
+    )  # fmt: skip
+
+
+def _body(message: pb.BodyPose) -> BodyPose:
+    return BodyPose(*(_number(message, name) for name in _BODY))
+
+
+def _number(message: pb.Pose | pb.BodyPose, name: str) -> float | None:
+    if not message.HasField(name):
+        return None
+    value = float(getattr(message, name))
+    return value if math.isfinite(value) else None
 
 
 def event_of(data: bytes, encoding: str) -> Event:

@@ -21,7 +21,8 @@ DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
 DAYS: Final = 3 * 365
-ORDERS: Final = ("mark", "report/make")  # keys that change something: not for readers
+ORDERS: Final = ("mark", "report/make", "experiment/order")  # keys that change something: not for readers
+PROMPTED: Final = ("experiment", "experiment/order")  # of who prompts a driver, beside the daemon
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LARGEST: Final = 1_048_576  # bytes of one message that the daemon takes in; a mark has a few hundred
 
@@ -152,8 +153,11 @@ def access_control(register: Register) -> dict[str, Any]:
         # Zenoh holds this rule against the very key only; a query on a wildcard comes through, and the daemon
         # takes none from one.
         _rule("no orders", "deny", ("query",), "ingress", [f"{register.base}/{key}" for key in ORDERS]),
-    ]
-    may = {"operator": ["ask", "tell"], "reader": ["ask", "tell", "no orders"]}
+        _rule("prompt", "allow", ("put", "reply", "declare_queryable"), "ingress",
+              [f"{register.base}/{key}" for key in PROMPTED]),
+        _rule("pass on", "allow", ("query",), "egress", [f"{register.base}/experiment/order"]),
+    ]  # fmt: skip
+    may = {"operator": ["ask", "tell", "prompt", "pass on"], "reader": ["ask", "tell", "no orders"]}
     subjects, policies = [], []
     for role in ROLES:
         names = [party.name for party in register.parties if party.role == role]

@@ -15,6 +15,7 @@ from google.protobuf.message import Message
 from tilth.client.link import Alive, alive_of, base_key, open_session, tokens
 from tilth.client.received import LARGEST, Refused, answered_age, estimate_of, parse, rig_of_message
 from tilth.monitor.json_safe import plain
+from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 
 MESSAGES: Final[dict[str, type[Message]]] = {
@@ -25,6 +26,7 @@ MESSAGES: Final[dict[str, type[Message]]] = {
     "event": pb.Event,
     "player": pb.PlayerState,
     "report": pb.ReportState,
+    "experiment": pb.ExperimentState,
 }
 MANY: Final = frozenset({"pose", "soil_tire"})  # kinds of which a single one may be missed
 WAITING: Final = 2000  # messages that may wait to be taken; a player sends a thousand a second at most
@@ -179,6 +181,16 @@ class DaemonData:
         for reply in self._session.get(f"{self.base}/player/order", payload=data, timeout=ORDER_S):
             return "" if reply.ok is not None else _refusal(reply)
         return f"the player did not answer within {ORDER_S:.0f} s"
+
+    def experiment(self, kind: str) -> str:
+        """Tell who prompts a driver what the driver orders: "", or why it is not done. Not in the loop's own
+        thread."""
+        if not self.base:
+            return "no daemon has been heard yet"
+        data = pb.ExperimentOrder(kind=kind[:40]).SerializeToString()
+        for reply in self._session.get(f"{self.base}/experiment/order", payload=data, timeout=ORDER_S):
+            return "" if reply.ok is not None else _refusal(reply)
+        return f"`{command('experiment')}` does not answer: was it ended?"
 
     def ask_player(self, what: str, message: type[M]) -> M:
         """What a player says of its runs, on a key below `player`. Not in the loop's own thread. Raises

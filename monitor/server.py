@@ -56,6 +56,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/marks.js", "marks.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
+    ("/experiment.js", "experiment.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
     ("/player.js", "player.js", "text/javascript"),
     ("/report.js", "report.js", "text/javascript"),
@@ -180,6 +181,14 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         refused = await run_in_threadpool(daemon_data.order, wanted)
         return JSONResponse({"done": not refused, "text": refused})
 
+    async def experiment(request: Request) -> Response:
+        try:
+            kind = str((await _json(request, "an order")).get("kind", ""))
+        except ValueError as error:
+            return JSONResponse({"done": False, "text": str(error)}, 400)
+        refused = await run_in_threadpool(daemon_data.experiment, kind)
+        return JSONResponse({"done": not refused, "text": refused})
+
     async def make_report(request: Request) -> Response:
         try:
             await _json(request, "a request for a report")
@@ -197,6 +206,7 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
 
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
     routes += [Route("/mark", mark, methods=["POST"]), Route("/player", order, methods=["POST"])]
+    routes.append(Route("/experiment", experiment, methods=["POST"]))
     routes += [Route("/report", make_report, methods=["POST"]), Route("/report.html", report_file)]
     for name, asked in (("runs", runs_of), ("places", places_of)):
         routes.append(Route(f"/player/{name}", _told(daemon_data, asked)))

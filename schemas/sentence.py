@@ -61,13 +61,14 @@ def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
 
 def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
     """Keys that the section at `path` may have."""
+    models = [model]
     for part in path:
         raw = raw[part]
-        fields = getattr(model, "__pydantic_fields__", {})
+        fields = getattr(models[0] if models else None, "__pydantic_fields__", {})
         if not isinstance(part, int) and part in fields:
-            sections = _sections_of(fields[part].annotation)
-            model = next((s for s in sections if _is_kind(s, raw)), None)
-    return list(getattr(model, "__pydantic_fields__", {}))
+            models = _sections_of(fields[part].annotation)
+        models = [one for one in models if _is_kind(one, raw)]
+    return list(getattr(models[0], "__pydantic_fields__", {})) if models else []
 
 
 def _sections_of(annotation: Any) -> list[Any]:

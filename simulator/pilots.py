@@ -16,7 +16,7 @@ from tilth.estimator.models import nonlinear
 from tilth.estimator.models.actuator import BOSSERD, Actuator
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import system
-from tilth.estimator.models.manoeuvres import manoeuvre_named
+from tilth.estimator.models.manoeuvres import manoeuvre_named, rate_limited
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.regulator import gain_on, regulator
@@ -109,7 +109,7 @@ def wheel_angles(scenario: Scenario, time: Array, rng: np.random.Generator) -> A
     steering, rate = scenario.steering, scenario.steering_rate_degps
     if isinstance(steering, DrivenManoeuvre):
         wanted = manoeuvre_named(steering.kind).wheel_angle(time, math.radians(steering.amplitude_deg), rng)
-        return _limited(wanted, math.radians(rate) * STEP_S)
+        return rate_limited(wanted, math.radians(rate) * STEP_S)
     assert not isinstance(steering, (RowSteering, Fieldwork))  # a pilot's
     segments = demo_steering(steering, rng) if isinstance(steering, Turns) else steering
     line = PiecewiseLine(0.0)
@@ -164,15 +164,6 @@ class PiecewiseLine:
     def at(self, time: Array) -> Array:
         """Value at each time (n,), s; linear between the points."""
         return np.asarray(np.interp(time, self._times, self._values))
-
-
-def _limited(wanted: Array, most: float) -> Array:
-    """The same, changing by no more than `most` from sample to sample, from zero on."""
-    value, values = 0.0, []
-    for target in wanted.tolist():
-        value += min(max(target - value, -most), most)
-        values.append(value)
-    return np.array(values)
 
 
 # The pilot.

@@ -21,6 +21,7 @@ ROOMS = {
         "response",
         "fit",
         "validation",
+        "experiment",
         "",
         "export",
         "report",

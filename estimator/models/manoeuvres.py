@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 START_S = 1.0  # straight before it begins
+FADE_S = 1.0  # in which a multisine rises
 
 
 class Manoeuvre(NamedTuple):
@@ -34,22 +35,52 @@ def turn(time: Array, amplitude: float, rng: Generator) -> Array:
     return amplitude * np.clip((time - START_S) / 2.0, 0.0, 1.0)
 
 
-def steps(time: Array, amplitude: float, rng: Generator) -> Array:
-    return np.where(time >= START_S, amplitude, 0.0) * np.where((time - START_S) // 3.0 % 2 == 0, 1.0, -1.0)
+def steps(time: Array, amplitude: float, rng: Generator, hold_s: float = 3.0) -> Array:
+    side = np.where((time - START_S) // hold_s % 2 == 0, 1.0, -1.0)
+    return np.where(time >= START_S, amplitude, 0.0) * side
 
 
-def chirp(time: Array, amplitude: float, rng: Generator) -> Array:
-    low, high = 0.05, 1.0  # Hz, over the whole time
+def chirp(
+    time: Array, amplitude: float, rng: Generator, low: float = 0.05, high: float = 1.0
+) -> Array:  # fmt: skip
+    """low, high: Hz, at the beginning and at the end of the time."""
     since = np.clip(time - START_S, 0.0, None)
     rise = (high - low) / max(float(since[-1]), 1e-9)
     return amplitude * np.sin(2 * np.pi * (low + 0.5 * rise * since) * since)
 
 
-def random_levels(time: Array, amplitude: float, rng: Generator) -> Array:
-    count = int(time[-1] / 0.3) + 2
-    ends = START_S + np.cumsum(rng.uniform(0.3, 2.0, count))
+def random_levels(
+    time: Array, amplitude: float, rng: Generator, shortest_s: float = 0.3, longest_s: float = 2.0
+) -> Array:
+    count = int(time[-1] / shortest_s) + 2
+    ends = START_S + np.cumsum(rng.uniform(shortest_s, longest_s, count))
     levels = rng.uniform(-amplitude, amplitude, count + 1)
     return np.where(time >= START_S, levels[np.searchsorted(ends, time, side="right")], 0.0)
+
+
+def multisine(
+    time: Array, amplitude: float, rng: Generator, low: float = 0.05, high: float = 0.5
+) -> Array:  # fmt: skip
+    """All whole periods of the time from low to high, Hz, alike strong, with Schroeder's phases (1970), which
+    keep the peak low; risen within FADE_S from straight."""
+    since = np.clip(time - START_S, 0.0, None)
+    period = max(float(since[-1]), 1e-9)
+    first = max(round(low * period), 1)
+    lines = np.arange(first, max(round(high * period), first) + 1)
+    k = np.arange(1, len(lines) + 1)
+    phases = -np.pi * k * (k - 1) / len(lines)
+    waves = np.cos(2 * np.pi * np.outer(since, lines / period) + phases).sum(axis=1)
+    waves *= np.clip(since / FADE_S, 0.0, 1.0)
+    return np.asarray(amplitude * waves / max(float(np.max(np.abs(waves))), 1e-9))
+
+
+def rate_limited(wanted: Array, most: float) -> Array:
+    """The same angles, changing by no more than `most` from sample to sample, from zero on."""
+    value, values = 0.0, []
+    for target in wanted.tolist():
+        value += min(max(target - value, -most), most)
+        values.append(value)
+    return np.array(values)
 
 
 def row_following(time: Array, amplitude: float, rng: Generator) -> Array:
@@ -80,6 +111,7 @@ MANOEUVRES = (
         "a headland turn at {:g}° or more", "turn at the headland with the wheels at {degrees}° or more",
     ),
     Manoeuvre("random", "random levels, held for 0.3 to 2 s", random_levels),
+    Manoeuvre("multisine", "many frequencies at once, with a low peak", multisine),
     Manoeuvre("row", "small corrections on a straight row", row_following),
 )  # fmt: skip
 

@@ -209,23 +209,34 @@ def information(
 def planned(
     machine: Machine, point: Array, speed: float, candidate: Candidate, hertz: Sequence[float], linear: bool
 ) -> Record:
-    """The record of a drive as it is expected, without noise. Arguments as of `information`."""
-    count = round((SECONDS + START_S) / DT) + 1
-    time: Array = np.arange(count, dtype=np.float64) * DT
+    """The record of a candidate as it is expected, without noise. Arguments as of `information`."""
+    time: Array = np.arange(round((SECONDS + START_S) / DT) + 1, dtype=np.float64) * DT
     steering = manoeuvre_named(candidate.manoeuvre).wheel_angle
+    angles = steering(time, math.radians(candidate.degrees), NO_DRAW)
+    rows = planned_rows(machine, len(angles), hertz)
+    return expected(machine, point, speed, angles, rows, linear)
+
+
+def expected(
+    machine: Machine, point: Array, speed: float, angles: Array, rows: Array, linear: bool = False
+) -> Record:
+    """The record of a drive as it is expected, without noise. angles: of the wheels at each tick, rad, (n,).
+    rows: what will be measured, (m, 6); their values are set."""
+    count = len(angles)
     ticks = np.zeros((count, len(INPUTS)))
-    ticks[:, WHEEL_ANGLE] = steering(time, math.radians(candidate.degrees), NO_DRAW)
+    ticks[:, WHEEL_ANGLE] = angles
     ticks[:, U] = speed
     start, setup = np.zeros(N_STATES), rig_setup(machine, linear)
     headings = np.array([(k, 0.0, HEADING, body, 0.0, 1.0) for k in range(count) for body in (0, 1)])
     open_loop = likelihood.innovations(Record(0, ticks, headings), setup, start, point, closed=False)
     ticks[:, PSI : PSI + 2] = -open_loop.e.reshape(count, 2)
-    rows = _planned_rows(machine, count, hertz)
+    rows = rows.copy()
+    rows[:, VALUE] = 0.0
     rows[:, VALUE] = -likelihood.innovations(Record(0, ticks, rows), setup, start, point, closed=False).e
     return Record(0, ticks, rows)
 
 
-def _planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
+def planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
     """The rows that the receivers would measure, (m, 6), with the machine file's sds; values are zero."""
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
     rows = []

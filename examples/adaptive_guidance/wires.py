@@ -1,7 +1,6 @@
 """The controller's wires: poses and estimates from a daemon over Zenoh, commands to a CAN bus."""
 
 import logging
-import math
 import queue
 import time
 from collections import Counter
@@ -15,38 +14,11 @@ import zenoh
 from tilth.adaptive_guidance.controller import STALE
 from tilth.client import Client, HeardRig, Latest
 from tilth.client.link import Link, base_key, open_session
-from tilth.client.received import Refused, parse
-from tilth.schemas.flow import BodyPose, Pose, known_flags
-from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.client.received import Refused, pose_of
+from tilth.schemas.flow import Pose
 
 UNHEARD: Final = 1000  # frames, at most, thrown away before a command
 WAITING: Final = 32  # poses that may wait for the loop; older ones are dropped
-_BODY: Final = tuple(BodyPose.__dataclass_fields__)
-
-
-def pose_of(data: bytes, encoding: str) -> Pose:
-    """What came as a pose; numbers that are none are left out. Raises Refused."""
-    message = parse(pb.Pose, data, encoding)
-    origin = message.origin_latitude_deg, message.origin_longitude_deg
-    if message.t_ns == 0 or not (abs(origin[0]) <= 90.0 and abs(origin[1]) <= 180.0):
-        raise Refused("a pose without a time or a place")
-    return Pose(
-        message.t_ns, *origin, _body(message.tractor), _body(message.implement),
-        _number(message, "articulation"), _number(message, "sd_articulation"),
-        _number(message, "wheel_angle"), _number(message, "sd_wheel_angle"),
-        message.direction, None, message.sd_time, message.receivers, known_flags(message.flags),
-    )  # fmt: skip
-
-
-def _body(message: pb.BodyPose) -> BodyPose:
-    return BodyPose(*(_number(message, name) for name in _BODY))
-
-
-def _number(message: pb.Pose | pb.BodyPose, name: str) -> float | None:
-    if not message.HasField(name):
-        return None
-    value = float(getattr(message, name))
-    return value if math.isfinite(value) else None
 
 
 def throw_away(bus: can.BusABC) -> None:

@@ -1,5 +1,6 @@
 // Hears this computer's page server and shows what it says. Whatever comes is text, never markup.
 
+import { Experiment } from "./experiment.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
 import { PlayerBar } from "./player.js";
@@ -20,7 +21,7 @@ const byId = (id) => document.getElementById(id);
 const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
 const steering = new Steering(byId("steering"), () => traces.times);
-const bar = new PlayerBar(), runs = new Runs(), report = new RunReport();
+const bar = new PlayerBar(), runs = new Runs(), report = new RunReport(), experiment = new Experiment();
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
@@ -60,6 +61,7 @@ function take(message) {
   if (said.shown) showKnown();
   else if (whole) forgetKnown();
   if (said.pose) showPose(said.pose);
+  if (said.experiment) experiment.show(heard.experiment, live("experiment"));
   if (whole || said.status || said.player || said.report) show(); // else soon enough by the clock
 }
 
@@ -75,6 +77,7 @@ function show() {
   report.show(heard.report, Boolean(reached() && heard.alive), Boolean(heard.player));
   tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
   map.setOld(!live("pose"));
+  experiment.show(heard.experiment, live("experiment"));
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;

@@ -537,3 +537,69 @@ class RunListings(_message.Message):
     ROWS_FIELD_NUMBER: _ClassVar[int]
     rows: _containers.RepeatedCompositeFieldContainer[RunListing]
     def __init__(self, rows: _Optional[_Iterable[_Union[RunListing, _Mapping]]] = ...) -> None: ...
+
+class ExperimentState(_message.Message):
+    __slots__ = ("plan", "phase", "drive", "done", "of", "text", "conditions", "count_s", "at_s", "length_s", "wanted", "measured", "ahead", "largest", "speed", "attempts", "learned", "commands")
+    PLAN_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    DRIVE_FIELD_NUMBER: _ClassVar[int]
+    DONE_FIELD_NUMBER: _ClassVar[int]
+    OF_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    CONDITIONS_FIELD_NUMBER: _ClassVar[int]
+    COUNT_S_FIELD_NUMBER: _ClassVar[int]
+    AT_S_FIELD_NUMBER: _ClassVar[int]
+    LENGTH_S_FIELD_NUMBER: _ClassVar[int]
+    WANTED_FIELD_NUMBER: _ClassVar[int]
+    MEASURED_FIELD_NUMBER: _ClassVar[int]
+    AHEAD_FIELD_NUMBER: _ClassVar[int]
+    LARGEST_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    LEARNED_FIELD_NUMBER: _ClassVar[int]
+    COMMANDS_FIELD_NUMBER: _ClassVar[int]
+    plan: str
+    phase: str
+    drive: str
+    done: int
+    of: int
+    text: str
+    conditions: _containers.RepeatedCompositeFieldContainer[ExperimentCondition]
+    count_s: float
+    at_s: float
+    length_s: float
+    wanted: float
+    measured: float
+    ahead: _containers.RepeatedScalarFieldContainer[float]
+    largest: float
+    speed: float
+    attempts: _containers.RepeatedCompositeFieldContainer[ExperimentAttempt]
+    learned: _containers.RepeatedScalarFieldContainer[str]
+    commands: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, plan: _Optional[str] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., done: _Optional[int] = ..., of: _Optional[int] = ..., text: _Optional[str] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ..., count_s: _Optional[float] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., wanted: _Optional[float] = ..., measured: _Optional[float] = ..., ahead: _Optional[_Iterable[float]] = ..., largest: _Optional[float] = ..., speed: _Optional[float] = ..., attempts: _Optional[_Iterable[_Union[ExperimentAttempt, _Mapping]]] = ..., learned: _Optional[_Iterable[str]] = ..., commands: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class ExperimentCondition(_message.Message):
+    __slots__ = ("name", "met", "text")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    MET_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    met: bool
+    text: str
+    def __init__(self, name: _Optional[str] = ..., met: _Optional[bool] = ..., text: _Optional[str] = ...) -> None: ...
+
+class ExperimentAttempt(_message.Message):
+    __slots__ = ("name", "outcome", "reason")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    outcome: str
+    reason: str
+    def __init__(self, name: _Optional[str] = ..., outcome: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class ExperimentOrder(_message.Message):
+    __slots__ = ("kind",)
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    def __init__(self, kind: _Optional[str] = ...) -> None: ...

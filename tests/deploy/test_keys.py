@@ -7,6 +7,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,6 +18,8 @@ import zenoh
 from loopback import PATIENCE_S, TEXT, free_port, machine_text, records_of, rig, udp_bus, until
 
 from tilth.cli import main
+from tilth.cli.mark import client_config
+from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import open_session
 from tilth.client.refusal import try_key
 from tilth.deploy import keys
@@ -186,6 +189,32 @@ def test_who_was_not_invited_gets_nothing_changes_nothing_and_is_told_why(
         assert net.witness.get(timeout=PATIENCE_S) == b"well"
         until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
         assert received.empty() and net.witness.empty()
+
+
+def test_an_operator_may_prompt_a_driver_and_take_his_orders_and_a_reader_may_look(net: Net) -> None:
+    state = pb.ExperimentState(plan="keys").SerializeToString()
+    wires = PrompterWires(zenoh.open(client_config(net.folder / "olga.json", [])), BASE)
+    config = zenoh.Config.from_file(str(net.folder / "olga.json"))
+    seen: SimpleQueue[bytes] = SimpleQueue()
+    with closing(wires), zenoh.open(config) as page, open_session(config=net.folder / "rita.json") as reader:
+        for session in (page, reader):
+            session.declare_subscriber(f"{BASE}/experiment", lambda s: seen.put(s.payload.to_bytes()))
+
+        def shown() -> bool:
+            wires.show(pb.ExperimentState(plan="keys"))
+            return seen.qsize() > 8
+
+        until(shown, lambda: None)
+        assert {seen.get() for _ in range(8)} == {state}
+        order = pb.ExperimentOrder(kind="arm").SerializeToString()
+
+        def ordered() -> bool:
+            return any(r.ok for r in page.get(f"{BASE}/experiment/order", payload=order, timeout=2.0))
+
+        until(ordered, lambda: None)
+        assert wires.orders()[0].kind == "arm"
+        assert list(reader.get(f"{BASE}/experiment/order", payload=order, timeout=1.0)) == []
+        assert wires.orders() == []
 
 
 def test_a_key_is_tried_by_its_holder(net: Net, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

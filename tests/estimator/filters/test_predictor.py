@@ -57,7 +57,7 @@ def turning(noise: float = 0.0) -> Record:
     ticks[:, WHEEL_ANGLE] += 0.03 * np.sin(3.0 * time)
     headings = np.array([(k, 0.0, HEADING, body, 0.0, 1.0) for k in range(count) for body in (0, 1)])
     ticks[:, 2:4] = -run(Record(0, ticks, headings), MEAN, closed=False).e.reshape(count, 2)
-    rows = advice._planned_rows(MACHINE, count, (10.0,) * 4)
+    rows = advice.planned_rows(MACHINE, count, (10.0,) * 4)
     rows[:, OFFSET] = 0.007
     rows[:, VALUE] = -run(Record(0, ticks, rows), MEAN, closed=False).e
     rows[:, VALUE] += noise * rows[:, SD] * np.random.default_rng(1).normal(size=len(rows))

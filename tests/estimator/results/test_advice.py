@@ -197,7 +197,7 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     ticks[:, 1] = SPEED
     x, rng = moving(seed, setup, point, ticks[:, 0]), np.random.default_rng(5000 + seed)
     ticks[:, 2:4] = x[:, X_PSI : X_PSI + 2]
-    rows, unused = advice._planned_rows(machine, count, (advice.HERTZ,) * 4), np.zeros(N_STATES)
+    rows, unused = advice.planned_rows(machine, count, (advice.HERTZ,) * 4), np.zeros(N_STATES)
     observe, predict = observation.interpreted(), predict_joint_measurement.interpreted()
     for row in rows:
         k = int(row[0])

@@ -1,0 +1,68 @@
+"""A plan as TOML that people edit: keys of schemas/experiment.py, with what a run is for beside it."""
+
+import json
+from typing import Any, Final
+
+from tilth.analysis.experiment.propose import Proposal
+from tilth.estimator.models.manoeuvres import manoeuvre_named
+from tilth.schemas.experiment import AnyRun
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.spread import share
+
+_HEAD: Final = """\
+# A plan of experiments, proposed by `tilth experiment --propose`{source}. Edit what you like; then
+# `tilth experiment {path}` beside a running daemon prompts a driver through it. Nothing starts by itself.
+#
+# {worth}
+"""
+
+
+def text_of(proposal: Proposal, path: str, source: str = "") -> str:
+    """source: what it started from, in words; "" for the machine file alone."""
+    plan = proposal.plan
+    lines = [_HEAD.format(source=f" from {source}" if source else "", path=path, worth=worth(proposal))]
+    lines += [f"name = {_value(plan.name)}", f"machine = {_value(plan.machine)}"]
+    lines += [f"seed = {plan.seed}  # of the order and of random steering"]
+    lines += [f"countdown_s = {plan.countdown_s:g}"]
+    lines += [_predicted(plan.predicted, "after all runs"), ""]
+    lines += ["[limits]", *_keys(plan.limits.model_dump(exclude_none=True)), ""]
+    lines += ["[field]  # without a corner its near headland ends where the first run is armed"]
+    lines += [*_keys(plan.field.model_dump(exclude_none=True)), ""]
+    for run in plan.run:
+        lines += _run(run)
+    return "\n".join(lines)
+
+
+def worth(proposal: Proposal) -> str:
+    """What a plan brings, in one sentence."""
+    worst = PARAMETERS[int(proposal.sd.argmax())]
+    left = share(float(proposal.sd.max()))
+    what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {left}"
+    bound = "" if proposal.reached else "more than "
+    steps = f"held steps need {bound}{proposal.step_seconds:.0f} s to be as good"
+    return f"{what}; {steps}, {bound}{proposal.faster:.1f} times as long."
+
+
+def _run(run: AnyRun) -> list[str]:
+    fields: dict[str, Any] = run.model_dump(exclude={"predicted"})
+    order = ["kind", "speed", "amplitude_deg", "seconds", "replicates", "side"]
+    order += [key for key in fields if key not in order]
+    lines = [f"[[run]]  # {manoeuvre_named(run.kind).meaning}", *_keys({key: fields[key] for key in order})]
+    return [*lines, _predicted(run.predicted, "of its replicates alone"), ""]
+
+
+def _predicted(found: Any, of: str) -> str:
+    if not found:
+        return ""
+    inside = ", ".join(f"{name} = {value:g}" for name, value in found.items())
+    return f"predicted = {{ {inside} }}  # sd of the logarithms {of}"
+
+
+def _keys(fields: dict[str, Any]) -> list[str]:
+    return [f"{key} = {_value(value)}" for key, value in fields.items()]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)

@@ -1,0 +1,174 @@
+"""`tilth experiment`: proposes a plan of experiments, and prompts a driver through one."""
+
+import argparse
+import re
+import signal
+import sys
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import zenoh
+
+from tilth.cli import WrongUse, duration
+from tilth.cli.experiment_learned import FitOfRuns
+from tilth.cli.experiment_screen import Screen
+from tilth.cli.mark import client_config
+from tilth.client.experiment.prompter import Course, course_of
+from tilth.client.experiment.runner import TURN_S, PlanRunner
+from tilth.client.experiment.wires import PrompterWires
+from tilth.client.link import ENDPOINT, living
+from tilth.client.received import Refused
+from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, parse_plan
+from tilth.schemas.invocation import command
+
+FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "experiment",
+        help="propose a plan of experiments, or prompt a driver through one",
+        description="With PLAN.toml, beside a running daemon: prompts a driver through the plan, here and on "
+        "the page, and marks the log. It never steers, and starts nothing by itself. With --propose: writes "
+        "the plan whose runs tell most of what is not known yet.",
+    )
+    parser.add_argument("plan", nargs="?", type=Path, metavar="PLAN.toml", help="the plan to drive")
+    parser.add_argument("--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"the daemon ({ENDPOINT})")
+    parser.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key, of `tilth keys`")
+    parser.add_argument(
+        "--prefix", default="tilth", metavar="P", help="of [zenoh] in the machine file (tilth)"
+    )
+    new = parser.add_argument_group("a new plan")
+    new.add_argument("--propose", action="store_true", help="write one instead")
+    new.add_argument("--machine", type=Path, metavar="M.toml", help="of the rig that is to drive it")
+    new.add_argument(
+        "--from", dest="logs", nargs="+", type=Path, default=[], metavar="LOG", help="what was driven before"
+    )
+    new.add_argument("--out", type=Path, metavar="PLAN.toml", help="where to write it")
+    new.add_argument("--speed", type=duration, default=4.5, metavar="M/S", help="of all runs (4.5)")
+    new.add_argument("--seconds", type=duration, default=20.0, metavar="S", help="of each run, at most (20)")
+    new.add_argument("--replicates", type=int, default=3, metavar="N", help="of each run (3)")
+    new.add_argument("--runs", type=int, default=3, metavar="N", help="how many kinds (3)")
+    new.add_argument("--kind", action="append", default=[], choices=KINDS, help="only these; again for more")
+    new.add_argument("--seed", type=int, default=1, metavar="N", help="of the order (1)")
+    new.add_argument(
+        "--field", type=_field, default=Rectangle(length=400, width=80), metavar="LxW",
+        help="length and width of the field, m (400x80)",
+    )  # fmt: skip
+    new.add_argument("--headland", type=float, metavar="M", help="at both ends (20)")
+    new.add_argument("--angle", type=duration, metavar="DEG", help="limit of the wheels (12)")
+
+
+def _field(text: str) -> Rectangle:
+    found = FIELD.fullmatch(text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text}: write LENGTHxWIDTH in m, such as 400x80")
+    try:
+        return Rectangle(length=float(found[1]), width=float(found[2]))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text}: a field has at least 50 m by 10 m, and two headlands within its length"
+        ) from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where not all runs were driven, or a proposal is of no use; 2 where it cannot begin."""
+    if args.propose:
+        if args.plan is not None:
+            raise WrongUse("--propose writes a plan to --out; leave out the one to drive")
+        from tilth.cli.experiment_propose import propose  # with the fits: only who asks pays for it
+
+        return propose(args)
+    if args.plan is None:
+        raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
+    if args.machine or args.logs or args.out:
+        raise WrongUse("--machine, --from and --out are for --propose")
+    plan = _read(args.plan)
+    with ExitStack() as stack:
+        try:
+            wires = _wires(args, plan)
+        except zenoh.ZError:
+            raise WrongUse(_nobody(args)) from None
+        stack.callback(wires.close)
+        course = _course(args.plan, plan, wires)
+        return _drive(args, course, wires)
+
+
+def _read(path: Path) -> ExperimentPlan:
+    try:
+        return parse_plan(path.read_text(encoding="utf-8"))
+    except PlanError as error:
+        raise WrongUse(f"{path}: {error}") from None
+    except UnicodeDecodeError:
+        raise WrongUse(f"{path}: no plan: not UTF-8 text") from None
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise WrongUse(f"{path}: the plan cannot be read ({reason})") from None
+
+
+def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
+    """Raises WrongUse, ZError."""
+    try:
+        session = zenoh.open(client_config(args.config, [args.connect]))
+    except zenoh.ZError:
+        raise WrongUse(_nobody(args)) from None
+    alive = living(session, args.prefix, plan.machine)
+    meant = next((one for one in alive if one.machine == plan.machine), None)
+    if meant is None:
+        others = ", ".join(one.machine for one in living(session, args.prefix)) if not args.config else ""
+        session.close()
+        if others:
+            raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; the daemon here is of {others}')
+        raise WrongUse(_nobody(args))
+    return PrompterWires(session, meant.base(args.prefix))
+
+
+def _nobody(args: argparse.Namespace) -> str:
+    where = args.config or args.connect
+    return f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
+
+
+def _course(path: Path, plan: ExperimentPlan, wires: PrompterWires) -> Course:
+    """Checks that the plan fits the rig, and that this may mark. Raises WrongUse."""
+    try:
+        course = course_of(plan, wires.rig().rig)
+    except PlanError as error:
+        raise WrongUse(f"{path}: {error}") from None
+    except Refused as error:
+        raise WrongUse(str(error)) from None
+    answer = wires.mark_now(f"experiment {plan.name} seed {plan.seed}: {len(course.drives)} runs are planned")
+    if answer.refusal:
+        raise WrongUse(f"no mark can be put into the log: {answer.refusal}")
+    return course
+
+
+def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> int:
+    """Until all is driven and it has been seen, or until Ctrl-C."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    runner = PlanRunner(wires, course)
+    learning: FitOfRuns | None = None
+    with Screen() as screen, suppress(KeyboardInterrupt):
+        while True:
+            began_s = time.monotonic()
+            state = runner.turn()
+            pressed = screen.show(state)
+            if pressed == "quit":
+                break
+            if pressed:
+                runner.order(pressed)
+            if runner.finished and learning is None:
+                learning = FitOfRuns(course.plan, wires.logs)
+            if learning is not None:
+                runner.learned, runner.commands = learning.told()
+                if learning.over and not screen.asks:
+                    screen.show(runner.turn())
+                    break
+            time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
+    if learning is not None:
+        learning.close()
+    left = len(course.drives) - runner.prompt.at
+    if left:
+        print(f"tilth experiment: {left} of {len(course.drives)} runs were not driven", file=sys.stderr)
+    skipped = sum(one.outcome == "skipped" for one in runner.prompt.attempts)
+    return 1 if left or skipped else 0

@@ -1,0 +1,91 @@
+"""What the runs of a plan have told, by a process of `tilth fit` over the log that was just written."""
+
+import json
+import math
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from tilth.schemas.experiment import ExperimentPlan
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.invocation import command, in_background
+from tilth.schemas.spread import of_logarithm, share
+
+LONGEST: Final = 4_000_000  # bytes of an answer
+
+
+class FitOfRuns:
+    """Begins at once; `told` says how it stands, at any moment."""
+
+    def __init__(self, plan: ExperimentPlan, logs: Sequence[str]) -> None:
+        """logs: paths on the daemon's computer, which need not be this one."""
+        self._plan, self._logs = plan, list(logs)
+        self._commands = (command("report", *self._logs, "--out", f"{plan.name}.html"),) if logs else ()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lines: tuple[str, ...] = ()
+        here = bool(logs) and all(Path(log).exists() for log in logs)
+        words = in_background("fit", *self._logs, "--json") if here else []
+        if not logs:
+            self._lines = ("No log was heard of: look whether the daemon records.",)
+        elif not words:
+            fit = command("fit", *self._logs)
+            self._lines = (f"The log is on the daemon's computer. What was learned says there: {fit}",)
+        else:
+            self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
+            self._process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._said
+            )
+            self._lines = ("Fitting what was driven; this may take a minute or two …",)
+
+    @property
+    def over(self) -> bool:
+        return self._process is None
+
+    def told(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """(lines, commands for a terminal)."""
+        if self._process is not None and self._process.poll() is not None:
+            self._process = None
+            self._lines = self._read()
+        return self._lines, self._commands
+
+    def close(self) -> None:
+        """Ends it."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait(10.0)
+        if hasattr(self, "_out"):
+            self._out.close()
+            self._said.close()
+
+    def _read(self) -> tuple[str, ...]:
+        for file in (self._out, self._said):
+            file.seek(0)
+        try:
+            return lines_of(json.loads(self._out.read(LONGEST)), self._plan.predicted)
+        except (ValueError, LookupError, TypeError):
+            said = self._said.read(2000).decode(errors="replace").strip().splitlines()
+            return (f"Nothing could be fitted: {said[-1] if said else 'no reason was given'}",)
+
+
+def lines_of(answer: Mapping[str, Any], predicted: Mapping[str, float]) -> tuple[str, ...]:
+    """What `tilth fit --json` says, in lines: the six, beside what the plan expected, and whether the runs
+    agree. predicted: sds of the logarithms. Raises LookupError, TypeError where it is no such answer."""
+    if answer["joint"] is None:
+        return ("The runs tell nothing of the tyres: `tilth fit` says why of each.",)
+    lines = []
+    for name in PARAMETERS:
+        row = answer["joint"]["parameters"][name]
+        expected = f"; expected {share(predicted[name])}" if name in predicted else ""
+        if row["value"] is None:
+            lines.append(f"{name}: {row['reason']}{expected}")
+            continue
+        scale, unit = (1e-3, "kN/rad") if name.startswith("C_") else (1.0, "m")
+        k = PARAMETERS.index(name)
+        percent = share(math.sqrt(answer["joint"]["log_covariance"][k][k])).removesuffix(" (95 %)")
+        text = of_logarithm(scale * row["value"], scale * row["sd"], unit)
+        lines.append(f"{name}: {text}, {percent}{expected}")
+    if len(answer["runs"]) > 1:
+        lines.append(answer["agreement"]["sentence"])
+    return tuple(lines)

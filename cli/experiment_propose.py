@@ -1,0 +1,111 @@
+"""`tilth experiment --propose`: the plan whose runs tell most of what is not known yet."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from tilth.analysis.experiment.plan_text import text_of, worth
+from tilth.analysis.experiment.predict import Known, from_log, from_machine
+from tilth.analysis.experiment.propose import WantedPlan
+from tilth.analysis.experiment.propose import propose as best_plan
+from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.runs.run import open_runs
+from tilth.cli import WrongUse
+from tilth.logger.machine_file import read_machine
+from tilth.replay.readers.log import LogError
+from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
+from tilth.schemas.machine import Machine
+
+KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
+
+
+def propose(args: argparse.Namespace) -> int:
+    """1 where the log tells nothing."""
+    if args.machine is None or args.out is None:
+        raise WrongUse("--propose needs --machine M.toml and --out PLAN.toml")
+    for name, low, high in (("replicates", 1, 20), ("runs", 1, len(KINDS)), ("seed", 0, 2**31)):
+        value = getattr(args, name)
+        if not low <= value <= high:
+            raise WrongUse(f"--{name} {value}: give a whole number from {low} to {high}")
+    if args.out.exists():
+        raise WrongUse(f"{args.out} exists and is not overwritten; give another --out")
+    machine, text = read_machine(args.machine)
+    try:
+        wanted = _wanted(args)
+        known = _known(args, machine, text)
+        found = best_plan(known, wanted, _say)
+    except PlanError as error:
+        raise WrongUse(str(error)) from None
+    except (CannotFit, ValueError) as error:
+        _say(str(error))
+        return 1
+    except LogError as error:
+        _say(str(error))
+        return error.status
+    source = ", ".join(log.name for log in args.logs)
+    try:
+        args.out.write_text(text_of(found, str(args.out), source), encoding="utf-8")
+    except OSError as error:
+        raise WrongUse(f"{args.out}: {(error.strerror or str(error)).lower()}") from None
+    print(worth(found))
+    print(f"{args.out} is written: {sum(run.replicates for run in found.plan.run)} runs.")
+    return 0
+
+
+def _wanted(args: argparse.Namespace) -> WantedPlan:
+    """Raises WrongUse, PlanError."""
+    field: Rectangle = args.field
+    try:
+        if args.headland is not None:
+            field = Rectangle(length=field.length, width=field.width, headland=args.headland)
+        limits = DrivingLimits() if args.angle is None else DrivingLimits(wheel_angle_deg=args.angle)
+    except ValueError:
+        raise WrongUse(
+            "--headland: two of them must leave some of the field; --angle: from 0 to 37 degrees"
+        ) from None
+    if not 1.5 <= args.speed <= 12:
+        raise WrongUse(f"--speed {args.speed:g}: give 1.5 to 12 m/s; slip is too small to learn from below")
+    if not 6 <= args.seconds <= 60:
+        raise WrongUse(f"--seconds {args.seconds:g}: give 6 to 60 s for a run")
+    kinds = tuple(args.kind) or KINDS_PROPOSED
+    return WantedPlan(
+        name=_name(args.out), speed=args.speed, seconds=args.seconds, replicates=args.replicates,
+        seed=args.seed, field=field, limits=limits, kinds=kinds, count=args.runs,
+    )  # fmt: skip
+
+
+def _name(out: Path) -> str:
+    """Of the plan: its file's, as far as a mark may hold it."""
+    kept = "".join(sign if sign.isalnum() and sign.isascii() else "-" for sign in out.stem)[:60].strip("-")
+    return kept or "plan"
+
+
+def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
+    """Raises LogError, CannotFit, WrongUse."""
+    if not args.logs:
+        return from_machine(machine)
+    for log in args.logs:
+        if not log.exists():
+            raise WrongUse(f"{log}: there is no such log")
+    runs = open_runs(args.logs, say=_say)
+    for run in runs:
+        if run.machine.name != machine.name:
+            raise WrongUse(
+                f"{run.sources[0].name} is of {run.machine.name}, {args.machine} is of {machine.name}; give "
+                "the log of this rig, or leave out --from"
+            )
+    if not all(_same_rig(run.machine, machine) for run in runs):
+        runs = open_runs(args.logs, machine=(machine, text), say=_say)  # replayed with the other file
+    wanted = choose(runs)
+    _say(f"fitting {len(wanted)} stretches of driving in the log")
+    return from_log(machine, fit_all(wanted))
+
+
+def _same_rig(one: Machine, other: Machine) -> bool:
+    """Whether two machine files differ in buses, network and logging at most."""
+    outside = {"bus": other.bus, "zenoh": other.zenoh, "log": other.log}
+    return one.model_copy(update=outside) == other
+
+
+def _say(text: str) -> None:
+    print(f"tilth experiment: {text}", file=sys.stderr)

@@ -1,0 +1,136 @@
+"""A prompter's wires: poses and orders in, marks and what is shown out, all over one Zenoh session."""
+
+import queue
+import time
+from collections import Counter
+from typing import Final
+
+import zenoh
+
+from tilth.client.experiment.prompter import ORDERS, Marked, Order
+from tilth.client.experiment.sight import Seen, seen_of
+from tilth.client.link import Link
+from tilth.client.received import HeardRig, Refused, parse, pose_of, rig_of_message, text
+from tilth.schemas.proto import tilth_pb2 as pb
+
+WAITING: Final = 64  # poses or orders that may wait for the loop; older ones are dropped
+MARK_S: Final = 10.0  # a disk may stall for some seconds before it takes a mark
+ASK_S: Final = 5.0
+ENCODING: Final = f"application/protobuf;{pb.ExperimentState.DESCRIPTOR.full_name}"
+SILENT: Final = "the daemon does not answer; is this key an operator's?"
+
+
+class PrompterWires:
+    """One daemon, below `base`. The session is closed with it."""
+
+    def __init__(self, session: zenoh.Session, base: str) -> None:
+        self._session, self._base, self._link = session, base, Link(session)
+        self._poses: queue.Queue[tuple[float, Seen]] = queue.Queue(WAITING)
+        self._orders: queue.Queue[Order] = queue.Queue(WAITING)
+        self._marked: queue.Queue[Marked] = queue.Queue()
+        self._refused: Counter[str] = Counter()
+        self._logs: dict[str, None] = {}
+        self._link.hear(session.declare_subscriber(f"{base}/pose"), self._take_pose)
+        self._link.hear(session.declare_subscriber(f"{base}/status"), self._take_status)
+        self._link.hear(session.declare_queryable(f"{base}/experiment/order"), self._take_order)
+
+    @property
+    def logs(self) -> tuple[str, ...]:
+        """Paths of the log that is written, on the daemon's computer, as far as they were heard."""
+        return tuple(self._logs)
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """What came and could not be used."""
+        return dict(self._refused)
+
+    def rig(self) -> HeardRig:
+        """What the daemon says of the machine. Raises Refused."""
+        for reply in self._session.get(f"{self._base}/rig", timeout=ASK_S):
+            if reply.ok is not None:
+                return rig_of_message(reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+        raise Refused("the daemon does not say what its machine is")
+
+    def poses(self) -> list[tuple[float, Seen]]:
+        """(when it came, s of time.monotonic; the pose), of those since the last call."""
+        found = []
+        while not self._poses.empty():
+            found.append(self._poses.get())
+        return found
+
+    def orders(self) -> list[Order]:
+        """Those since the last call."""
+        found = []
+        while not self._orders.empty():
+            found.append(self._orders.get())
+        return found
+
+    def answers(self) -> list[Marked]:
+        """What became of marks, since the last call."""
+        found = []
+        while not self._marked.empty():
+            found.append(self._marked.get())
+        return found
+
+    def mark(self, note: str) -> None:
+        """Ask for a note in the log; `answers` tells what became of it."""
+        replies = self._session.get(f"{self._base}/mark", payload=note.encode(), timeout=MARK_S)
+        self._link.hear([replies], lambda come: self._marked.put(_answered(note, come)))
+
+    def mark_now(self, note: str) -> Marked:
+        """The same, waiting for the answer."""
+        return _answered(note, self._session.get(f"{self._base}/mark", payload=note.encode(), timeout=MARK_S))
+
+    def show(self, state: pb.ExperimentState) -> None:
+        self._session.put(f"{self._base}/experiment", state.SerializeToString(), encoding=ENCODING)
+
+    def close(self) -> None:
+        self._link.close()
+
+    # What follows runs in threads that hear.
+
+    def _take_pose(self, sample: zenoh.Sample) -> None:
+        try:
+            seen = seen_of(pose_of(sample.payload.to_bytes(), str(sample.encoding)))
+        except Refused as error:
+            self._refused[str(error)] += 1
+            return
+        if self._poses.full():
+            self._poses.get()
+        self._poses.put((time.monotonic(), seen))
+
+    def _take_status(self, sample: zenoh.Sample) -> None:
+        try:
+            status = parse(pb.Status, sample.payload.to_bytes(), str(sample.encoding))
+        except Refused as error:
+            self._refused[str(error)] += 1
+            return
+        if status.log_file:
+            self._logs[status.log_file] = None
+
+    def _take_order(self, query: zenoh.Query) -> None:
+        payload = query.payload
+        try:
+            if payload is None or len(payload) > 1024 or "*" in str(query.key_expr):
+                raise Refused("an order is a tilth.ExperimentOrder")
+            order = pb.ExperimentOrder.FromString(payload.to_bytes())
+            if order.kind not in ORDERS:
+                raise Refused(f"{text(order.kind)[:40]!r}: no order; there are {', '.join(ORDERS)}")
+            if self._orders.full():
+                raise Refused("too many orders at a time")
+        except Exception as error:  # whatever a stranger sent
+            query.reply_err(str(error) if isinstance(error, Refused) else "not an ExperimentOrder")
+            query.drop()
+            return
+        self._orders.put(Order(order.kind))
+        query.reply(query.key_expr, b"")
+        query.drop()
+
+
+def _answered(note: str, replies: object) -> Marked:
+    for reply in replies:  # type: ignore[attr-defined]
+        if reply.ok is not None:
+            return Marked(note, "")
+        refusal = reply.err.payload.to_bytes()[:200].decode(errors="replace") if reply.err else ""
+        return Marked(note, text(refusal) or "the daemon refused it")
+    return Marked(note, SILENT)

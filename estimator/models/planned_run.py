@@ -1,0 +1,165 @@
+"""A run of a plan of experiments: which angles the wheels take, where the tractor goes, whether it has room.
+
+Where it goes is what the linear model with relaxation says at the machine file's values.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from tilth.estimator.models import manoeuvres
+from tilth.estimator.models.family import model_named
+from tilth.estimator.models.linear_analysis import simulate, system
+from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named, rate_limited
+from tilth.estimator.models.parameters import Rig
+from tilth.schemas.experiment import (
+    KINDS,
+    AnyRun,
+    ChirpRun,
+    DrivingLimits,
+    ExperimentPlan,
+    MultisineRun,
+    PlanError,
+    RandomRun,
+    Rectangle,
+    StepsRun,
+)
+
+Array = NDArray[np.float64]
+
+DT: Final = 0.02  # s, between samples of a planned run
+BESIDE_M: Final = 5.0  # kept free at the sides: half the rig, and what a driver is off
+RUN_UP_S: Final = 4.0  # straight and at speed before a run: steady, and the countdown
+
+
+class Scheduled(NamedTuple):
+    """One drive of a plan. number: of [[run]], from 1. replicate: from 1."""
+
+    number: int
+    replicate: int
+    run: AnyRun
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """What its draws depend on, beside the plan's seed."""
+        return KINDS.index(self.run.kind), self.replicate
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"run {self.number}, {self.run.kind}, replicate {self.replicate} of {self.run.replicates}"
+
+
+class Way(NamedTuple):
+    """Where a tractor goes from where a run begins, at each sample, (n,)."""
+
+    ahead: Array  # m
+    aside: Array  # m, to the right
+    lateral_acceleration: Array  # m/s^2
+
+
+def schedule(plan: ExperimentPlan, rng: Generator) -> tuple[Scheduled, ...]:
+    """All drives in randomised blocks: the first replicates of all runs, shuffled, then the second ones."""
+    order: list[Scheduled] = []
+    for replicate in range(1, max(run.replicates for run in plan.run) + 1):
+        block = [
+            Scheduled(number, replicate, run)
+            for number, run in enumerate(plan.run, 1)
+            if replicate <= run.replicates
+        ]
+        order += [block[k] for k in rng.permutation(len(block)).tolist()]
+    return tuple(order)
+
+
+def wheel_angle(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) -> Array:
+    """Wheel angles to follow, rad, DT apart, (n,): straight for START_S, then the run's steering, as fast as
+    the limits let it be. rng: for random levels."""
+    run = scheduled.run
+    time: Array = np.arange(round((START_S + run.seconds) / DT) + 1, dtype=np.float64) * DT
+    left = run.side == "left" or (run.side == "both" and scheduled.replicate % 2 == 0)
+    amplitude = math.radians(run.amplitude_deg)
+    wanted = _steering(run, time, amplitude, rng)
+    return rate_limited(-wanted if left else wanted, math.radians(limits.wheel_rate_degps) * DT)
+
+
+def drives(
+    plan: ExperimentPlan, draws: Callable[[tuple[int, ...]], Generator]
+) -> tuple[tuple[Scheduled, Array], ...]:
+    """All runs of a plan with their wheel angles, in the order in which they are driven. draws: makes a
+    generator of a seed, as numpy's default_rng; so who plans, prompts and simulates has the same runs."""
+    return tuple(
+        (one, wheel_angle(one, plan.limits, draws((plan.seed, *one.key))))
+        for one in schedule(plan, draws((plan.seed,)))
+    )
+
+
+def _steering(run: AnyRun, time: Array, amplitude: float, rng: Generator) -> Array:
+    match run:
+        case StepsRun():
+            return manoeuvres.steps(time, amplitude, rng, run.hold_s)
+        case ChirpRun():
+            return manoeuvres.chirp(time, amplitude, rng, run.low_hz, run.high_hz)
+        case MultisineRun():
+            return manoeuvres.multisine(time, amplitude, rng, run.low_hz, run.high_hz)
+        case RandomRun():
+            return manoeuvres.random_levels(time, amplitude, rng, run.shortest_s, run.longest_s)
+        case _:
+            return manoeuvre_named(run.kind).wheel_angle(time, amplitude, rng)
+
+
+def way(rig: Rig, speed: float, angles: Array) -> Way:
+    """Of wheel angles DT apart, rad, (n,), from straight running."""
+    model = model_named("relaxation")
+    whole = system(model, rig, speed)
+    inputs = np.zeros((len(angles), len(whole.inputs)))
+    inputs[:, 0] = angles
+    states = simulate(model, rig, speed, inputs, np.zeros(len(whole.states)), DT, linear=True)
+    v, r, psi = (states[:, whole.states.index(name)] for name in ("v", "r_t", "psi_t"))
+    ahead = np.cumsum(speed * np.cos(psi) - v * np.sin(psi)) * DT
+    aside = np.cumsum(speed * np.sin(psi) + v * np.cos(psi)) * DT
+    return Way(ahead, aside, speed * r)
+
+
+def room(field: Rectangle, along: Array, across: Array, turning: bool) -> float:
+    """How far the places stay inside of the field, m, negative outside. along, across: m from its corner,
+    (n,). turning: headlands may be driven on, too."""
+    end = 0.0 if turning else field.headland
+    inside = (along - end, field.length - end - along, across - BESIDE_M, field.width - BESIDE_M - across)
+    return float(min(np.min(one) for one in inside))
+
+
+def check(plan: ExperimentPlan, rig: Rig, planned: Iterable[tuple[Scheduled, Array]]) -> None:
+    """Raises PlanError where a run is too hard for the limits or has no room in the field. planned: as
+    `drives`."""
+    for scheduled, angles in planned:
+        run, found = scheduled.run, way(rig, scheduled.run.speed, angles)
+        hardest = float(np.max(np.abs(found.lateral_acceleration)))
+        most = plan.limits.lateral_acceleration
+        if hardest > most:
+            raise PlanError(
+                f"run[{scheduled.number}], {run.kind}: {run.amplitude_deg:g}° at {run.speed:g} m/s give "
+                f"{hardest:.1f} m/s^2 to the side, limits.lateral_acceleration allows {most:g}; take at most "
+                f"{run.amplitude_deg * most / hardest:.1f}°, or drive more slowly"
+            )
+        need_long, need_wide = needed(run, found)
+        field = plan.field
+        usable = field.length - (0.0 if run.kind == "turn" else 2 * field.headland)
+        for what, need, has in (("long", need_long, usable), ("wide", need_wide, field.width)):
+            if need > has:
+                raise PlanError(
+                    f"run[{scheduled.number}], {run.kind}: {run.seconds:g} s at {run.speed:g} m/s need "
+                    f"{need:.0f} m that are {what}, the field has {has:.0f} m"
+                    f"{' between its headlands' if what == 'long' and run.kind != 'turn' else ''}; make the "
+                    "run shorter or slower, or the field larger"
+                )
+
+
+def needed(run: AnyRun, found: Way) -> tuple[float, float]:
+    """Length and width of the ground that a run takes with its run-up, m."""
+    behind = min(float(np.min(found.ahead)), -RUN_UP_S * run.speed)
+    sides = float(np.max(found.aside) - np.min(found.aside))
+    return float(np.max(found.ahead)) - behind, sides + 2 * BESIDE_M

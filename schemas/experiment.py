@@ -1,0 +1,189 @@
+"""A plan of experiments: one TOML text that people edit says what is to be driven, how often, and where.
+
+A wrong plan raises PlanError with one line that names the key, the value, what is allowed and the nearest
+right key. examples/experiments.toml shows most keys in use, docs/experiments.md what they are for. This
+module reads text; whether a rig and a field have room for it is in estimator/models/planned_run.py.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.sentence import sentence
+
+
+class PlanError(Exception):
+    """The plan is wrong; the text says where and what to do."""
+
+
+KINDS: Final = ("step", "steps", "chirp", "random", "multisine", "turn")  # rows of MANOEUVRES
+_SAY_KIND: Final = f"give kind = one of {', '.join(KINDS)}"
+
+Hertz = Annotated[float, Field(ge=0.02, le=2.0)]
+Hold = Annotated[float, Field(ge=0.2, le=30.0, description="s")]
+
+
+class _PlanSection(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DrivingLimits(_PlanSection):
+    """What no run may exceed, and when a run is broken off."""
+
+    wheel_angle_deg: float = Field(default=12.0, gt=0, le=37, description="of the wheels")
+    wheel_rate_degps: float = Field(default=15.0, gt=0, le=60, description="how fast a driver turns them")
+    lateral_acceleration: float = Field(default=2.5, gt=0, le=5, description="m/s^2")
+    braking: float = Field(default=1.5, gt=0, le=8, description="m/s^2: a harder one breaks a run off")
+    off_the_bar_deg: float = Field(default=5.0, gt=0, le=20, description="of a driver who looks away")
+    off_the_bar_s: float = Field(default=1.5, gt=0, le=20, description="after which he has looked away")
+
+
+class Rectangle(_PlanSection):
+    """Where to drive. Without a corner its near headland ends where the first run is armed."""
+
+    length: float = Field(ge=30, le=5000, description="m, along the runs")
+    width: float = Field(ge=10, le=5000, description="m, to the right of the corner")
+    headland: float = Field(default=20.0, ge=0, le=200, description="m, at both ends: for turning only")
+    corner: tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]] | None = (
+        Field(default=None, description="latitude, longitude; the left one at the near end, degrees")
+    )
+    heading_deg: float | None = Field(
+        default=None, ge=-360, le=360, description="of its length, clockwise from north"
+    )
+
+    @model_validator(mode="after")
+    def _both(self) -> Self:
+        if (self.corner is None) != (self.heading_deg is None):
+            raise ValueError("give corner and heading_deg both, or neither")
+        if 2 * self.headland >= self.length:
+            raise ValueError(
+                f"two headlands of {self.headland:g} m leave nothing of a field of {self.length:g} m"
+            )
+        return self
+
+
+class _RunBase(_PlanSection):
+    speed: float = Field(ge=1.5, le=12, description="m/s")
+    amplitude_deg: float = Field(gt=0, le=37, description="largest angle of the wheels")
+    seconds: float = Field(ge=6, le=60, description="of steering")
+    replicates: int = Field(default=3, ge=1, le=20)
+    side: Literal["right", "left", "both"] = Field(
+        default="both", description="to which it begins; both: replicates in turn"
+    )
+    predicted: Mapping[str, float] = Field(
+        default_factory=dict, description="sd of the logarithms by its replicates alone; for reading"
+    )
+
+
+class StepRun(_RunBase):
+    """The wheels turned at once and held."""
+
+    kind: Literal["step"]
+
+
+class StepsRun(_RunBase):
+    """To one side and the other."""
+
+    kind: Literal["steps"]
+    hold_s: Hold = 3.0
+
+
+class ChirpRun(_RunBase):
+    """Swinging faster and faster."""
+
+    kind: Literal["chirp"]
+    low_hz: Hertz = 0.05
+    high_hz: Hertz = 0.5
+
+
+class RandomRun(_RunBase):
+    """Levels drawn within the amplitude, held for a while that is drawn too."""
+
+    kind: Literal["random"]
+    shortest_s: Hold = 0.5
+    longest_s: Hold = 2.0
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.longest_s < self.shortest_s:
+            raise ValueError(f"longest_s = {self.longest_s:g} is shorter than shortest_s")
+        return self
+
+
+class MultisineRun(_RunBase):
+    """Many frequencies at once."""
+
+    kind: Literal["multisine"]
+    low_hz: Hertz = 0.05
+    high_hz: Hertz = 0.5
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.high_hz < self.low_hz:
+            raise ValueError(f"high_hz = {self.high_hz:g} is below low_hz")
+        return self
+
+
+class TurnRun(_RunBase):
+    """As into a headland turn: the wheels turned within two seconds, and held."""
+
+    kind: Literal["turn"]
+
+
+def _kind(raw: Any) -> str | None:
+    return raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
+
+
+Run = Annotated[
+    Annotated[StepRun, Tag("step")]
+    | Annotated[StepsRun, Tag("steps")]
+    | Annotated[ChirpRun, Tag("chirp")]
+    | Annotated[RandomRun, Tag("random")]
+    | Annotated[MultisineRun, Tag("multisine")]
+    | Annotated[TurnRun, Tag("turn")],
+    Discriminator(_kind, custom_error_type="kind", custom_error_message=_SAY_KIND),
+]
+AnyRun = StepRun | StepsRun | ChirpRun | RandomRun | MultisineRun | TurnRun
+
+
+class ExperimentPlan(_PlanSection):
+    """All of a plan."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$", description="part of every mark")
+    machine: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="of the machine file")
+    seed: int = Field(default=1, ge=0, le=2**31, description="of the order and of random steering")
+    countdown_s: float = Field(default=3.0, ge=1, le=20)
+    field: Rectangle
+    limits: DrivingLimits = DrivingLimits()
+    run: tuple[Run, ...] = Field(min_length=1, max_length=50)
+    predicted: Mapping[str, float] = Field(
+        default_factory=dict, description="sd of the logarithms by all runs; for reading"
+    )
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        for number, run in enumerate(self.run, 1):
+            if run.amplitude_deg > self.limits.wheel_angle_deg:
+                raise ValueError(
+                    f"run[{number}].amplitude_deg = {run.amplitude_deg:g}: limits.wheel_angle_deg allows "
+                    f"{self.limits.wheel_angle_deg:g}"
+                )
+        for name in {*self.predicted, *(key for run in self.run for key in run.predicted)}:
+            if name not in PARAMETERS:
+                raise ValueError(f"predicted.{name}: there are {', '.join(PARAMETERS)}")
+        return self
+
+
+def parse_plan(text: str) -> ExperimentPlan:
+    """Raises PlanError."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PlanError(f"not a TOML file: {str(error).lower()}") from None
+    try:
+        return ExperimentPlan.model_validate(raw)
+    except ValidationError as error:
+        raise PlanError(sentence(error, raw, ExperimentPlan)) from None

@@ -1,0 +1,164 @@
+"""`tilth experiment` as a person starts it: wrong use in a sentence, a plan proposed, a plan prompted."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from client_daemon import until
+from logs import MACHINE_FILE
+from loopback import PATIENCE_S
+from paths import ROOT
+from stage import Stage
+
+from tilth.cli import main
+from tilth.cli.experiment_learned import FitOfRuns, lines_of
+from tilth.cli.experiment_screen import bar, panel
+from tilth.client.link import open_session
+from tilth.schemas.experiment import parse_plan
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.proto import tilth_pb2 as pb
+
+EXAMPLE = ROOT / "examples/experiments.toml"
+PLAN = parse_plan(EXAMPLE.read_text(encoding="utf-8"))
+NOWHERE = "tcp/127.0.0.1:1"
+BASE = "tilth/jd7930-parker500/replay"
+
+PROPOSE = ["--propose", "--machine", "MACHINE", "--out", "new.toml"]
+ROWS: list[tuple[list[str], str]] = [
+    ([], "give the plan to drive, or --propose"),
+    (["none.toml"], "none.toml: the plan cannot be read (no such file or directory)"),
+    (["FOREIGN"], "FOREIGN: not a TOML file"),
+    (["WRONG"], 'run[1].spede: no such key; did you mean "speed"?'),
+    (["EXAMPLE", "--connect", NOWHERE], f"no daemon can be reached at {NOWHERE}; is `"),
+    (["EXAMPLE", "--out", "x.toml"], "--machine, --from and --out are for --propose"),
+    (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
+    (["EXAMPLE", *PROPOSE], "leave out the one to drive"),
+    ([*PROPOSE, "--speed", "0.5"], "--speed 0.5: give 1.5 to 12 m/s"),
+    ([*PROPOSE, "--seconds", "600"], "--seconds 600: give 6 to 60 s"),
+    ([*PROPOSE, "--replicates", "0"], "--replicates 0: give a whole number from 1 to 20"),
+    ([*PROPOSE, "--headland", "500"], "two of them must leave some of the field"),
+    ([*PROPOSE, "--field", "wide"], "wide: write LENGTHxWIDTH in m, such as 400x80"),
+    ([*PROPOSE, "--field", "60x60", "--kind", "step"], "the field is too small for step runs at 4.5 m/s"),
+    ([*PROPOSE, "--from", "none.mcap"], "none.mcap: there is no such log"),
+    (["--propose", "--machine", "none.toml", "--out", "n"], "none.toml: the machine file cannot be read"),
+    (["--propose", "--machine", "MACHINE", "--out", "EXAMPLE"], "exists and is not overwritten"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), ROWS, ids=lambda v: " ".join(v) if isinstance(v, list) else ""
+)
+def test_one_line_says_what_to_do(
+    words: list[str], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FOREIGN").write_text("not a plan\n")
+    (tmp_path / "WRONG").write_text(EXAMPLE.read_text(encoding="utf-8").replace("speed =", "spede =", 1))
+    places = {"MACHINE": str(MACHINE_FILE), "EXAMPLE": str(EXAMPLE)}
+    try:
+        status: object = main(["experiment", *(places.get(word, word) for word in words)])
+    except SystemExit as end:  # argparse
+        status = end.code
+    said = capsys.readouterr().err.splitlines()
+    assert status == 2
+    assert expected in said[-1]
+    assert not (tmp_path / "new.toml").exists()
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[Stage]:
+    with Stage() as one:
+        yield one
+
+
+def test_a_plan_of_another_rig_is_not_begun(
+    stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(EXAMPLE.read_text(encoding="utf-8").replace("jd7930-parker500", "fendt-of-somebody"))
+    assert main(["experiment", str(other), "--connect", stage.endpoint]) == 2
+    assert "the daemon here is of jd7930-parker500" in capsys.readouterr().err
+
+
+def test_a_plan_that_is_too_hard_for_the_rig_is_not_begun(
+    stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hard = tmp_path / "hard.toml"
+    hard.write_text(EXAMPLE.read_text(encoding="utf-8").replace("speed = 4.5", "speed = 9.0"))
+    assert main(["experiment", str(hard), "--connect", stage.endpoint]) == 2
+    assert "m/s^2 to the side" in capsys.readouterr().err
+
+
+def test_who_may_not_mark_does_not_begin(stage: Stage, capsys: pytest.CaptureFixture[str]) -> None:
+    stage.order(refusal="this key may not mark")
+    with open_session(stage.endpoint) as session:
+        until(lambda: any(r.err for r in session.get(f"{BASE}/mark", payload=b"x", timeout=PATIENCE_S)))
+    assert main(["experiment", str(EXAMPLE), "--connect", stage.endpoint]) == 2
+    assert "no mark can be put into the log: this key may not mark" in capsys.readouterr().err
+    stage.order(refusal="")
+
+
+def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_are_left(stage: Stage) -> None:
+    start = "import sys; from tilth.cli import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", start, "experiment", str(EXAMPLE), "--connect", stage.endpoint],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with process, open_session(stage.endpoint) as page:
+        states: list[pb.ExperimentState] = []
+        page.declare_subscriber(
+            f"{BASE}/experiment", lambda s: states.append(pb.ExperimentState.FromString(s.payload.to_bytes()))
+        )
+        until(lambda: bool(states))
+        for _ in range(9):
+            done = states[-1].done
+            order = pb.ExperimentOrder(kind="skip").SerializeToString()
+            list(page.get(f"{BASE}/experiment/order", payload=order, timeout=PATIENCE_S))
+            until(lambda done=done: states[-1].done > done)  # type: ignore[misc]
+        said, complained = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1  # nothing was driven
+    assert "Arm the first run" in said and "Skipped." in said and "All runs are driven." in said
+    assert "No log was heard of" in said and complained == ""
+
+
+def test_what_was_learned_is_told_beside_what_was_expected() -> None:
+    rows = {name: {"value": 2e3, "sd": 1e2, "status": "estimated", "reason": ""} for name in PARAMETERS}
+    rows["sigma_i"] = {
+        "value": None,
+        "sd": None,
+        "status": "unestimated",
+        "reason": "more steering is needed",
+    }
+    covariance = [[0.0025 if i == j else 0.0 for i in range(6)] for j in range(6)]
+    answer = {
+        "runs": [{}, {}], "joint": {"parameters": rows, "log_covariance": covariance},
+        "agreement": {"sentence": "The 2 segments agree."},
+    }  # fmt: skip
+    lines = lines_of(answer, {"C_af": 0.06})
+    assert lines[0] == "C_af: 2.00 ± 0.20 kN/rad (95 %), ±10 %; expected ±12 % (95 %)"
+    assert lines[5] == "sigma_i: more steering is needed"
+    assert lines[-1] == "The 2 segments agree."
+    assert "tell nothing" in lines_of({"joint": None}, {})[0]
+
+
+def test_a_log_on_another_computer_is_told_of() -> None:
+    fit = FitOfRuns(PLAN, ["/nowhere/run_001.mcap"])
+    lines, commands = fit.told()
+    fit.close()
+    assert fit.over and "on the daemon's computer" in lines[0]
+    assert "report /nowhere/run_001.mcap --out three-kinds.html" in commands[0]
+
+
+@pytest.mark.parametrize("wanted", [-0.2, -0.05, 0.0, 0.1, 0.3])
+def test_the_bar_shows_left_and_right_and_stays_in_its_frame(wanted: float) -> None:
+    state = pb.ExperimentState(
+        phase="running", wanted=wanted, measured=0.0, largest=0.15, ahead=[wanted] * 41
+    )
+    first, _, wheels = (row.plain for row in bar(state))
+    middle = wheels.index("▲")
+    assert len(first.split(" ")[-2]) == 61 or "▼" in first
+    assert (first.index("▼") > middle) == (wanted > 0) and (first.index("▼") < middle) == (wanted < 0)
+    assert panel(state).renderable is not None

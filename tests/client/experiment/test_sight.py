@@ -1,0 +1,67 @@
+"""What a prompter sees: places in the field, and poses that nothing can be learned from."""
+
+import math
+
+import numpy as np
+import pytest
+from stage import Point, pose
+
+from tilth.client.experiment.sight import (
+    FieldPlace,
+    abort_reason,
+    in_field,
+    place_of,
+    room_left,
+    seen_of,
+)
+from tilth.estimator.pose.geometry import to_degrees
+from tilth.schemas.experiment import DrivingLimits, Rectangle
+
+FIELD = Rectangle(length=200, width=60)
+AT = Point(10.0, 20.0, 0.3, 0.01, 0.3)
+
+
+def test_a_pose_is_seen_as_it_is() -> None:
+    seen = seen_of(pose(5_000_000_000, AT, ""))
+    assert (seen.t_s, seen.north, seen.east, seen.heading) == (5.0, 10.0, 20.0, 0.3)
+    assert seen.trouble == ""
+
+
+@pytest.mark.parametrize(
+    ("lost", "flag", "words"),
+    [
+        ("tractor_front", "", "tractor front"),
+        ("", "floating:implement_rear", "RTK is lost at implement rear"),
+        ("", "no_rtk:tractor_rear", "RTK is lost at tractor rear"),
+        ("", "swapped:rig", "do not fit"),
+    ],
+)
+def test_what_cannot_be_learned_from_is_said(lost: str, flag: str, words: str) -> None:
+    assert words in seen_of(pose(1, AT, lost, flag)).trouble
+
+
+def test_the_field_lies_by_its_corner_or_about_the_tractor() -> None:
+    seen = seen_of(pose(1, AT, ""))
+    corner = to_degrees(seen.origin_deg, 100.0, -50.0)
+    place = place_of(FIELD.model_copy(update={"corner": corner, "heading_deg": 90.0}), seen)
+    assert (place.north, place.east) == pytest.approx((100.0, -50.0), abs=1e-6)
+    assert place.heading == pytest.approx(math.pi / 2)
+    here = place_of(FIELD, seen)
+    along, across = in_field(here, seen, np.zeros(1), np.zeros(1))
+    assert (along[0], across[0]) == pytest.approx((20.0, 30.0), abs=1e-9)
+
+
+def test_room_is_counted_from_where_the_tractor_stands_and_faces() -> None:
+    place = FieldPlace(0.0, 0.0, 0.0)
+    seen = seen_of(pose(1, Point(50.0, 30.0, 0.0, 0.0, 0.0), ""))
+    ahead = np.linspace(0.0, 100.0, 11)
+    assert room_left(FIELD, place, seen, ahead, np.zeros(11), False) == pytest.approx(25.0)
+    back = seen._replace(heading=math.pi)
+    assert room_left(FIELD, place, back, ahead, np.zeros(11), False) == pytest.approx(-70.0)
+    right = room_left(FIELD, place, seen, np.zeros(1), np.array([28.0]), False)
+    assert right == pytest.approx(-3.0)
+
+
+def test_steady_driving_is_no_reason_to_break_off() -> None:
+    track = tuple(seen_of(pose(int(k * 2e8), AT, "")) for k in range(10))
+    assert abort_reason(DrivingLimits(), FIELD, None, track) == ""

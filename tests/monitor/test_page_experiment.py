@@ -1,0 +1,154 @@
+"""The page prompts a driver: a real browser, a real prompter, on a phone and on a desk.
+
+`pytest -m browser --refresh` writes the picture of docs/pictures anew.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from importlib import resources
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from loopback import PATIENCE_S
+from paths import ROOT
+from PIL import Image
+from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
+from stage import Monitor, Stage
+
+CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
+PICTURES = ROOT / "docs/pictures"
+PHONE: ViewportSize = {"width": 390, "height": 844}
+SOON_MS = 60_000
+
+expect.set_options(timeout=SOON_MS)
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
+]
+
+PLAN = """
+name = "in-the-browser"
+machine = "jd7930-parker500"
+[field]
+length = 4000
+width = 400
+[[run]]
+kind = "chirp"
+speed = 2.4
+amplitude_deg = 8
+seconds = 15
+replicates = 2
+"""
+DRAWN = """() => {
+    const bar = document.querySelector("#experiment-bar"), seen = new Set();
+    if (!bar.width) return 0;
+    const dots = bar.getContext("2d").getImageData(0, 0, bar.width, bar.height).data;
+    for (let i = 0; i < dots.length; i += 4) seen.add(dots.slice(i, i + 4).join());
+    return seen.size;
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        one = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield one
+        one.close()
+
+
+@pytest.fixture
+def prompted(tmp_path: Path) -> Iterator[tuple[Monitor, subprocess.Popen[str]]]:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN)
+    start = "import sys; from tilth.cli import main; sys.exit(main())"
+    with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        prompter = subprocess.Popen(
+            [sys.executable, "-c", start, "experiment", str(plan), "--connect", stage.endpoint],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        with prompter:
+            yield monitor, prompter
+            prompter.terminate()
+            prompter.communicate(timeout=PATIENCE_S)
+
+
+def opened(context: BrowserContext, monitor: Monitor) -> Page:
+    page = context.new_page()
+    page.goto(monitor.url)
+    return page
+
+
+def test_a_driver_is_prompted_on_a_phone(
+    browser: Browser,
+    prompted: tuple[Monitor, subprocess.Popen[str]],
+    request: pytest.FixtureRequest,
+) -> None:
+    monitor, prompter = prompted
+    context = browser.new_context(viewport=PHONE, has_touch=True, is_mobile=True)
+    faults: list[str] = []
+    context.on("weberror", lambda fault: faults.append(str(fault.error)))
+    page = opened(context, monitor)
+    part = page.locator("#experiment")
+    expect(page.locator("#experiment-title")).to_have_text("Experiment in-the-browser: 0 of 2 runs")
+    expect(page.locator("#experiment-text")).to_contain_text("Arm the first run")
+    arm, stop, skip = (part.get_by_role("button", name=name) for name in ("Arm this run", "Stop", "Skip"))
+    expect(stop).to_be_disabled()
+    wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert wide <= 0
+    part.get_by_role("button", name="Voice").tap()
+    expect(part.get_by_role("button", name="Voice")).to_have_attribute("aria-pressed", "true")
+    arm.tap()
+    expect(page.locator("#experiment-text")).to_contain_text("Line up")
+    expect(stop).to_be_enabled()
+    expect(page.locator("#experiment-conditions li")).to_have_count(4)
+    expect(page.locator("#experiment-count")).to_be_visible(timeout=SOON_MS)
+    expect(page.locator("#experiment-text")).to_have_text("Follow the bar.", timeout=SOON_MS)
+    expect(page.locator("#experiment-angles")).to_contain_text("wanted")
+    page.wait_for_function(f"({DRAWN})() > 3", timeout=SOON_MS)
+    part.scroll_into_view_if_needed()
+    if request.config.getoption("--refresh"):
+        shot = Image.open(BytesIO(page.screenshot()))
+        shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+            PICTURES / "page-experiment-phone.png", optimize=True
+        )
+    stop.tap()
+    expect(page.locator("#experiment-attempts")).to_contain_text("aborted, stopped by the driver")
+    expect(page.locator("#experiment-text")).to_contain_text("Broken off: stopped by the driver")
+    for _ in range(2):
+        done = page.locator("#experiment-title").inner_text()
+        skip.tap()
+        expect(page.locator("#experiment-title")).not_to_have_text(done)
+    expect(page.locator("#experiment-text")).to_have_text("All runs are driven.")
+    expect(page.locator("#experiment-learned")).to_contain_text("No log was heard of")
+    expect(part).to_be_hidden(timeout=SOON_MS)  # the prompter has ended
+    assert prompter.wait(PATIENCE_S) == 1
+    assert not faults
+    page.context.close()
+
+
+def test_it_is_readable_and_an_order_to_nobody_is_refused(
+    browser: Browser,
+    prompted: tuple[Monitor, subprocess.Popen[str]],
+) -> None:
+    monitor, prompter = prompted
+    page = opened(browser.new_context(), monitor)
+    expect(page.locator("#experiment")).to_be_visible()
+    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
+    page.evaluate(f"() => {{ {axe} }}")
+    found = page.evaluate("axe.run('#experiment').then((found) => found.violations)")
+    assert [one["id"] for one in found if one["impact"] in ("serious", "critical")] == []
+    headers = {"content_type": "application/json"}
+    status, answer, _ = monitor.ask("/experiment", b'{"kind": "dance"}', **headers)
+    assert (status, "no order; there are arm, stop, skip" in answer) == (200, True)
+    assert monitor.ask("/experiment", b'{"kind": "arm"}', content_type="text/plain")[0] == 400
+    prompter.terminate()
+    prompter.wait(PATIENCE_S)
+    expect(page.locator("#experiment")).to_be_hidden(timeout=SOON_MS)
+    refused = json.loads(monitor.ask("/experiment", b'{"kind": "arm"}', **headers)[1])
+    assert "does not answer" in refused["text"]
+    page.context.close()

@@ -1,0 +1,61 @@
+"""Plans as people write them: right ones are read, wrong ones are refused in one sentence that helps."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paths import ROOT
+
+from tilth.estimator.models.manoeuvres import MANOEUVRES
+from tilth.schemas.experiment import KINDS, ChirpRun, PlanError, parse_plan
+
+TEXT = (ROOT / "examples/experiments.toml").read_text(encoding="utf-8")
+
+WRONG = [
+    ('kind = "chirp"', 'kind = "chrip"', ("run[2]", "chirp", "multisine")),
+    ('kind = "chirp"', "", ("run[2]", "kind")),
+    ("low_hz = 0.1", "low_Hz = 0.1", ("run[2].low_Hz", 'mean "low_hz"')),
+    ("hold_s = 2.0", "hold = 2.0", ("run[1].hold", 'mean "hold_s"')),
+    ("speed = 4.5", 'speed = "fast"', ("run[1].speed = 'fast'", "number")),
+    ("speed = 4.5", "speed = 0.5", ("run[1].speed = 0.5", "1.5")),
+    ("amplitude_deg = 10", "amplitude_deg = 20", ("run[3].amplitude_deg = 20", "allows 12")),
+    ("length = 400", "length = 40", ("field", "two headlands of 20 m", "40 m")),
+    ("length = 400", "lenght = 400", ("field.lenght", 'mean "length"')),
+    ("width = 80", "width = 80\ncorner = [42.0, -93.6]", ("field", "corner and heading_deg")),
+    ("width = 80", "width = 80\ncorner = [142.0, -93.6]\nheading_deg = 0", ("corner", "90")),
+    ("low_hz = 0.06", "low_hz = 0.9", ("high_hz = 0.6", "below low_hz")),
+    ("replicates = 3", "replicates = 0", ("run[1].replicates = 0", "1")),
+    ('side = "both"', 'side = "middle"', ("run[1].side", "right", "left")),
+    ('machine = "jd7930-parker500"', "", ("machine: missing",)),
+    ('name = "three-kinds"', 'name = "three kinds"', ("name = 'three kinds'",)),
+    ("[field]", "[feild]", ("feild", 'mean "field"')),
+    ("seconds = 15", "seconds = 15\npredicted = { C_xx = 0.1 }", ("predicted.C_xx", "sigma_i")),
+    ("[[run]]", "[[run]", ("not a TOML file",)),
+]
+
+
+def test_the_example_is_read() -> None:
+    plan = parse_plan(TEXT)
+    assert [run.kind for run in plan.run] == ["steps", "chirp", "multisine"]
+    assert isinstance(plan.run[1], ChirpRun)
+    assert (plan.run[1].low_hz, plan.run[1].replicates, plan.limits.braking) == (0.1, 3, 1.5)
+
+
+@pytest.mark.parametrize(("right", "wrong", "words"), WRONG)
+def test_a_wrong_plan_says_where_and_what_is_allowed(right: str, wrong: str, words: tuple[str, ...]) -> None:
+    assert right in TEXT
+    with pytest.raises(PlanError) as refused:
+        parse_plan(TEXT.replace(right, wrong, 1))
+    said = str(refused.value)
+    assert "\n" not in said
+    for word in words:
+        assert word in said
+
+
+@given(st.text(max_size=200))
+def test_whatever_is_no_plan_is_refused(text: str) -> None:
+    with pytest.raises(PlanError):
+        parse_plan(text)
+
+
+def test_each_kind_is_a_manoeuvre() -> None:
+    assert set(KINDS) <= {row.name for row in MANOEUVRES}
