@@ -1,0 +1,222 @@
+"""Has something been moved since this drive began: a receiver, a pair, the wheels' sensor?
+
+Samples go into blocks of 20 s. With each whole block, what the last minute to ten minutes tell of the rig's
+constants is compared with what all driving before that told, for each suspect and each such length of time. A
+suspect that explains the difference far better than chance, by an amount that matters, in two blocks in a row,
+has been moved. It is then compared with how it is now, so that being put back is found too.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.watch.evidence import (
+    KINDS,
+    Evidence,
+    N,
+    drift,
+    lengths,
+    prior_information,
+    rows,
+)
+from tilth.estimator.watch.sample import sample
+from tilth.estimator.watch.suspects import (
+    DRAWBAR,
+    LATENCIES,
+    PAIRS,
+    WHEEL,
+    Verdict,
+    judge,
+    posterior,
+    suspects,
+)
+from tilth.schemas.flow import WITHOUT_RTK, Pose
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+SLOWEST: Final = 1.0  # m/s
+BLOCK: Final = 100  # samples (20 s)
+SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
+LEAST_BEFORE: Final = 6  # blocks before that, to compare with
+MEMORY: Final = 180.0  # blocks (an hour of driving) over which older samples count ever less
+SURE: Final = 25.0  # chi-square; of right rigs over 40 h the largest was half of it
+RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
+TWICE: Final = 2  # blocks in a row
+CLEAR: Final = 6  # blocks after which it is said although a rival is left
+LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.0087)  # rad, rad, m: half a degree
+LEAST_MOVED: Final = 0.035  # m, of a receiver; the half degree of its pair
+SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
+
+
+@dataclass(slots=True)
+class Moved:
+    """Something that has been moved and not been accepted."""
+
+    names: list[str]  # the best explanation first; more than one where the samples do not tell them apart
+    amounts: Array  # (m,) of names[0]: forward and right, m; or one angle, rad; or m
+    covariance: Array  # (m, m)
+    since_ns: int  # it happened about then
+    before: Evidence  # the constants before
+
+
+@dataclass(slots=True)
+class Watch:
+    """Plain data."""
+
+    old: Evidence = field(default_factory=Evidence)  # all before `blocks`
+    old_blocks: float = 0.0  # how many blocks are in it; older ones count less
+    blocks: list[Evidence] = field(default_factory=list)  # the last whole ones
+    block: Evidence = field(default_factory=Evidence)  # of now
+    samples: int = 0  # in it
+    mean: Array = field(default_factory=lambda: np.zeros(N))  # of the constants, at the last block
+    scatter: Array = field(default_factory=lambda: np.ones(KINDS))  # variance of a pose's rows over the expected
+    sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
+    suspected: str = ""
+    suspected_blocks: int = 0  # in a row
+    moved: list[Moved] = field(default_factory=list)
+
+
+class Found(NamedTuple):
+    """What is new: `back` where it is again where it was."""
+
+    moved: Moved
+    back: bool
+
+
+def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
+    """Take one pose. Returns what was found moved with it."""
+    speed = pose.tractor.forward_velocity
+    if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+        return []
+    now = sample(aligner, pose.t_ns - POSE_NS)
+    if now is None:
+        return []
+    _add(state, aligner.machine, rows(lengths(aligner.machine), now), pose.t_ns)
+    if state.samples < BLOCK:
+        return []
+    _end_block(state, aligner.machine)
+    return _look(state, aligner.machine)
+
+
+def _add(state: Watch, machine: Machine, given: tuple[Array, Array, Array], t_ns: int) -> None:
+    kinds, design, measured = given
+    rig, block = lengths(machine), state.block
+    block.since_ns = block.since_ns or t_ns
+    off = measured - design @ state.mean
+    state.sums[kinds, 0] += 1.0
+    state.sums[kinds, 1] += off
+    state.sums[kinds, 2] += off**2
+    variance = rig.sds[kinds] ** 2 * rig.correlated[kinds] * state.scatter[kinds]
+    weighted = design.T / variance
+    block.information += weighted @ design
+    block.vector += weighted @ measured
+    state.samples += 1
+
+
+def _end_block(state: Watch, machine: Machine) -> None:
+    n, total, squares = state.sums.T
+    enough = n > BLOCK / 4
+    variance = (squares - total**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
+    seen = np.maximum(variance / lengths(machine).sds ** 2, 1.0)
+    state.scatter[enough] += SCATTER_MEMORY * (seen - state.scatter)[enough]
+    state.blocks.append(state.block)
+    state.block, state.samples, state.sums = Evidence(), 0, np.zeros((KINDS, 3))
+    if len(state.blocks) > SINCE[-1]:
+        _age(state, state.blocks.pop(0))
+
+
+def _age(state: Watch, block: Evidence) -> None:
+    keep = 1.0 - 1.0 / MEMORY
+    state.old = _sum([Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block])
+    state.old_blocks = keep * state.old_blocks + 1.0
+
+
+def _sum(parts: list[Evidence]) -> Evidence:
+    since_ns = next((part.since_ns for part in parts if part.since_ns), 0)
+    return Evidence(
+        sum((part.information for part in parts), np.zeros((N, N))),
+        sum((part.vector for part in parts), np.zeros(N)),
+        since_ns,
+    )
+
+
+def _look(state: Watch, machine: Machine) -> list[Found]:
+    state.mean, _ = posterior(_sum([state.old, *state.blocks]))
+    _refine(state, machine)
+    best: tuple[int, list[Verdict]] | None = None
+    for since in SINCE:
+        if state.old_blocks + len(state.blocks) - since < LEAST_BEFORE:
+            break
+        before, now = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
+        verdicts = judge(machine, *posterior(before), now)
+        if best is None or verdicts[0].chi_square > best[1][0].chi_square:
+            best = (since, verdicts)
+    if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
+        state.suspected = ""
+        return []
+    return _suspect(state, machine, *best)
+
+
+def _suspect(state: Watch, machine: Machine, since: int, verdicts: list[Verdict]) -> list[Found]:
+    """Something has been moved, if it is suspected for the second time."""
+    first = verdicts[0]
+    rivals = [v for v in verdicts if v.chi_square > first.chi_square - RIVAL and v.name not in LATENCIES]
+    state.suspected_blocks = state.suspected_blocks + 1 if state.suspected else 1
+    state.suspected = first.name
+    if state.suspected_blocks < (TWICE if len(rivals) < 2 else CLEAR):
+        return []
+    state.suspected = ""
+    before = _sum([state.old, *state.blocks[:-since]])
+    _absorb(state, machine, since, before, first)
+    if first.name in LATENCIES:  # the poses learn it too
+        return []
+    known = next((moved for moved in state.moved if first.name in moved.names), None)
+    if known is None:
+        names = [verdict.name for verdict in rivals]
+        found = Moved(names, first.amounts, first.covariance, state.blocks[0].since_ns, before)
+        state.moved.append(found)
+        return [Found(found, back=False)]
+    _refine(state, machine)
+    if _matters(Verdict(first.name, 0.0, known.amounts, known.covariance)):
+        return [Found(known, back=False)]
+    state.moved.remove(known)
+    return [Found(known, back=True)]
+
+
+def _matters(verdict: Verdict) -> bool:
+    if verdict.name in LATENCIES:
+        return True
+    return float(np.linalg.norm(verdict.amounts)) > LEAST.get(verdict.name, LEAST_MOVED)
+
+
+def _absorb(state: Watch, machine: Machine, since: int, before: Evidence, found: Verdict) -> None:
+    """What was learned before now predicts the samples since: moved by what was found."""
+    directions = directions_of(machine, found.name)
+    mean, covariance = posterior(before)
+    covariance = covariance + drift() + directions @ found.covariance @ directions.T
+    information = np.linalg.inv(covariance) - prior_information()
+    vector = np.linalg.solve(covariance, mean + directions @ found.amounts)
+    state.old, state.old_blocks = Evidence(information, vector, before.since_ns), float(LEAST_BEFORE)
+    state.blocks = state.blocks[-since:]
+
+
+def _refine(state: Watch, machine: Machine) -> None:
+    """The amounts of what has been moved, by all samples since."""
+    if not state.moved:
+        return
+    mean, covariance = posterior(_sum([state.old, *state.blocks]))
+    for moved in state.moved:
+        before_mean, before_covariance = posterior(moved.before)
+        directions = directions_of(machine, moved.names[0])
+        weight = np.linalg.inv(covariance + before_covariance + drift())
+        moved.covariance = np.linalg.inv(directions.T @ weight @ directions)
+        moved.amounts = moved.covariance @ directions.T @ weight @ (mean - before_mean)
+
+
+def directions_of(machine: Machine, name: str) -> Any:
+    """(N, m): change of the constants by each amount of a suspect."""
+    return next(suspect.directions for suspect in suspects(machine) if suspect.name == name)
