@@ -229,6 +229,7 @@ class FlagKind(StrEnum):
     HEADING_BY_YAW_RATE = "heading_by_yaw_rate"
     LATE = "late"
     LATENCY = "latency"
+    LEFT_OUT = "left_out"
     LOST = "lost"
     MISSING = "missing"
     MOVED = "moved"

@@ -62,11 +62,8 @@ _KEYS: Final = {
 }  # fmt: skip
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
 _OFFSETS: Final = (
-    "length of the tractor's pair",
-    "length of the implement's pair",
-    "hitch, along",
-    "hitch, across",
-)
+    "length of the tractor's pair", "length of the implement's pair", "hitch, along", "hitch, across",
+)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -109,15 +106,18 @@ def initial(machine: Machine) -> Consistency:
 
 def observe(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose,
-    segment: Segment | None,
+    segment: Segment | None, moved: Mapping[str, str],
 ) -> list[tuple[str, str]]:  # fmt: skip
-    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events."""
+    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events.
+
+    moved: key -> message, of what the watch has found moved.
+    """
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
     if segment is not None and open_tracker.take(state.open, machine, segment):
         state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
     state.rates_known |= receiver_checks.turn_rates_known(checks)
-    found = _findings_at_pose(state, machine, aligner, checks, pose)
+    found = moved or _findings_at_pose(state, machine, aligner, checks, pose)
     by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
     if found and not any(key in state.findings for key in by_method):
         by_method = {}  # a consequence of what the other checks have found

@@ -6,6 +6,7 @@ position at or after its instant, at the latest DEADLINE_NS after it.
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 
 from tilth.estimator.pose import latency, plausibility
@@ -70,6 +71,15 @@ def initial(machine: Machine) -> Aligner:
         tracks={r.mount.value: Track(round(r.latency.value * 1e9)) for r in present},
         latency=latency.prior(sds),
     )
+
+
+def leave_out(state: Aligner, mounts: Collection[str]) -> None:
+    """Do not use these receivers for poses, but all others; what was found with them is forgotten."""
+    for mount, track in state.tracks.items():
+        track.left_out = mount in mounts
+    state.latency = initial(state.machine).latency
+    state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
+    state.last_heading = [None, None]
 
 
 def is_number(measurement: Measurement) -> bool:

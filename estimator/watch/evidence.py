@@ -1,14 +1,14 @@
 """What samples tell of a handful of constants of the rig, by linear regression.
 
 The constants say by how much the machine file is off, and what cannot be told apart from that: the length of
-each pair, where each body has the hitch, latencies, the yaw of each pair, the wheels' zero. What soil and slope
-do to the slip of an axle is beside them. Absolute values hardly matter here: the watch compares what was with
-what is.
+each pair, where each body has the hitch, latencies, the yaw of each pair, the wheels' zero. What soil and
+slope do to the slip of an axle is beside them. Absolute values hardly matter: the watch compares what was
+with what is.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,17 @@ Array = NDArray[np.float64]
 
 CONSTANTS: Final[dict[str, tuple[float, float]]] = {
     "length_t": (0.3, 0.01), "length_i": (0.3, 0.01),  # m: excess of a pair's length
-    "hitch_t_forward": (0.3, 0.01), "hitch_t_right": (0.3, 0.01),  # m: hitch by the tractor's antennas, too far
-    "hitch_i_forward": (0.3, 0.01), "hitch_i_right": (0.3, 0.01),  # m: the same by the implement's
+    "hitch_t_forward": (0.3, 0.01), "hitch_t_right": (0.3, 0.01),  # m: where the tractor's antennas have it
+    "hitch_i_forward": (0.3, 0.01), "hitch_i_right": (0.3, 0.01),  # m: and the implement's
     "late_tractor_front": (0.06, 0.003), "late_tractor_rear": (0.06, 0.003),  # s
     "late_implement_front": (0.06, 0.003), "late_implement_rear": (0.06, 0.003),  # s
-    "crab_t": (0.05, 0.002), "crab_i": (0.05, 0.002),  # rad: axle's direction of travel minus heading of the pair
+    "crab_t": (0.05, 0.002), "crab_i": (0.05, 0.002),  # rad: way of the axle minus heading of the pair
     "crab_per_turn_t": (0.03, 0.01), "crab_per_turn_i": (0.03, 0.01),  # rad per m/s^2 of lateral acceleration
     "crab_per_roll_t": (0.3, 0.1), "crab_per_roll_i": (0.3, 0.1),  # rad per rad of roll
     "zero": (0.1, 0.002),  # rad: wheels' reading when straight
     "gain": (0.3, 0.03), "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
 }  # fmt: skip
-"""Prior sd of each constant; sd by which it may drift while nothing has been moved: other soil, other slope."""
+"""Prior sd of each constant; sd by which it may drift while nothing is moved: other soil, other slope."""
 NAMES: Final = tuple(CONSTANTS)
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 N: Final = len(NAMES)
@@ -127,7 +127,7 @@ def _velocities(rig: Lengths, bodies: tuple[BodySample, BodySample]) -> tuple[Ar
 
 
 def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, design: Array) -> None:
-    """The first four rows. A receiver that is late by s seconds reports a point s times its velocity behind."""
+    """The first four rows. A receiver that is s seconds late reports a point s times its velocity behind."""
     for body in (0, 1):
         design[body, LENGTH + body] = 1.0
         design[body, LATE + 2 * body : LATE + 2 * body + 2] = -along[2 * body], along[2 * body + 1]
@@ -140,16 +140,12 @@ def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, des
     design[2:4, LATE + 2 : LATE + 4] = -behind[:, 2:]
 
 
-def _zeros(*shape: int) -> Any:
-    return field(default_factory=lambda: np.zeros(shape))
-
-
 @dataclass(slots=True)
 class Evidence:
     """Normal equations of the constants."""
 
-    information: Array = _zeros(N, N)  # in the inverse square of each one's unit
-    vector: Array = _zeros(N)
+    information: Array = field(default_factory=lambda: np.zeros((N, N)))  # in their units^-2
+    vector: Array = field(default_factory=lambda: np.zeros(N))
     since_ns: int = 0  # of its first sample
 
 

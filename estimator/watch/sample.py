@@ -1,10 +1,9 @@
-"""What the watch looks at: both pairs of antennas, the hitch as seen from either body, the wheels, at one instant.
+"""What the watch looks at: both pairs of antennas, the hitch as seen from either body, the wheels.
 
 Latencies are those of the machine file: what is learned of them (pose/latency.py) would follow an antenna
 that was moved along its body. The watch learns them itself, beside the places.
 """
 
-import math
 from dataclasses import dataclass
 
 from tilth.estimator.once import once_for_a_machine

@@ -1,8 +1,8 @@
 """What may have been moved, and how well each explains the difference between what was and what is.
 
-A change adds `directions @ amounts` to the constants of evidence.py. Those of old samples, plus drift, predict
-those of new samples. The likelihood ratio of "this has changed" against "nothing has" is a chi-square in as
-many degrees of freedom as there are amounts, largest for what fits best.
+A change adds `directions @ amounts` to the constants of evidence.py. Those of old samples, plus drift,
+predict those of new samples. The likelihood ratio of "this has changed" against "nothing has" is a chi-square
+in as many degrees of freedom as there are amounts, largest for what fits best.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
 """Has something been moved since this drive began: a receiver, a pair, the wheels' sensor?
 
 Samples go into blocks of 20 s. With each whole block, what the last minute to ten minutes tell of the rig's
-constants is compared with what all driving before that told, for each suspect and each such length of time. A
-suspect that explains the difference far better than chance, by an amount that matters, in two blocks in a row,
-has been moved. It is then compared with how it is now, so that being put back is found too.
+constants is compared with what all driving before that told, for each suspect and each such length of time.
+A suspect that explains the difference far better than chance, by an amount that matters, in two blocks in a
+row, has been moved. From then on it is compared with how it is now, so that being put back is found too.
 """
 
 from dataclasses import dataclass, field
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.watch.accepted import Accepted, in_words, key_of
 from tilth.estimator.watch.evidence import (
     KINDS,
     Evidence,
@@ -33,11 +34,12 @@ from tilth.estimator.watch.suspects import (
     posterior,
     suspects,
 )
-from tilth.schemas.flow import WITHOUT_RTK, Pose
+from tilth.schemas.flow import WITHOUT_RTK, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
+EVENT: Final = "moved"  # kind of the events
 SLOWEST: Final = 1.0  # m/s
 BLOCK: Final = 100  # samples (20 s)
 SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
@@ -73,7 +75,9 @@ class Watch:
     block: Evidence = field(default_factory=Evidence)  # of now
     samples: int = 0  # in it
     mean: Array = field(default_factory=lambda: np.zeros(N))  # of the constants, at the last block
-    scatter: Array = field(default_factory=lambda: np.ones(KINDS))  # variance of a pose's rows over the expected
+    scatter: Array = field(
+        default_factory=lambda: np.ones(KINDS)
+    )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
     suspected: str = ""
     suspected_blocks: int = 0  # in a row
@@ -131,7 +135,9 @@ def _end_block(state: Watch, machine: Machine) -> None:
 
 def _age(state: Watch, block: Evidence) -> None:
     keep = 1.0 - 1.0 / MEMORY
-    state.old = _sum([Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block])
+    state.old = _sum(
+        [Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
+    )
     state.old_blocks = keep * state.old_blocks + 1.0
 
 
@@ -206,15 +212,68 @@ def _absorb(state: Watch, machine: Machine, since: int, before: Evidence, found:
 
 def _refine(state: Watch, machine: Machine) -> None:
     """The amounts of what has been moved, by all samples since."""
-    if not state.moved:
-        return
-    mean, covariance = posterior(_sum([state.old, *state.blocks]))
     for moved in state.moved:
-        before_mean, before_covariance = posterior(moved.before)
-        directions = directions_of(machine, moved.names[0])
-        weight = np.linalg.inv(covariance + before_covariance + drift())
-        moved.covariance = np.linalg.inv(directions.T @ weight @ directions)
-        moved.amounts = moved.covariance @ directions.T @ weight @ (mean - before_mean)
+        moved.amounts, moved.covariance = _amounts(state, machine, moved, moved.names[0])
+
+
+def _amounts(state: Watch, machine: Machine, moved: Moved, name: str) -> tuple[Array, Array]:
+    """(amounts (m,), covariance (m, m)) of a suspect, from the constants before and now."""
+    mean, covariance = posterior(_sum([state.old, *state.blocks]))
+    before_mean, before_covariance = posterior(moved.before)
+    directions = directions_of(machine, name)
+    weight = np.linalg.inv(covariance + before_covariance + drift())
+    found = np.linalg.inv(directions.T @ weight @ directions)
+    return found @ directions.T @ weight @ (mean - before_mean), found
+
+
+def message(found: Found, t_ns: int) -> str:
+    """For the event; t_ns: now."""
+    moved = found.moved
+    what = moved.names[0]
+    if found.back:
+        return f"{what} is where it was before, and is used again"
+    minutes = max(t_ns - moved.since_ns, 0) * 1e-9 / 60.0
+    accept = f"accept it as it is now ({' or '.join(moved.names)}), or put it back"
+    return f"{describe(moved)}; {minutes:.0f} min ago. It is not used: {accept}"
+
+
+def left_out(state: Watch) -> frozenset[str]:
+    """Mounts of the receivers that have been moved and are known by name: the others still give poses."""
+    return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
+
+
+def contradictions(state: Watch) -> dict[str, str]:
+    """Key of the machine file -> message, of what has been moved and cannot be done without."""
+    out = left_out(state)
+    return {key_of(m.names[0]): f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
+
+
+def describe(moved: Moved) -> str:
+    """What has been moved, by how much; and what else that may be."""
+    text = in_words(moved.names[0], moved.amounts.tolist(), np.sqrt(np.diag(moved.covariance)).tolist())
+    return ", or it is ".join([text, *moved.names[1:]])
+
+
+def proposal(state: Watch, machine: Machine, what: str) -> Accepted | None:
+    """The value that may be accepted by that name; None where there is none."""
+    moved = next((moved for moved in state.moved if what in moved.names), None)
+    if moved is None:
+        return None
+    amounts, covariance = _amounts(state, machine, moved, what)
+    return Accepted(what, amounts.tolist(), np.sqrt(np.diag(covariance)).tolist())
+
+
+def accept(state: Watch, machine: Machine, accepted: Accepted) -> None:
+    """The machine file has these values from now on; machine: without them.
+
+    All that was learned is measured against them from here on.
+    """
+    shift = directions_of(machine, accepted.what) @ np.array(accepted.amounts)
+    for evidence in (state.old, *state.blocks, state.block, *(moved.before for moved in state.moved)):
+        evidence.vector = evidence.vector - evidence.information @ shift
+    state.mean = state.mean - shift
+    state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
+    state.suspected = ""
 
 
 def directions_of(machine: Machine, name: str) -> Any:
