@@ -21,7 +21,7 @@ DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
 DAYS: Final = 3 * 365
-ORDERS: Final = ("mark", "report/make")  # keys that change something: not for readers
+ORDERS: Final = ("mark", "accept", "report/make")  # keys that change something: not for readers
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LARGEST: Final = 1_048_576  # bytes of one message that the daemon takes in; a mark has a few hundred
 

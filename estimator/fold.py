@@ -29,11 +29,12 @@ from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
-from tilth.estimator.watch.accepted import Accepted, corrected, in_words, line_of
+from tilth.estimator.watch.accepted import acceptance, corrected
 from tilth.estimator.watch.watch import Watch
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
+    Accepted,
     Estimate,
     Event,
     FitOutcome,
@@ -273,24 +274,22 @@ def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         _publish_event(state, t_ns, watch.EVENT, watch.message(one, t_ns), out)
     if found:
         aligner.leave_out(state.aligner, watch.left_out(state.watch))
-        consistency.discard_findings(state.consistency, state.machine)
+        consistency.left_out(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
 
 
-def accept(state: State, t_ns: int, accepted: Accepted) -> list[Publication]:
+def accept(state: State, accepted: Accepted) -> list[Publication]:
     """Use a value that the watch has found and the operator accepted; the caller has logged it."""
-    out: list[Publication] = []
+    out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
     watch.accept(state.watch, state.machine, accepted)
     state.accepted.append(accepted)
-    state.machine = state.aligner.machine = corrected(state.machine, [accepted])
+    state.machine = state.aligner.machine = machine
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     state.consistency = consistency.initial(state.machine)
     _reset_estimators(state, t_ns)
-    line = line_of(state.machine, accepted.what)
-    text = f"accepted: {in_words(accepted.what, accepted.amounts, accepted.sds)}; in the machine file: {line}"
-    _publish_event(state, t_ns, "accepted", text, out)
+    _publish_event(state, t_ns, "accepted", acceptance(machine, accepted), out)
     return out
 
 

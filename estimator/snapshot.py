@@ -16,10 +16,10 @@ from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch.accepted import Accepted, corrected
+from tilth.estimator.watch.accepted import corrected
 from tilth.estimator.watch.watch import Watch
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Flag
+from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
 VERSION: Final = 7

@@ -2,24 +2,15 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
-from tilth.schemas.flow import Mount
+from tilth.schemas.flow import Accepted, Mount
 from tilth.schemas.machine import Machine, Quantity, Receiver
 from tilth.schemas.spread import plus_minus
 
 KNOWN: Final = (*(mount.value for mount in Mount), *PAIRS, WHEEL, DRAWBAR)
-
-
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """One value."""
-
-    what: str  # of KNOWN
-    amounts: list[float]  # by which it has been moved: forward and right, m; or one angle, rad; or m
-    sds: list[float]
+"""All that may be found moved, and accepted."""
 
 
 def corrected(machine: Machine, accepted: Iterable[Accepted]) -> Machine:
@@ -32,8 +23,8 @@ def corrected(machine: Machine, accepted: Iterable[Accepted]) -> Machine:
 def _corrected(machine: Machine, one: Accepted) -> Machine:
     if one.what == WHEEL:
         zero, (angle,), (sd,) = machine.wheel_angle.zero, one.amounts, one.sds
-        moved = Quantity(value=zero.value + math.degrees(angle), sd=math.hypot(zero.sd, math.degrees(sd)))
-        wheel = machine.wheel_angle.model_copy(update={"zero": moved})
+        slipped = Quantity(value=zero.value + math.degrees(angle), sd=math.hypot(zero.sd, math.degrees(sd)))
+        wheel = machine.wheel_angle.model_copy(update={"zero": slipped})
         return machine.model_copy(update={"wheel_angle": wheel})
     if one.what == DRAWBAR:
         (amount,), (sd,) = one.amounts, one.sds
@@ -106,6 +97,12 @@ def line_of(machine: Machine, what: str) -> str:
     return "; ".join(
         f"{r.mount.value} position = [{', '.join(f'{x:.3f}' for x in r.position)}]" for r in mounts
     )
+
+
+def acceptance(machine: Machine, accepted: Accepted) -> str:
+    """For the event; machine: with the value."""
+    what = in_words(accepted.what, accepted.amounts, accepted.sds)
+    return f"accepted: {what}; for the machine file: {line_of(machine, accepted.what)}"
 
 
 def _one(machine: Machine, mount: str) -> Receiver:

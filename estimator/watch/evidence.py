@@ -86,7 +86,7 @@ def lengths(machine: Machine) -> Lengths:
     )  # fmt: skip
 
 
-def rows(rig: Lengths, now: Sample) -> tuple[Array, Array, Array]:
+def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
     """(kinds, design (n, N), measured (n,)) of a sample: which rows of KINDS it gives, n of them."""
     design, measured, there = np.zeros((KINDS, N)), np.zeros(KINDS), np.zeros(KINDS, bool)
     bodies = (now.tractor, now.implement)
@@ -108,7 +108,7 @@ def rows(rig: Lengths, now: Sample) -> tuple[Array, Array, Array]:
         design[6, ZERO : ZERO + 4] = 1.0, path, u * r, now.tractor.roll
         measured[6] = wheel - path
         there[6] = True
-    kinds = np.flatnonzero(there)
+    kinds = np.flatnonzero(there).astype(np.int64)
     return kinds, design[kinds], measured[kinds]
 
 

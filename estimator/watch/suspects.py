@@ -86,9 +86,13 @@ def _turned(rig: Lengths, body: int) -> Array:
     return (_moved(rig, 2 * body) - _moved(rig, 2 * body + 1))[:, 1:] * half
 
 
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
 def posterior(evidence: Evidence) -> tuple[Array, Array]:
     """(mean (N,), covariance (N, N)) of the constants."""
-    covariance = np.linalg.inv(evidence.information + prior_information())
+    covariance = _inverse(evidence.information + prior_information())
     return covariance @ evidence.vector, covariance
 
 
@@ -103,7 +107,7 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> li
     found = []
     for suspect in suspects(machine):
         d = suspect.directions
-        spread = np.linalg.inv(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
+        spread = _inverse(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
         along = d.T @ score
         amounts = spread @ along
         found.append(Verdict(suspect.name, float(along @ amounts), amounts, spread))

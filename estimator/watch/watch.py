@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
-from tilth.estimator.watch.accepted import Accepted, in_words, key_of
+from tilth.estimator.watch.accepted import in_words, key_of
 from tilth.estimator.watch.evidence import (
     KINDS,
     Evidence,
@@ -34,7 +34,7 @@ from tilth.estimator.watch.suspects import (
     posterior,
     suspects,
 )
-from tilth.schemas.flow import WITHOUT_RTK, Mount, Pose
+from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -48,9 +48,9 @@ MEMORY: Final = 180.0  # blocks (an hour of driving) over which older samples co
 SURE: Final = 25.0  # chi-square; of right rigs over 40 h the largest was half of it
 RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
 TWICE: Final = 2  # blocks in a row
-CLEAR: Final = 6  # blocks after which it is said although a rival is left
-LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.0087)  # rad, rad, m: half a degree
-LEAST_MOVED: Final = 0.035  # m, of a receiver; the half degree of its pair
+CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
+LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.007)  # rad, m, rad
+LEAST_MOVED: Final = 0.025  # m, of a receiver: it turns its pair by half a degree
 SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
 
 
@@ -58,11 +58,13 @@ SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
 class Moved:
     """Something that has been moved and not been accepted."""
 
-    names: list[str]  # the best explanation first; more than one where the samples do not tell them apart
+    names: list[str]  # the best explanation first; more than one until the samples tell them apart
     amounts: Array  # (m,) of names[0]: forward and right, m; or one angle, rad; or m
     covariance: Array  # (m, m)
     since_ns: int  # it happened about then
-    before: Evidence  # the constants before
+    before: Evidence  # all samples before that
+    after: Evidence  # those since then
+    followed: bool = True  # `after` grows, since nothing else has been moved meanwhile
 
 
 @dataclass(slots=True)
@@ -79,16 +81,15 @@ class Watch:
         default_factory=lambda: np.ones(KINDS)
     )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
-    suspected: str = ""
-    suspected_blocks: int = 0  # in a row
+    suspected_blocks: int = 0  # in a row, in which something was suspected
     moved: list[Moved] = field(default_factory=list)
 
 
 class Found(NamedTuple):
-    """What is new: `back` where it is again where it was."""
+    """What is new: it has been moved, or it is known now which one it was, or it is back where it was."""
 
     moved: Moved
-    back: bool
+    back: bool = False
 
 
 def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
@@ -106,7 +107,7 @@ def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
     return _look(state, aligner.machine)
 
 
-def _add(state: Watch, machine: Machine, given: tuple[Array, Array, Array], t_ns: int) -> None:
+def _add(state: Watch, machine: Machine, given: tuple[NDArray[np.int64], Array, Array], t_ns: int) -> None:
     kinds, design, measured = given
     rig, block = lengths(machine), state.block
     block.since_ns = block.since_ns or t_ns
@@ -152,7 +153,7 @@ def _sum(parts: list[Evidence]) -> Evidence:
 
 def _look(state: Watch, machine: Machine) -> list[Found]:
     state.mean, _ = posterior(_sum([state.old, *state.blocks]))
-    _refine(state, machine)
+    told = _follow(state, machine)
     best: tuple[int, list[Verdict]] | None = None
     for since in SINCE:
         if state.old_blocks + len(state.blocks) - since < LEAST_BEFORE:
@@ -162,33 +163,60 @@ def _look(state: Watch, machine: Machine) -> list[Found]:
         if best is None or verdicts[0].chi_square > best[1][0].chi_square:
             best = (since, verdicts)
     if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
-        state.suspected = ""
-        return []
-    return _suspect(state, machine, *best)
+        state.suspected_blocks = 0
+        return told
+    return told + _suspect(state, machine, *best)
+
+
+def _follow(state: Watch, machine: Machine) -> list[Found]:
+    """How far what has been moved is moved by all samples since; returns what is known by name now."""
+    told = []
+    for moved in state.moved:
+        if moved.followed:
+            moved.after = _sum([moved.after, state.blocks[-1]])
+        verdicts = judge(machine, *posterior(moved.before), moved.after)
+        names = _names(verdicts)
+        if len(moved.names) > 1 and names:
+            moved.names = names
+            if len(names) == 1:
+                told.append(Found(moved))
+        _set(moved, next(verdict for verdict in verdicts if verdict.name == moved.names[0]))
+    return told
+
+
+def _set(moved: Moved, verdict: Verdict) -> None:
+    moved.amounts, moved.covariance = verdict.amounts, verdict.covariance
+
+
+def _names(verdicts: list[Verdict]) -> list[str]:
+    """What explains it about as well as the best does."""
+    least = verdicts[0].chi_square - RIVAL
+    return [v.name for v in verdicts if v.chi_square > least and v.name not in LATENCIES]
 
 
 def _suspect(state: Watch, machine: Machine, since: int, verdicts: list[Verdict]) -> list[Found]:
-    """Something has been moved, if it is suspected for the second time."""
-    first = verdicts[0]
-    rivals = [v for v in verdicts if v.chi_square > first.chi_square - RIVAL and v.name not in LATENCIES]
-    state.suspected_blocks = state.suspected_blocks + 1 if state.suspected else 1
-    state.suspected = first.name
-    if state.suspected_blocks < (TWICE if len(rivals) < 2 else CLEAR):
+    """Something has been moved, if that is so block after block."""
+    first, names = verdicts[0], _names(verdicts)
+    state.suspected_blocks += 1
+    if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
         return []
-    state.suspected = ""
-    before = _sum([state.old, *state.blocks[:-since]])
+    state.suspected_blocks = 0
+    before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)
+    for moved in state.moved:
+        moved.followed = False
     if first.name in LATENCIES:  # the poses learn it too
         return []
     known = next((moved for moved in state.moved if first.name in moved.names), None)
     if known is None:
-        names = [verdict.name for verdict in rivals]
-        found = Moved(names, first.amounts, first.covariance, state.blocks[0].since_ns, before)
+        found = Moved(names, first.amounts, first.covariance, after.since_ns, before, after)
         state.moved.append(found)
-        return [Found(found, back=False)]
-    _refine(state, machine)
-    if _matters(Verdict(first.name, 0.0, known.amounts, known.covariance)):
-        return [Found(known, back=False)]
+        return [Found(found)]
+    known.after, known.followed = after, True
+    again = judge(machine, *posterior(known.before), after)
+    _set(known, next(verdict for verdict in again if verdict.name == known.names[0]))
+    if _matters(Verdict(known.names[0], 0.0, known.amounts, known.covariance)):
+        return [Found(known)]
     state.moved.remove(known)
     return [Found(known, back=True)]
 
@@ -208,22 +236,6 @@ def _absorb(state: Watch, machine: Machine, since: int, before: Evidence, found:
     vector = np.linalg.solve(covariance, mean + directions @ found.amounts)
     state.old, state.old_blocks = Evidence(information, vector, before.since_ns), float(LEAST_BEFORE)
     state.blocks = state.blocks[-since:]
-
-
-def _refine(state: Watch, machine: Machine) -> None:
-    """The amounts of what has been moved, by all samples since."""
-    for moved in state.moved:
-        moved.amounts, moved.covariance = _amounts(state, machine, moved, moved.names[0])
-
-
-def _amounts(state: Watch, machine: Machine, moved: Moved, name: str) -> tuple[Array, Array]:
-    """(amounts (m,), covariance (m, m)) of a suspect, from the constants before and now."""
-    mean, covariance = posterior(_sum([state.old, *state.blocks]))
-    before_mean, before_covariance = posterior(moved.before)
-    directions = directions_of(machine, name)
-    weight = np.linalg.inv(covariance + before_covariance + drift())
-    found = np.linalg.inv(directions.T @ weight @ directions)
-    return found @ directions.T @ weight @ (mean - before_mean), found
 
 
 def message(found: Found, t_ns: int) -> str:
@@ -254,13 +266,15 @@ def describe(moved: Moved) -> str:
     return ", or it is ".join([text, *moved.names[1:]])
 
 
-def proposal(state: Watch, machine: Machine, what: str) -> Accepted | None:
+def proposal(state: Watch, machine: Machine, what: str, t_ns: int) -> Accepted | None:
     """The value that may be accepted by that name; None where there is none."""
     moved = next((moved for moved in state.moved if what in moved.names), None)
     if moved is None:
         return None
-    amounts, covariance = _amounts(state, machine, moved, what)
-    return Accepted(what, amounts.tolist(), np.sqrt(np.diag(covariance)).tolist())
+    verdicts = judge(machine, *posterior(moved.before), moved.after)
+    found = next(verdict for verdict in verdicts if verdict.name == what)
+    sds = np.sqrt(np.diag(found.covariance))
+    return Accepted(t_ns, what, tuple(found.amounts.tolist()), tuple(sds.tolist()))
 
 
 def accept(state: Watch, machine: Machine, accepted: Accepted) -> None:
@@ -269,11 +283,12 @@ def accept(state: Watch, machine: Machine, accepted: Accepted) -> None:
     All that was learned is measured against them from here on.
     """
     shift = directions_of(machine, accepted.what) @ np.array(accepted.amounts)
-    for evidence in (state.old, *state.blocks, state.block, *(moved.before for moved in state.moved)):
+    held = [evidence for moved in state.moved for evidence in (moved.before, moved.after)]
+    for evidence in (state.old, *state.blocks, state.block, *held):
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
-    state.suspected = ""
+    state.suspected_blocks = 0
 
 
 def directions_of(machine: Machine, name: str) -> Any:
