@@ -31,7 +31,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "jd7930-parker500"
 BASE = f"tilth/{NAME}"
-ORDERED = ("mark", "report/make")
+ORDERED = ("mark", "accept", "report/make")
 NOW = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
 
 
