@@ -4,7 +4,7 @@ Nothing here may depend on whether it runs live: the result is a function of the
 frames in their order.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,18 +23,22 @@ from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
+from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.estimator.watch import watch
+from tilth.estimator.watch.accepted import acceptance, corrected
+from tilth.estimator.watch.watch import Watch
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
+    Accepted,
     Estimate,
     Event,
     FitOutcome,
     Flag,
-    FlagKind,
     Frame,
     Measurement,
     Pose,
@@ -44,21 +48,6 @@ from tilth.schemas.flow import (
 from tilth.schemas.machine import Machine
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
-
-_FLAG_TEXT = {
-    FlagKind.LOST: "gives no usable position",
-    FlagKind.WAITING: "has given no position yet",
-    FlagKind.FLOATING: "lost its RTK fix (float)",
-    FlagKind.NO_RTK: "has no RTK fix",
-    FlagKind.NO_FIX: "has no position fix",
-    FlagKind.REPEATING: "repeats old positions",
-    FlagKind.SWAPPED: "stands in another's place: two receivers are exchanged",
-    FlagKind.MOVED: "is not where the machine file says",
-    FlagKind.DOUBTFUL: "does not fit the rig at this instant",
-    FlagKind.LATE: "is late; its position is carried on",
-    FlagKind.LATENCY: "reports later than the machine file allows, or was moved along",
-    FlagKind.FIX_UNKNOWN: "has stopped telling its fix",
-}
 
 
 @dataclass(slots=True)
@@ -72,6 +61,8 @@ class State:
     consistency: Consistency  # of the data with the machine file
     estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
     checks: ReceiverChecks = field(default_factory=ReceiverChecks)
+    watch: Watch = field(default_factory=Watch)  # of what may be moved while driving
+    accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
     previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
     """Method -> what the run before had learned, from which this run has started."""
     previous_run_ns: int = 0  # when that run had saved them
@@ -108,13 +99,15 @@ class State:
         return counts
 
 
-def initial(machine: Machine) -> State:
-    """The state before the first frame."""
+def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
+    """The state before the first frame. accepted: values in place of those of the machine file."""
+    machine = corrected(machine, accepted)
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(
         machine, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
         consistency.initial(machine), estimators,
     )  # fmt: skip
+    state.accepted = list(accepted)
     state.estimates = estimates_now(state)
     return state
 
@@ -212,18 +205,14 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
     out.append(Publication(t_ns, "/pose", pose))
     _publish_drawing(state, t_ns, pose, out)
-    for flag in pose.flags:
-        if flag not in state.flags and flag.kind in _FLAG_TEXT:
-            text = "is silent" if flag.of == "wheel_angle" else _FLAG_TEXT[flag.kind]
-            out.append(Publication(t_ns, "/event", Event(t_ns, flag.kind, f"{flag.of} {text}")))
-    for flag in state.flags:
-        if flag not in pose.flags and flag.kind in _FLAG_TEXT:
-            out.append(Publication(t_ns, "/event", Event(t_ns, flag.kind, f"{flag.of}: over")))
+    for kind, text in flag_events(state.flags, pose.flags):
+        out.append(Publication(t_ns, "/event", Event(t_ns, kind, text)))
     state.flags = pose.flags
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_checks(state, t_ns, out)
+    _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
     if not state.ready:
@@ -247,7 +236,10 @@ def _check_consistency(
 ) -> bool:
     """Check the data against the machine file. Returns whether they contradict it, so that nothing is
     learned."""
-    events = consistency.observe(state.consistency, state.machine, state.aligner, state.checks, pose, segment)
+    moved = watch.contradictions(state.watch)
+    events = consistency.observe(
+        state.consistency, state.machine, state.aligner, state.checks, pose, segment, moved
+    )
     for kind, text in events:
         _publish_event(state, t_ns, kind, text, out)
     if state.consistency.must_forget:
@@ -274,6 +266,31 @@ def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
     if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
         consistency.discard_findings(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
+
+
+def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
+    """Report what has been moved; leave it out, and what was learned with it."""
+    for one in (found := watch.observe(state.watch, state.aligner, pose)):
+        _publish_event(state, t_ns, watch.EVENT, watch.message(one, t_ns), out)
+    if found:
+        aligner.leave_out(state.aligner, watch.left_out(state.watch))
+        consistency.left_out(state.consistency, state.machine)
+        _reset_estimators(state, t_ns)
+
+
+def accept(state: State, accepted: Accepted) -> list[Publication]:
+    """Use a value that the watch has found and the operator accepted; the caller has logged it."""
+    out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
+    watch.accept(state.watch, state.machine, accepted)
+    state.accepted.append(accepted)
+    state.machine = state.aligner.machine = machine
+    before, state.decoder = state.decoder, Decoder(state.machine)
+    state.decoder.load(before.dump())
+    aligner.leave_out(state.aligner, watch.left_out(state.watch))
+    state.consistency = consistency.initial(state.machine)
+    _reset_estimators(state, t_ns)
+    _publish_event(state, t_ns, "accepted", acceptance(machine, accepted), out)
+    return out
 
 
 def _exclude_smoothed_turn_rates(state: State) -> None:

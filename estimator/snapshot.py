@@ -16,11 +16,13 @@ from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.estimator.watch.accepted import corrected
+from tilth.estimator.watch.watch import Watch
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Flag
+from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 6
+VERSION: Final = 7
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 
@@ -39,6 +41,8 @@ def snapshot(state: State) -> str:
         "consistency": consistency_json(state.consistency),
         "estimators": {row.method: row.to_json(state.estimators[row.method]) for row in rows},
         "checks": to_json_data(state.checks),
+        "watch": to_json_data(state.watch),
+        "accepted": to_json_data(state.accepted),
         "previous_run": {method: saved.to_json() for method, saved in state.previous_run.items()},
         "previous_run_ns": state.previous_run_ns,
         "frames": state.frames,
@@ -59,7 +63,9 @@ def restore(machine: Machine, text: str) -> State:
     """The state that `snapshot` wrote. Raises NotRestorable."""
     stored = _parse_current(text)
     try:
-        state = _state_of(machine, stored)
+        accepted = stored.value(list[Accepted], "accepted")
+        state = _state_of(corrected(machine, accepted), stored)
+        state.accepted = accepted
         if set(state.aligner.tracks) != {receiver.mount.value for receiver in machine.receiver}:
             raise NotRestorable("it is of a machine with other receivers")
         state.estimates = estimates_now(state)
@@ -119,6 +125,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         consistency=consistency_of(stored.raw("consistency")),
         estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
+        watch=stored.value(Watch, "watch"),
         previous_run={
             method: SavedPosterior.from_json(stored_posterior)
             for method, stored_posterior in stored.raw("previous_run").items()

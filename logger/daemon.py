@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tilth.estimator.fold import RECOMMENDED
+from tilth.logger.accept_log import KEY as ACCEPT
+from tilth.logger.accept_log import AcceptLog
 from tilth.logger.can.bus_opening import open_port
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.port_threads import Opener
@@ -81,16 +83,16 @@ class Daemon:
             folder, machine, machine_text, clock, self._report, fold.renew, with_state=warmed, note=note
         )
         outlets = Outlets(recording, display, self._events, clock)
-        marks = MarkLog(fold, clock, outlets)
+        marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
         run_report = RunReport(outlets, clock, self._report)
         sensors = Sensors(machine)
         self.parts = RunParts(
-            clock, supervisor, estimation, buses, outlets, marks, run_report, sensors, counts
+            clock, supervisor, estimation, buses, outlets, marks, accepts, run_report, sensors, counts
         )
         if not fold.ready:
             self._log_ready(estimation.preparing.text)
         if suffix is not None:
-            answers = {"mark": marks.marks.take, **run_report.answers}
+            answers = {"mark": marks.marks.take, ACCEPT: accepts.requests.take, **run_report.answers}
             outlets.open_zenoh(lambda: ZenohSink(machine, suffix, answers=answers))
         self._status = pb.Status()  # the last
         self._next_second_ns = counts.started_ns
@@ -121,6 +123,7 @@ class Daemon:
             parts.outlets.show(self._status, parts.estimation.fold.estimates[RECOMMENDED])
         parts.outlets.put_events()
         parts.marks.turn()
+        parts.accepts.turn()
         parts.run_report.turn()
         ended_ns = parts.clock.t_ns()
         parts.counts.turned(ended_ns - began_ns)
@@ -138,6 +141,7 @@ class Daemon:
             last.callback(parts.outlets.close)
             last.callback(parts.outlets.put_events)
             last.callback(parts.marks.turn)
+            last.callback(parts.accepts.turn)
             last.callback(parts.outlets.recording.close)
             last.callback(parts.run_report.close)
             last.callback(parts.estimation.worker.close)

@@ -45,6 +45,10 @@ class Fitter(Protocol):
         """The result, waited for; None if it failed."""
         ...
 
+    def use(self, machine: Machine) -> None:
+        """Another description of the rig, from now on. No fit is pending."""
+        ...
+
 
 class InPlace:
     """Makes each fit when it is due, always in time."""
@@ -60,6 +64,9 @@ class InPlace:
 
     def made(self, method: str, job: Any) -> Any:
         return make(self._machine, method, job)[0]
+
+    def use(self, machine: Machine) -> None:
+        self._machine = machine
 
 
 class Worker:
@@ -116,6 +123,12 @@ class Worker:
             ticket = self._tickets[method][1]
             self._changed.wait_for(lambda: ticket in self._results)
             return self._take(method, job)
+
+    def use(self, machine: Machine) -> None:
+        with self._changed:
+            self._machine = machine
+            self._given_up = self._process is not None
+        self.forget()
 
     def forget(self) -> None:
         """Whatever is asked from now on is of another run, which may have the same stamps."""
@@ -268,6 +281,9 @@ class ReplayedFits:
 
     def made(self, method: str, job: Any) -> Any:
         return self._worker.made(method, job)
+
+    def use(self, machine: Machine) -> None:
+        self._worker.use(machine)
 
     def close(self) -> None:
         self._worker.close()

@@ -4,11 +4,12 @@ Live and replay both drive this, so that a replay fails where the live run faile
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from tilth.estimator.fold import (
     RECOMMENDED,
     State,
+    accept,
     adopt,
     decide,
     finish,
@@ -23,10 +24,12 @@ from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.estimator.watch import watch
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
     PARAMETERS,
+    Accepted,
     Estimate,
     Event,
     FitOutcome,
@@ -60,6 +63,8 @@ class GuardedFold:
         self.estimates = dict(self.state.estimates)  # method -> the last, also of a fault
         self._machine = machine
         self._fitter = fitter or InPlace(machine)
+        if self.state.accepted:
+            self._fitter.use(self.state.machine)
         self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
         for method, job, due_ns in pending(self.state):
             decided = self.state.estimators[method].decided
@@ -88,6 +93,32 @@ class GuardedFold:
     @ready.setter
     def ready(self, ready: bool) -> None:
         self.state.ready = ready
+
+    @property
+    def accepted(self) -> list[Accepted]:
+        """Values that the operator has accepted, in place of those of the machine file."""
+        return list(self.state.accepted)
+
+    @property
+    def moved(self) -> list[tuple[list[str], str]]:
+        """(names by which it may be accepted, what and by how much) of what has been found moved."""
+        return [(list(moved.names), watch.describe(moved)) for moved in self.state.watch.moved]
+
+    def proposal(self, what: str, t_ns: int) -> Accepted | None:
+        """The value that may be accepted by that name now; None if there is none."""
+        return watch.proposal(self.state.watch, self.state.machine, what, t_ns)
+
+    def accept(self, accepted: Accepted) -> list[tuple[Publication, bytes]]:
+        """Use a value that the operator has accepted, which the caller has logged."""
+        try:
+            publications = accept(self.state, accepted)
+        except Exception as error:  # the same edge as in `take`
+            publications = self._start_anew(accepted.t_ns, error)
+        self._fitter.use(self.state.machine)
+        self._decided.clear()
+        self._due_ns = self._first_due_ns()
+        self.estimates = dict(self.state.estimates)
+        return [(publication, payload(publication)) for publication in publications]
 
     @property
     def measurements(self) -> int:
@@ -206,9 +237,21 @@ class GuardedFold:
         """Method -> what it has learned, for the next run."""
         return save_learned(self.state, t_ns)
 
-    def warm(self, learned: Mapping[str, SavedPosterior], elapsed_s: float, t_ns: int) -> dict[str, str]:
-        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or ""."""
+    def warm(
+        self,
+        learned: Mapping[str, SavedPosterior],
+        elapsed_s: float,
+        t_ns: int,
+        accepted: Sequence[Accepted] = (),
+    ) -> dict[str, str]:
+        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or "".
+
+        accepted: by the operator in earlier runs."""
         try:
+            if accepted:
+                ready, self.state = self.state.ready, initial(self._machine, accepted)
+                self.state.ready = ready
+                self._fitter.use(self.state.machine)
             refusals = resume(self.state, learned, elapsed_s, t_ns)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
@@ -237,7 +280,7 @@ class GuardedFold:
         self._due_ns = None
 
     def _initial(self) -> State:
-        state = initial(self._machine)
+        state = initial(self._machine, self.state.accepted)
         state.ready = self.state.ready
         return state
 

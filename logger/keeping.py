@@ -32,6 +32,7 @@ class Keeping:
     def keep(self, t_ns: int, recording: Recording) -> None:
         """Write it in the thread that waits for the disk."""
         self._next_ns = t_ns + EVERY_NS
-        if learned := self._fold.keep(t_ns):
-            text = warm_start_file.text_of(self._machine, learned, t_ns)
+        learned, accepted = self._fold.keep(t_ns), self._fold.accepted
+        if learned or accepted:
+            text = warm_start_file.text_of(self._machine, learned, t_ns, accepted)
             recording.on_disk_thread(lambda: warm_start_file.write(self._path, text))

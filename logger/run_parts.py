@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from tilth.logger.accept_log import AcceptLog
 from tilth.logger.can.buses import Buses
 from tilth.logger.clock import Clock
 from tilth.logger.live_estimation import LiveEstimation
@@ -24,6 +25,7 @@ class RunParts:
     buses: Buses
     outlets: Outlets
     marks: MarkLog
+    accepts: AcceptLog
     run_report: RunReport
     sensors: Sensors
     counts: LoopCounts
@@ -47,6 +49,7 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
         rejected=[pb.Count(reason=reason, count=n) for reason, n in all_rejected(parts).items()],
         preparing=estimation.preparing.text,
         ready_in_s=estimation.preparing.remaining_s,
+        moved=[pb.Moved(names=names, text=text) for names, text in estimation.fold.moved],
     )
     log_status(status, recording)
     if estimation.worker.seconds is not None:

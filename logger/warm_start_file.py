@@ -7,19 +7,30 @@ of another rig. What a run takes from it stands as the first state in its log.
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
 FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
-Warm = Callable[[Mapping[str, SavedPosterior], float, int], dict[str, str]]  # GuardedFold.warm
+Warm = Callable[[Mapping[str, SavedPosterior], float, int, Sequence[Accepted]], dict[str, str]]
+"""GuardedFold.warm."""
 Report = Callable[[str, str], None]  # kind and text of an event
+
+
+class Kept(NamedTuple):
+    """What earlier runs have left."""
+
+    learned: dict[str, SavedPosterior]  # by method
+    elapsed_s: float  # since then
+    accepted: list[Accepted]  # in place of values of the machine file
 
 
 class NotUsable(Exception):
@@ -31,14 +42,17 @@ def path_of(folder: Path, machine: Machine) -> Path:
     return folder / f"{machine.name}.warm.json"
 
 
-def text_of(machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int) -> str:
-    """What is to be written."""
+def text_of(
+    machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int, accepted: Sequence[Accepted] = ()
+) -> str:
+    """What is to be written. machine: as its file describes it, without what has been accepted."""
     plain = {
         "format": FORMAT,
         "machine": machine.name,
         "utc_ns": utc_ns,
         "sections": _digests(machine),
         "methods": {method: one.to_json() for method, one in learned.items()},
+        "accepted": to_json_data(list(accepted)),
     }
     return json.dumps(plain, indent=1)
 
@@ -53,8 +67,8 @@ def write(path: Path, text: str) -> None:
     new.replace(path)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, SavedPosterior], float] | None:
-    """(method -> what was kept, s since then); None where nothing was. Raises NotUsable."""
+def read(path: Path, machine: Machine, utc_ns: int) -> Kept | None:
+    """What was kept; None where nothing was. Raises NotUsable."""
     try:
         plain = json.loads(path.read_text())
     except FileNotFoundError:
@@ -68,12 +82,15 @@ def read(path: Path, machine: Machine, utc_ns: int) -> tuple[dict[str, SavedPost
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
         learned = {method: SavedPosterior.from_json(one) for method, one in plain["methods"].items()}
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
+        accepted = Stored({"accepted": plain.get("accepted", [])}, str(path)).value(
+            list[Accepted], "accepted"
+        )
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S
+    return Kept(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted)
 
 
 def _digests(machine: Machine) -> dict[str, str]:
@@ -96,12 +113,16 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         return False
     if found is None:
         return False
-    refusals = warm(*found, t_ns)
+    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted)
     used = [method for method, refusal in refusals.items() if not refusal]
     for method, refusal in refusals.items():
         if refusal:
             report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
     if used:
-        names, hours = ", ".join(used), found[1] / 3600.0
+        names, hours = ", ".join(used), found.elapsed_s / 3600.0
         report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
-    return bool(used)
+    for one in found.accepted:
+        report(
+            "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"
+        )
+    return bool(used or found.accepted)

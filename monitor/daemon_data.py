@@ -139,9 +139,17 @@ class DaemonData:
 
     def mark(self, text: str) -> MarkAnswer:
         """Ask for a note in the log, and wait until it is there. Not in the loop's own thread."""
+        return self._log("mark", text)
+
+    def accept(self, name: str) -> MarkAnswer:
+        """Ask for what has been found moved to be taken as it is now, and wait until that is in the log. Not
+        in the loop's own thread."""
+        return self._log("accept", name)
+
+    def _log(self, key: str, text: str) -> MarkAnswer:
         if not self.base:
-            return MarkAnswer(False, "no daemon has been heard yet: the mark is not in the log")
-        for reply in self._session.get(f"{self.base}/mark", payload=text.encode(), timeout=MARK_S):
+            return MarkAnswer(False, f"no daemon has been heard yet: the {key} is not in the log")
+        for reply in self._session.get(f"{self.base}/{key}", payload=text.encode(), timeout=MARK_S):
             return (
                 MarkAnswer(True, "in the log") if reply.ok is not None else MarkAnswer(False, _refusal(reply))
             )

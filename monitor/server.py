@@ -54,6 +54,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/page.css", "page.css", "text/css"),
     ("/main.js", "main.js", "text/javascript"),
     ("/marks.js", "marks.js", "text/javascript"),
+    ("/moved.js", "moved.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
     ("/experiment.js", "experiment.js", "text/javascript"),
@@ -166,12 +167,15 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         yield
         turning.cancel()
 
-    async def mark(request: Request) -> Response:
-        try:
-            text = await _mark_text(request)
-        except ValueError as error:
-            return _answer(MarkAnswer(False, str(error)), 400)
-        return _answer(await run_in_threadpool(daemon_data.mark, text), 200)
+    def logged(ask: Callable[[str], MarkAnswer]) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            try:
+                text = await _mark_text(request)
+            except ValueError as error:
+                return _answer(MarkAnswer(False, str(error)), 400)
+            return _answer(await run_in_threadpool(ask, text), 200)
+
+        return answer
 
     async def order(request: Request) -> Response:
         try:
@@ -205,7 +209,9 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         return Response(data, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
 
     routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
-    routes += [Route("/mark", mark, methods=["POST"]), Route("/player", order, methods=["POST"])]
+    for path, ask in (("/mark", daemon_data.mark), ("/accept", daemon_data.accept)):
+        routes.append(Route(path, logged(ask), methods=["POST"]))
+    routes.append(Route("/player", order, methods=["POST"]))
     routes.append(Route("/experiment", experiment, methods=["POST"]))
     routes += [Route("/report", make_report, methods=["POST"]), Route("/report.html", report_file)]
     for name, asked in (("runs", runs_of), ("places", places_of)):

@@ -20,13 +20,15 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers.any_log import open_log, place
 from tilth.replay.readers.log import EmptyLog, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
-from tilth.schemas.channels import FIT_TOPIC, READY_TOPIC, payload
-from tilth.schemas.flow import Estimate, Event, Frame, Origin, Pose, Publication
+from tilth.schemas.channels import ACCEPTED_TOPIC, FIT_TOPIC, READY_TOPIC, payload
+from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
+from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
-INPUTS = frozenset({FIT_TOPIC, READY_TOPIC})  # what enters the fold besides frames and stored states
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC})
+"""What enters the fold besides frames and stored states."""
 WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
@@ -202,6 +204,8 @@ class _Run:
                 self._snapshot(log, record)
             elif record.topic == READY_TOPIC:
                 self._ready(log, record)
+            elif record.topic == ACCEPTED_TOPIC:
+                self._accept(record)
             else:
                 if comparison is not None:
                     comparison.logged(record)
@@ -240,6 +244,14 @@ class _Run:
         self._fold.ready = ready.ready
         if self._outputs.writer is not None:
             self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
+
+    def _accept(self, record: Logged) -> None:
+        """Use a value that the operator accepted, as the daemon did."""
+        said = pb.Accepted.FromString(record.data)
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(ACCEPTED_TOPIC, record.t_ns, record.data)
+        accepted = Accepted(said.t_ns, said.what, tuple(said.amounts), tuple(said.sds))
+        self._put(self._fold.accept(accepted))
 
     def _put(self, publications: list[tuple[Publication, bytes]]) -> None:
         writer, publish = self._outputs.writer, self._outputs.publish

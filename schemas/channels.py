@@ -139,6 +139,12 @@ def _encode_ready(ready: flow.Ready) -> bytes:
     return pb.Ready(t_ns=ready.t_ns, ready=ready.ready, text=ready.text).SerializeToString()
 
 
+def _encode_accepted(accepted: flow.Accepted) -> bytes:
+    return pb.Accepted(
+        t_ns=accepted.t_ns, what=accepted.what, amounts=accepted.amounts, sds=accepted.sds
+    ).SerializeToString()
+
+
 def _encode_rig(machine: Machine) -> bytes:
     tractor, implement, tyres = machine.tractor, machine.implement, machine.tyres
     axles = (tyres.front, tyres.rear, tyres.implement)
@@ -198,6 +204,7 @@ TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for 
 
 FIT_TOPIC = "/fit"
 READY_TOPIC = "/ready"
+ACCEPTED_TOPIC = "/accepted"
 
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
@@ -215,6 +222,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
+    Channel(ACCEPTED_TOPIC, pb.Accepted, _encode_accepted, identical=False),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
     Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False, logged=False),

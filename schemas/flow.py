@@ -229,6 +229,7 @@ class FlagKind(StrEnum):
     HEADING_BY_YAW_RATE = "heading_by_yaw_rate"
     LATE = "late"
     LATENCY = "latency"
+    LEFT_OUT = "left_out"
     LOST = "lost"
     MISSING = "missing"
     MOVED = "moved"
@@ -402,7 +403,17 @@ class Ready:
     text: str  # what they wait for, or what has happened
 
 
-Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Ready
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A value that the watch has found and the operator accepted; used from the next frame on."""
+
+    t_ns: int
+    what: str  # estimator/watch/accepted.py: KNOWN
+    amounts: tuple[float, ...]  # by which it has been moved: forward and right, m; or one angle, rad; or m
+    sds: tuple[float, ...]
+
+
+Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Ready | Accepted
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,12 +61,8 @@ _KEYS: Final = {
     "I_i": "implement.yaw_inertia or implement.mass",
 }  # fmt: skip
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
-_OFFSETS: Final = (
-    "length of the tractor's pair",
-    "length of the implement's pair",
-    "hitch, along",
-    "hitch, across",
-)
+_PAIR: Final = "length of the {}'s pair"
+_OFFSETS: Final = (_PAIR.format("tractor"), _PAIR.format("implement"), "hitch, along", "hitch, across")
 
 
 @dataclass(slots=True)
@@ -91,6 +87,10 @@ class Consistency:
     motion: MotionCheck = field(default_factory=MotionCheck)
     findings: dict[str, Finding] = field(default_factory=dict)  # by key
     confirmed: bool = False
+    was_confirmed: bool = False  # at some time of this run
+    pairs_known: bool = (
+        False  # it was, and since then a receiver is left out: one alone shows no yaw of a pair
+    )
     missing: str = "nothing has been driven yet"  # why the file is not confirmed
     agreed: int = 0  # poses in a row in which the open tracker agrees with the file; below 0: does not agree
     rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
@@ -109,15 +109,19 @@ def initial(machine: Machine) -> Consistency:
 
 def observe(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose,
-    segment: Segment | None,
+    segment: Segment | None, moved: Mapping[str, str],
 ) -> list[tuple[str, str]]:  # fmt: skip
-    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events."""
+    """Take one pose and the segment that is complete with it. Returns (kind, text) of the events.
+
+    moved: key -> message, of what the watch has found moved.
+    """
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
     if segment is not None and open_tracker.take(state.open, machine, segment):
         state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
+    state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
-    found = _findings_at_pose(state, machine, aligner, checks, pose)
+    found = moved or _findings_at_pose(state, machine, aligner, checks, pose)
     by_method = {key: text for wrong in state.methods.values() for key, text in wrong.items()}
     if found and not any(key in state.findings for key in by_method):
         by_method = {}  # a consequence of what the other checks have found
@@ -173,15 +177,21 @@ def soil_changed(state: Consistency, machine: Machine) -> None:
     """Restart the open tracker after a change of soil: it takes seconds to tell other soil from another
     rig."""
     if state.confirmed:
-        discard_findings(state, machine)
-        state.confirmed = True
+        discard_findings(state, machine, confirmed=True)
 
 
-def discard_findings(state: Consistency, machine: Machine) -> None:
-    """Discard all that was found with wrong measurements, such as smoothed turn rates."""
+def discard_findings(state: Consistency, machine: Machine, confirmed: bool = False) -> None:
+    """Discard what was found with wrong measurements. confirmed: whether the rest of the file is."""
     _begin_open_tracker(state, machine)
     state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
-    state.methods, state.confirmed = {}, False
+    state.methods, state.confirmed = {}, confirmed
+
+
+def left_out(state: Consistency, machine: Machine) -> None:
+    """Something was moved and is not used from here on: all else of the file is as it was confirmed."""
+    state.pairs_known = state.was_confirmed and not contradicted(state)
+    discard_findings(state, machine, state.pairs_known)
+    state.agreed = 0
 
 
 def clock_stepped(state: Consistency) -> None:
@@ -381,7 +391,8 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
         state.confirmed = state.agreed > -POSES_TO_DOUBT
         state.missing = _doubt_reason(misfit)
         return
-    unconfirmed_names = open_tracker.unconfirmed(misfit, machine)
+    known = open_tracker.OF_PAIRS if state.pairs_known else ()
+    unconfirmed_names = [name for name in open_tracker.unconfirmed(misfit, machine) if name not in known]
     decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
     long_enough = state.agreed >= POSES_TO_CONFIRM and len(state.rows) >= LEAST_SEGMENTS
     state.confirmed = not unconfirmed_names and long_enough and decided

@@ -53,6 +53,7 @@ TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
 MEMORY: Final = 2400.0  # segments with steering (8 min) over which the result is forgotten
 SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
+OF_PAIRS: Final = STRAIGHT[1:]
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
 

@@ -6,6 +6,7 @@ position at or after its instant, at the latest DEADLINE_NS after it.
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 
 from tilth.estimator.pose import latency, plausibility
@@ -32,6 +33,7 @@ from tilth.schemas.machine import Machine
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
 LOST_NS = 1_000_000_000  # no usable position for this long
+MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 0.1 m at 3 m/s
 FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
 ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 MOUNTS = tuple(Mount)
@@ -70,6 +72,19 @@ def initial(machine: Machine) -> Aligner:
         tracks={r.mount.value: Track(round(r.latency.value * 1e9)) for r in present},
         latency=latency.prior(sds),
     )
+
+
+def leave_out(state: Aligner, mounts: Collection[str]) -> None:
+    """Do not use these receivers for poses, but all others; what was found with them is forgotten."""
+    for index, mount in enumerate(MOUNTS):
+        track = state.tracks.get(mount.value)
+        if track is None:
+            continue
+        if track.left_out != (mount in mounts):  # being moved along its body was taken for latency
+            state.latency.covariance[index, index] += MOVED_SD**2
+        track.left_out = mount in mounts
+    state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
+    state.last_heading = [None, None]
 
 
 def is_number(measurement: Measurement) -> bool:

@@ -85,6 +85,8 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
         excess_s = abs(state.latency.excess_ns(index)) * 1e-9
         if excess_s > LATENCY_SDS * _receiver(state.machine, MOUNTS[index]).latency.sd + LATENCY_SLACK_S:
             flags.append(Flag(FlagKind.LATENCY, mount))
+        if track.left_out:
+            flags.append(Flag(FlagKind.LEFT_OUT, mount))
         if not track.usable():
             flags.append(Flag(FlagKind.NO_FIX, mount))
         elif not track.positions:
@@ -103,7 +105,7 @@ def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) 
     present = [
         (i, track, t_ns + state.latency.excess_ns(i))
         for i in BODIES[index]
-        if (track := state.tracks.get(MOUNTS[i].value)) is not None
+        if (track := state.tracks.get(MOUNTS[i].value)) is not None and not track.left_out
     ]
     roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
     pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])

@@ -191,7 +191,11 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
         if index // 2 != body:
             continue
         track = aligner.tracks[receiver.mount.value]
-        found = track.position_at(t_ns + aligner.latency.excess_ns(index)) if track.usable() else None
+        found = (
+            track.position_at(t_ns + aligner.latency.excess_ns(index))
+            if track.usable() and not track.left_out
+            else None
+        )
         if found is None or found[2]:
             return None
         antennas.append((index, ReportedPoint(found[0], found[1], receiver.position[:2], None, 0.0, 0.0)))

@@ -63,6 +63,7 @@ class Track:
     last_position_ns: int = 0  # arrival of the last position that was new, or repeated at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
     smoothed: bool = False  # its turn rates are smoothed (receiver_checks): they are stored, but not used
+    left_out: bool = False  # it has been moved (watch): it is stored, but not used
 
     def take(self, measurement: Measurement) -> None:
         """Store a measurement other than a position."""

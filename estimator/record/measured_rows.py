@@ -122,7 +122,7 @@ def _of_receiver(
             since = max(0, t_ns - start_ns)
             psi = _at(span.psi, since)
             out.append((since, HEADING, body, psi + wrap(heading - psi), sd))
-    return out if track.usable() else []
+    return out if track.usable() and not track.left_out else []
 
 
 def _new_samples(samples: deque[Stamped], newest_ns: int, end_ns: int) -> list[Stamped]:

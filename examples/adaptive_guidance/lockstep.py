@@ -53,6 +53,9 @@ class NoFits:
     def made(self, method: str, job: object) -> None:
         return None
 
+    def use(self, machine: Machine) -> None:
+        return
+
 
 @dataclass(slots=True)
 class RunTrace:

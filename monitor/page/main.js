@@ -3,6 +3,7 @@
 import { Experiment } from "./experiment.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
+import { Moved } from "./moved.js";
 import { PlayerBar } from "./player.js";
 import { RunReport } from "./report.js";
 import { Runs } from "./runs.js";
@@ -22,6 +23,7 @@ const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
 const steering = new Steering(byId("steering"), () => traces.times);
 const bar = new PlayerBar(), runs = new Runs(), report = new RunReport(), experiment = new Experiment();
+const moved = new Moved(byId("moved"));
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
@@ -69,6 +71,7 @@ function show() {
   const status = heard.status ?? {};
   showRun(status);
   showProblems(status);
+  moved.show(live("status") && !heard.player ? (status.moved ?? []) : []);
   showPreparing(status);
   showFacts(status);
   showAges();

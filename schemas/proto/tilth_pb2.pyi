@@ -248,6 +248,18 @@ class Ready(_message.Message):
     text: str
     def __init__(self, t_ns: _Optional[int] = ..., ready: _Optional[bool] = ..., text: _Optional[str] = ...) -> None: ...
 
+class Accepted(_message.Message):
+    __slots__ = ("t_ns", "what", "amounts", "sds")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    WHAT_FIELD_NUMBER: _ClassVar[int]
+    AMOUNTS_FIELD_NUMBER: _ClassVar[int]
+    SDS_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    what: str
+    amounts: _containers.RepeatedScalarFieldContainer[float]
+    sds: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, t_ns: _Optional[int] = ..., what: _Optional[str] = ..., amounts: _Optional[_Iterable[float]] = ..., sds: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class Event(_message.Message):
     __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns")
     T_NS_FIELD_NUMBER: _ClassVar[int]
@@ -326,8 +338,16 @@ class Count(_message.Message):
     count: int
     def __init__(self, reason: _Optional[str] = ..., count: _Optional[int] = ...) -> None: ...
 
+class Moved(_message.Message):
+    __slots__ = ("names", "text")
+    NAMES_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    names: _containers.RepeatedScalarFieldContainer[str]
+    text: str
+    def __init__(self, names: _Optional[_Iterable[str]] = ..., text: _Optional[str] = ...) -> None: ...
+
 class Status(_message.Message):
-    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s")
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s", "moved")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -352,6 +372,7 @@ class Status(_message.Message):
     RESTING_FIELD_NUMBER: _ClassVar[int]
     PREPARING_FIELD_NUMBER: _ClassVar[int]
     READY_IN_S_FIELD_NUMBER: _ClassVar[int]
+    MOVED_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     run: str
     version: str
@@ -376,7 +397,8 @@ class Status(_message.Message):
     resting: bool
     preparing: str
     ready_in_s: float
-    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ...) -> None: ...
+    moved: _containers.RepeatedCompositeFieldContainer[Moved]
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ..., moved: _Optional[_Iterable[_Union[Moved, _Mapping]]] = ...) -> None: ...
 
 class Snapshot(_message.Message):
     __slots__ = ("t_ns", "machine_sha256", "state_json")

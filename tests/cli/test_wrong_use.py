@@ -29,6 +29,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["offload", "none"], "none: no such folder; mount the stick"),
     (["verify", "none.mcap"], "none.mcap: no such file or directory; give the files of a run"),
     (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `"),
+    (["accept", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `"),
     (["mark", "x", "--endpoint", "rubbish"], "tilth run` running? An endpoint looks like"),
     (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: is none; an endpoint looks like tcp/"),
     (["monitor", "--port", "0", "--config", "FOREIGN"], "give a Zenoh configuration, or a key of"),

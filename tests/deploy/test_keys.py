@@ -18,7 +18,7 @@ import zenoh
 from loopback import PATIENCE_S, TEXT, free_port, machine_text, records_of, rig, udp_bus, until
 
 from tilth.cli import main
-from tilth.cli.mark import client_config
+from tilth.cli.daemon_order import client_config
 from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import open_session
 from tilth.client.refusal import try_key
@@ -34,7 +34,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "jd7930-parker500"
 BASE = f"tilth/{NAME}"
-ORDERED = ("mark", "report/make")
+ORDERED = ("mark", "accept", "report/make")
 NOW = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
 
 

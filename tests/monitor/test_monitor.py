@@ -200,6 +200,21 @@ def test_a_mark_is_confirmed_by_the_daemon_or_not_there(stage: Stage, monitor: M
     assert "as JSON" in monitor.mark("x", content_type="text/plain")["text"]
 
 
+def test_what_has_been_found_moved_is_shown_and_accepted(stage: Stage, monitor: Monitor) -> None:
+    stage.order(moved=["tractor_front", "pair_tractor"])
+    with monitor.live() as live:
+        state = hear(live, lambda s: bool(s.get("status", {}).get("moved")))
+        assert state["status"]["moved"][0]["names"] == ["tractor_front", "pair_tractor"]
+        for name, noted, words in (
+            ("tractor_rear", False, "tractor_rear has not been found moved"),
+            ("tractor_front", True, "in the log"),
+        ):
+            data = json.dumps({"text": name}).encode()
+            said = json.loads(monitor.ask("/accept", data, content_type="application/json")[1])
+            assert said == {"noted": noted, "text": words}
+        hear(live, lambda s: "status" in s and not s["status"].get("moved"))
+
+
 def test_a_mark_of_ten_megabytes_is_not_even_read(monitor: Monitor) -> None:
     host, _, port = monitor.address.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as raw:

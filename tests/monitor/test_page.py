@@ -294,6 +294,20 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
         page.context.close()
 
 
+def test_what_has_been_moved_is_accepted_by_a_tap(browser: Browser) -> None:
+    with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        page, faults = opened(browser, monitor, "phone")
+        expect_run(page, "RECORDING", "good")
+        box = page.locator("#moved")
+        expect(box).to_be_hidden()
+        stage.order(moved=["tractor_front", "pair_tractor"])
+        expect(box).to_contain_text("Tractor_front has been moved 0.10 m forward. Put it back, or accept")
+        box.get_by_role("button", name="accept tractor front").tap()
+        expect(box).to_be_hidden()  # the daemon says that it is accepted
+        assert faults.told == []
+        page.context.close()
+
+
 @pytest.mark.parametrize(
     ("who", "how", "word"),
     [

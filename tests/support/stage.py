@@ -44,7 +44,7 @@ HITCH_M, DRAWBAR_M, TO_CG_M = 2.1, 3.72, 3.62
 MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
-    "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "",
+    "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "", "moved": [],
 }  # fmt: skip
 
 
@@ -133,6 +133,8 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
     result.preparing = orders.get("preparing", "")
     if orders.get("ready_in_s") is not None:
         result.ready_in_s = orders["ready_in_s"]
+    if orders["moved"]:
+        result.moved.add(names=orders["moved"], text=f"{orders['moved'][0]} has been moved 0.10 m forward")
     result.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
     for mount in MOUNTS:
         lost = mount == orders["lost"]
@@ -217,7 +219,15 @@ def main() -> None:
         orders["text"], orders["event"] = query.payload.to_string(), "mark"
         query.reply(query.key_expr, b"")
 
-    sink = ZenohSink(parse_machine(text_on(port)), "replay", answers={"mark": mark})
+    def accept(query: zenoh.Query) -> None:
+        name = query.payload.to_string() if query.payload is not None else ""
+        if name not in orders["moved"]:
+            query.reply_err(f"{name} has not been found moved")
+            return
+        orders["moved"] = []
+        query.reply(query.key_expr, b"")
+
+    sink = ZenohSink(parse_machine(text_on(port)), "replay", answers={"mark": mark, "accept": accept})
     ended = take_orders(orders)
     ready()
     every_s, scale, changed_s, points = 0.1 * rate, 1.0, 0.0, drive(0.1)

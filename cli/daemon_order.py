@@ -1,0 +1,101 @@
+"""Asks the daemon that runs to do something, over Zenoh: the options and the way that such commands share."""
+
+import argparse
+import json
+from pathlib import Path
+
+import zenoh
+
+from tilth.cli import WrongUse
+from tilth.client.link import ENDPOINT, Alive, living
+from tilth.client.refusal import holder_of, try_key
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.invocation import command
+from tilth.schemas.machine import Zenoh
+
+WAIT_S = 10.0  # a disk may stall for some seconds before it takes what is asked for
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which daemon, and where."""
+    parser.add_argument(
+        "--machine",
+        type=Path,
+        metavar="MACHINE.toml",
+        help="of the daemon, where several are heard or it has [zenoh] settings of its own",
+    )
+    parser.add_argument("--endpoint", metavar="TCP/HOST:PORT", help="where the daemon listens")
+    parser.add_argument(
+        "--config", type=Path, metavar="KEY.json", help="of `tilth keys`, where the daemon wants one"
+    )
+
+
+def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
+    """What the daemon answers on a key below its prefix. Raises WrongUse where none does, or it refuses."""
+    prefix, name, endpoints = Zenoh().prefix, "", Zenoh().listen
+    if args.machine is not None:
+        machine, _ = read_machine(args.machine)
+        prefix, name, endpoints = machine.zenoh.prefix, machine.name, machine.zenoh.listen
+        if machine.zenoh.config is not None and args.config is None:
+            raise WrongUse("this machine wants a key: give an operator's with --config")
+    if args.config is not None:
+        prefix, name = _of_key(args.config)
+    try:
+        session = zenoh.open(client_config(args.config, [args.endpoint] if args.endpoint else endpoints))
+    except zenoh.ZError:
+        if args.config is not None:
+            raise WrongUse(f"no daemon can be reached: {try_key(args.config).text}") from None
+        where = args.endpoint or ", ".join(endpoints)
+        raise WrongUse(
+            f"no daemon can be reached at {where}; is `{command('run')}` running? "
+            f"An endpoint looks like {ENDPOINT}"
+        ) from None
+    with session:
+        base = _daemon(session, prefix, name, args.config).base(prefix)
+        replies = list(session.get(f"{base}/{key}", payload=payload, encoding="text/plain", timeout=WAIT_S))
+    for reply in replies:
+        if reply.ok:
+            return reply.ok.payload.to_bytes()
+        raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
+    raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before asking again")
+
+
+def _daemon(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
+    """The one daemon that is meant: on a tractor, or else in a simulation. Raises WrongUse."""
+    found = living(session, prefix, name)
+    meant = [one for one in found if one.replay == found[0].replay]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        names = ", ".join(one.machine for one in meant)
+        raise WrongUse(f"several daemons are heard: {names}; say with --machine which of them")
+    if key is not None:
+        raise WrongUse(try_key(key).text)
+    raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `{command('run')}` running?")
+
+
+def _of_key(path: Path) -> tuple[str, str]:
+    """Prefix and machine that a key is for."""
+    try:
+        holder = holder_of(path)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    if holder.role != "operator":
+        raise WrongUse(f"{path}: {holder.name} may hear and not mark; ask for an operator's key")
+    return holder.prefix, holder.machine
+
+
+def client_config(file: Path | None, endpoints: list[str]) -> zenoh.Config:
+    if file is not None:
+        config = zenoh.Config.from_file(str(file))
+    else:
+        config = zenoh.Config()
+        config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    for key, value in (
+        ("mode", "client"),
+        ("scouting/multicast/enabled", False),
+        ("connect/timeout_ms", 2000),
+        ("connect/exit_on_failure", True),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    return config

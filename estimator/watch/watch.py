@@ -1,0 +1,296 @@
+"""Has something been moved since this drive began: a receiver, a pair, the wheels' sensor?
+
+Samples go into blocks of 20 s. With each whole block, what the last minute to ten minutes tell of the rig's
+constants is compared with what all driving before that told, for each suspect and each such length of time.
+A suspect that explains the difference far better than chance, by an amount that matters, in two blocks in a
+row, has been moved. From then on it is compared with how it is now, so that being put back is found too.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.watch.accepted import in_words, key_of
+from tilth.estimator.watch.evidence import (
+    KINDS,
+    Evidence,
+    N,
+    drift,
+    lengths,
+    prior_information,
+    rows,
+)
+from tilth.estimator.watch.sample import sample
+from tilth.estimator.watch.suspects import (
+    DRAWBAR,
+    LATENCIES,
+    PAIRS,
+    WHEEL,
+    Verdict,
+    judge,
+    posterior,
+    suspects,
+)
+from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+EVENT: Final = "moved"  # kind of the events
+SLOWEST: Final = 1.0  # m/s
+BLOCK: Final = 100  # samples (20 s)
+SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
+LEAST_BEFORE: Final = 6  # blocks before that, to compare with
+MEMORY: Final = 180.0  # blocks (an hour of driving) over which older samples count ever less
+SURE: Final = 25.0  # chi-square; of right rigs over 40 h the largest was half of it
+RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
+TWICE: Final = 2  # blocks in a row
+CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
+LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.007)  # rad, m, rad
+LEAST_MOVED: Final = 0.025  # m, of a receiver: it turns its pair by half a degree
+SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
+
+
+@dataclass(slots=True)
+class Moved:
+    """Something that has been moved and not been accepted."""
+
+    names: list[str]  # the best explanation first; more than one until the samples tell them apart
+    amounts: Array  # (m,) of names[0]: forward and right, m; or one angle, rad; or m
+    covariance: Array  # (m, m)
+    since_ns: int  # it happened about then
+    before: Evidence  # all samples before that
+    after: Evidence  # those since then
+    followed: bool = True  # `after` grows, since nothing else has been moved meanwhile
+
+
+@dataclass(slots=True)
+class Watch:
+    """Plain data."""
+
+    old: Evidence = field(default_factory=Evidence)  # all before `blocks`
+    old_blocks: float = 0.0  # how many blocks are in it; older ones count less
+    blocks: list[Evidence] = field(default_factory=list)  # the last whole ones
+    block: Evidence = field(default_factory=Evidence)  # of now
+    samples: int = 0  # in it
+    mean: Array = field(default_factory=lambda: np.zeros(N))  # of the constants, at the last block
+    scatter: Array = field(
+        default_factory=lambda: np.ones(KINDS)
+    )  # variance of a pose's rows over the expected
+    sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
+    suspected_blocks: int = 0  # in a row, in which something was suspected
+    moved: list[Moved] = field(default_factory=list)
+
+
+class Found(NamedTuple):
+    """What is new: it has been moved, or it is known now which one it was, or it is back where it was."""
+
+    moved: Moved
+    back: bool = False
+
+
+def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
+    """Take one pose. Returns what was found moved with it."""
+    speed = pose.tractor.forward_velocity
+    if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+        return []
+    now = sample(aligner, pose.t_ns - POSE_NS)
+    if now is None:
+        return []
+    _add(state, aligner.machine, rows(lengths(aligner.machine), now), pose.t_ns)
+    if state.samples < BLOCK:
+        return []
+    _end_block(state, aligner.machine)
+    return _look(state, aligner.machine)
+
+
+def _add(state: Watch, machine: Machine, given: tuple[NDArray[np.int64], Array, Array], t_ns: int) -> None:
+    kinds, design, measured = given
+    rig, block = lengths(machine), state.block
+    block.since_ns = block.since_ns or t_ns
+    off = measured - design @ state.mean
+    state.sums[kinds, 0] += 1.0
+    state.sums[kinds, 1] += off
+    state.sums[kinds, 2] += off**2
+    variance = rig.sds[kinds] ** 2 * rig.correlated[kinds] * state.scatter[kinds]
+    weighted = design.T / variance
+    block.information += weighted @ design
+    block.vector += weighted @ measured
+    state.samples += 1
+
+
+def _end_block(state: Watch, machine: Machine) -> None:
+    n, total, squares = state.sums.T
+    enough = n > BLOCK / 4
+    variance = (squares - total**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
+    seen = np.maximum(variance / lengths(machine).sds ** 2, 1.0)
+    state.scatter[enough] += SCATTER_MEMORY * (seen - state.scatter)[enough]
+    state.blocks.append(state.block)
+    state.block, state.samples, state.sums = Evidence(), 0, np.zeros((KINDS, 3))
+    if len(state.blocks) > SINCE[-1]:
+        _age(state, state.blocks.pop(0))
+
+
+def _age(state: Watch, block: Evidence) -> None:
+    keep = 1.0 - 1.0 / MEMORY
+    state.old = _sum(
+        [Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
+    )
+    state.old_blocks = keep * state.old_blocks + 1.0
+
+
+def _sum(parts: list[Evidence]) -> Evidence:
+    since_ns = next((part.since_ns for part in parts if part.since_ns), 0)
+    return Evidence(
+        sum((part.information for part in parts), np.zeros((N, N))),
+        sum((part.vector for part in parts), np.zeros(N)),
+        since_ns,
+    )
+
+
+def _look(state: Watch, machine: Machine) -> list[Found]:
+    state.mean, _ = posterior(_sum([state.old, *state.blocks]))
+    told = _follow(state, machine)
+    best: tuple[int, list[Verdict]] | None = None
+    for since in SINCE:
+        if state.old_blocks + len(state.blocks) - since < LEAST_BEFORE:
+            break
+        before, now = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
+        verdicts = judge(machine, *posterior(before), now)
+        if best is None or verdicts[0].chi_square > best[1][0].chi_square:
+            best = (since, verdicts)
+    if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
+        state.suspected_blocks = 0
+        return told
+    return told + _suspect(state, machine, *best)
+
+
+def _follow(state: Watch, machine: Machine) -> list[Found]:
+    """How far what has been moved is moved by all samples since; returns what is known by name now."""
+    told = []
+    for moved in state.moved:
+        if moved.followed:
+            moved.after = _sum([moved.after, state.blocks[-1]])
+        verdicts = judge(machine, *posterior(moved.before), moved.after)
+        names = _names(verdicts)
+        if len(moved.names) > 1 and names:
+            moved.names = names
+            if len(names) == 1:
+                told.append(Found(moved))
+        _set(moved, next(verdict for verdict in verdicts if verdict.name == moved.names[0]))
+    return told
+
+
+def _set(moved: Moved, verdict: Verdict) -> None:
+    moved.amounts, moved.covariance = verdict.amounts, verdict.covariance
+
+
+def _names(verdicts: list[Verdict]) -> list[str]:
+    """What explains it about as well as the best does."""
+    least = verdicts[0].chi_square - RIVAL
+    return [v.name for v in verdicts if v.chi_square > least and v.name not in LATENCIES]
+
+
+def _suspect(state: Watch, machine: Machine, since: int, verdicts: list[Verdict]) -> list[Found]:
+    """Something has been moved, if that is so block after block."""
+    first, names = verdicts[0], _names(verdicts)
+    state.suspected_blocks += 1
+    if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
+        return []
+    state.suspected_blocks = 0
+    before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
+    _absorb(state, machine, since, before, first)
+    for moved in state.moved:
+        moved.followed = False
+    if first.name in LATENCIES:  # the poses learn it too
+        return []
+    known = next((moved for moved in state.moved if first.name in moved.names), None)
+    if known is None:
+        found = Moved(names, first.amounts, first.covariance, after.since_ns, before, after)
+        state.moved.append(found)
+        return [Found(found)]
+    known.after, known.followed = after, True
+    again = judge(machine, *posterior(known.before), after)
+    _set(known, next(verdict for verdict in again if verdict.name == known.names[0]))
+    if _matters(Verdict(known.names[0], 0.0, known.amounts, known.covariance)):
+        return [Found(known)]
+    state.moved.remove(known)
+    return [Found(known, back=True)]
+
+
+def _matters(verdict: Verdict) -> bool:
+    if verdict.name in LATENCIES:
+        return True
+    return float(np.linalg.norm(verdict.amounts)) > LEAST.get(verdict.name, LEAST_MOVED)
+
+
+def _absorb(state: Watch, machine: Machine, since: int, before: Evidence, found: Verdict) -> None:
+    """What was learned before now predicts the samples since: moved by what was found."""
+    directions = directions_of(machine, found.name)
+    mean, covariance = posterior(before)
+    covariance = covariance + drift() + directions @ found.covariance @ directions.T
+    information = np.linalg.inv(covariance) - prior_information()
+    vector = np.linalg.solve(covariance, mean + directions @ found.amounts)
+    state.old, state.old_blocks = Evidence(information, vector, before.since_ns), float(LEAST_BEFORE)
+    state.blocks = state.blocks[-since:]
+
+
+def message(found: Found, t_ns: int) -> str:
+    """For the event; t_ns: now."""
+    moved = found.moved
+    what = moved.names[0]
+    if found.back:
+        return f"{what} is where it was before, and is used again"
+    minutes = max(t_ns - moved.since_ns, 0) * 1e-9 / 60.0
+    accept = f"accept it as it is now ({' or '.join(moved.names)}), or put it back"
+    return f"{describe(moved)}; {minutes:.0f} min ago. It is not used: {accept}"
+
+
+def left_out(state: Watch) -> frozenset[str]:
+    """Mounts of the receivers that have been moved and are known by name: the others still give poses."""
+    return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
+
+
+def contradictions(state: Watch) -> dict[str, str]:
+    """Key of the machine file -> message, of what has been moved and cannot be done without."""
+    out = left_out(state)
+    return {key_of(m.names[0]): f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
+
+
+def describe(moved: Moved) -> str:
+    """What has been moved, by how much; and what else that may be."""
+    text = in_words(moved.names[0], moved.amounts.tolist(), np.sqrt(np.diag(moved.covariance)).tolist())
+    return ", or it is ".join([text, *moved.names[1:]])
+
+
+def proposal(state: Watch, machine: Machine, what: str, t_ns: int) -> Accepted | None:
+    """The value that may be accepted by that name; None where there is none."""
+    moved = next((moved for moved in state.moved if what in moved.names), None)
+    if moved is None:
+        return None
+    verdicts = judge(machine, *posterior(moved.before), moved.after)
+    found = next(verdict for verdict in verdicts if verdict.name == what)
+    sds = np.sqrt(np.diag(found.covariance))
+    return Accepted(t_ns, what, tuple(found.amounts.tolist()), tuple(sds.tolist()))
+
+
+def accept(state: Watch, machine: Machine, accepted: Accepted) -> None:
+    """The machine file has these values from now on; machine: without them.
+
+    All that was learned is measured against them from here on.
+    """
+    shift = directions_of(machine, accepted.what) @ np.array(accepted.amounts)
+    held = [evidence for moved in state.moved for evidence in (moved.before, moved.after)]
+    for evidence in (state.old, *state.blocks, state.block, *held):
+        evidence.vector = evidence.vector - evidence.information @ shift
+    state.mean = state.mean - shift
+    state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
+    state.suspected_blocks = 0
+
+
+def directions_of(machine: Machine, name: str) -> Any:
+    """(N, m): change of the constants by each amount of a suspect."""
+    return next(suspect.directions for suspect in suspects(machine) if suspect.name == name)

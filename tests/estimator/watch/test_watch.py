@@ -1,0 +1,213 @@
+"""What is moved is named, how far, and nothing else is; what is put back or accepted is over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from circle import START_NS, Circle, demo_machine
+from numpy.typing import NDArray
+
+from tilth.estimator import fold
+from tilth.estimator.pose import aligner
+from tilth.estimator.snapshot import restore, snapshot
+from tilth.estimator.watch import watch
+from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
+from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
+from tilth.estimator.watch.sample import BodySample, Sample, sample
+from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, suspects
+from tilth.estimator.watch.watch import BLOCK, Found, Watch
+from tilth.schemas.flow import Accepted, Mount
+
+Array = NDArray[np.float64]
+
+MACHINE = demo_machine()
+RIG = lengths(MACHINE)
+AMOUNTS = {mount.value: (0.1, 0.05) for mount in Mount} | {
+    PAIRS[0]: (0.02,), PAIRS[1]: (-0.02,), WHEEL: (0.0175,), DRAWBAR: (0.12,),
+    **dict.fromkeys(LATENCIES, (0.05,)),
+}  # fmt: skip
+SAID = [name for name in AMOUNTS if name not in LATENCIES]
+BEFORE, AFTER = 12, 16  # blocks
+
+
+class Drive:
+    """Rows and turns, in which all measurements are what the constants say, and noise."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.state = Watch()
+        self._rng = np.random.default_rng(seed)
+        self._poses = 0
+        self.constants = self._rng.normal(0.0, 0.02, N)
+        self.constants[AT["late_tractor_front"] : AT["late_implement_rear"] + 1] = 0.03, -0.04, 0.0, 0.05
+
+    def move(self, name: str, amounts: tuple[float, ...]) -> None:
+        self.constants = self.constants + watch.directions_of(MACHINE, name) @ np.array(amounts)
+
+    def drive(self, blocks: int) -> list[Found]:
+        found = []
+        for _ in range(blocks * BLOCK):
+            self._poses += 1
+            kinds, design, _ = rows(RIG, self._now())
+            noise = self._rng.normal(0.0, RIG.sds[kinds])
+            measured = design @ self.constants + noise
+            watch._add(self.state, MACHINE, (kinds, design, measured), START_NS + self._poses * 200_000_000)
+            if self.state.samples == BLOCK:
+                watch._end_block(self.state, MACHINE)
+                found += watch._look(self.state, MACHINE)
+        return found
+
+    def _now(self) -> Sample:
+        """A turn of 20 s after each row of 80 s, at half of the speed."""
+        t_s = self._poses * 0.2
+        turns = t_s % 100.0 > 80.0
+        u, r = (1.9, 0.3) if turns else (3.5 + 0.5 * np.sin(t_s / 40.0), self._rng.normal(0.0, 0.02))
+        articulation = 0.5 * np.sin((t_s % 100.0 - 80.0) / 20.0 * np.pi) if turns else 0.0
+        roll = 0.02 * np.sin(t_s / 7.0)
+        body = BodySample(0.0, 0.0, float(u), 0.0, float(r), float(roll), (0.0, 0.0))
+        return Sample(replace(body, heading=float(articulation)), body, (0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_found_where_nothing_was_moved(seed: int) -> None:
+    assert Drive(seed).drive(40) == []
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_what_is_moved_is_named_with_how_far(name: str) -> None:
+    drive = Drive()
+    assert drive.drive(BEFORE) == []
+    drive.move(name, AMOUNTS[name])
+    first, *_ = found = drive.drive(AFTER)
+    assert not first.back and name in first.moved.names
+    assert all(one.moved is first.moved for one in found)  # later ones only tell which
+    off = first.moved.amounts - np.array(AMOUNTS[first.moved.names[0]])
+    if first.moved.names[0] == name:
+        assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(first.moved.covariance)))
+    assert abs(first.moved.since_ns - START_NS - BEFORE * BLOCK * 200_000_000) < 3 * BLOCK * 200_000_000
+
+
+@pytest.mark.parametrize("name", LATENCIES)
+def test_a_latency_is_the_poses_own_business(name: str) -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move(name, AMOUNTS[name])
+    assert drive.drive(AFTER) == []
+    assert drive.state.moved == []
+
+
+def test_what_is_too_small_to_matter_is_not_said() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move("tractor_front", (0.015, 0.0))
+    assert drive.drive(30) == []
+
+
+def test_what_is_put_back_is_over() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move("tractor_rear", (0.1, 0.0))
+    drive.drive(AFTER)
+    assert watch.left_out(drive.state) == {"tractor_rear"}
+    drive.move("tractor_rear", (-0.1, 0.0))
+    (over,) = drive.drive(AFTER)
+    assert over.back and drive.state.moved == [] and watch.left_out(drive.state) == frozenset()
+
+
+def test_two_things_moved_one_after_the_other_are_both_named() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move("implement_rear", (-0.1, 0.0))
+    drive.drive(AFTER)
+    drive.move(WHEEL, (-0.02,))
+    drive.drive(AFTER)
+    assert [moved.names for moved in drive.state.moved] == [["implement_rear"], [WHEEL]]
+    assert drive.state.moved[0].amounts == pytest.approx([-0.1, 0.0], abs=0.03)
+    assert list(watch.contradictions(drive.state)) == ["wheel_angle.zero"]
+
+
+def test_what_is_accepted_is_measured_against_from_then_on() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move("implement_front", (0.0, 0.1))
+    drive.drive(AFTER)
+    accepted = watch.proposal(drive.state, MACHINE, "implement_front", 7)
+    assert accepted is not None and accepted.amounts == pytest.approx((0.0, 0.1), abs=0.03)
+    watch.accept(drive.state, MACHINE, accepted)
+    drive.move("implement_front", tuple(-amount for amount in accepted.amounts))  # as the new file is
+    assert drive.drive(30) == [] and drive.state.moved == []
+    assert watch.proposal(drive.state, MACHINE, "implement_front", 8) is None
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+@pytest.mark.parametrize("amounts", [(0.02, 0.0), (0.0, 0.02)])
+def test_a_moved_receiver_changes_measurements_as_its_directions_say(
+    mount: Mount, amounts: tuple[float, float]
+) -> None:
+    """Of a rig on a circle, whose receivers stand elsewhere than its file says."""
+    elsewhere = corrected(MACHINE, [Accepted(0, mount.value, amounts, (0.0, 0.0))])
+    readings = []
+    for true in (MACHINE, elsewhere):
+        state = aligner.initial(MACHINE)
+        for measurement in Circle(true, yaw_rate=0.05, lateral_velocity=0.0).measurements(4.0):
+            aligner.take(state, measurement)
+        found = sample(state, START_NS + 2_000_000_000)
+        assert found is not None
+        readings.append(rows(RIG, found))
+    (kinds, design, before), (_, _, after) = readings
+    assert list(kinds) == list(range(KINDS))
+    moved = next(suspect for suspect in suspects(MACHINE) if suspect.name == mount.value)
+    assert after - before == pytest.approx(design @ moved.directions @ np.array(amounts), abs=0.0005)
+
+
+def test_it_watches_four_receivers_only() -> None:
+    circle = Circle()
+    state = aligner.initial(MACHINE)
+    for measurement in circle.measurements(4.0, absent=frozenset({Mount.IMPLEMENT_REAR})):
+        aligner.take(state, measurement)
+    assert sample(state, START_NS + 2_000_000_000) is None
+    three = MACHINE.model_copy(update={"receiver": MACHINE.receiver[:3]})
+    assert sample(aligner.initial(three), START_NS) is None
+
+
+def test_its_state_is_data() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move("tractor_front", (0.1, 0.0))
+    drive.drive(AFTER)
+    state = fold.initial(MACHINE)
+    state.watch = drive.state
+    text = snapshot(state)
+    assert snapshot(restore(MACHINE, text)) == text
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_a_value_in_place_of_the_machine_files(name: str) -> None:
+    amounts = AMOUNTS[name]
+    one = Accepted(1, name, amounts, tuple(0.01 for _ in amounts))
+    new = corrected(MACHINE, [one])
+    changed = {
+        f"{r.mount}": (r.position[0] - old.position[0], r.position[1] - old.position[1])
+        for r, old in zip(new.receiver, MACHINE.receiver, strict=True)
+        if r != old
+    }
+    match name:
+        case "wheel_angle":
+            assert new.wheel_angle.zero.value == pytest.approx(
+                MACHINE.wheel_angle.zero.value + 1.0027, abs=1e-3
+            )
+        case "drawbar":
+            assert new.implement.d.value == pytest.approx(MACHINE.implement.d.value - 0.12)
+        case "pair_tractor" | "pair_implement":
+            (front, rear), body = changed.values(), PAIRS.index(name)
+            span = RIG.spans[body]
+            assert (front[1] - rear[1]) / span == pytest.approx(amounts[0])
+            assert front[0] == rear[0] == 0.0
+        case _:
+            assert changed == {name: pytest.approx(amounts)}
+    assert demo_machine() == MACHINE  # the old one is as it was
+    assert key_of(name) and line_of(new, name) and in_words(name, amounts, one.sds)
+
+
+def test_what_is_not_known_is_not_accepted() -> None:
+    with pytest.raises(ValueError, match="nothing that can be accepted"):
+        corrected(MACHINE, [Accepted(1, "cab", (0.1, 0.1), (0.01, 0.01))])
