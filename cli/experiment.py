@@ -11,9 +11,9 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse, duration
+from tilth.cli.daemon_order import client_config
 from tilth.cli.experiment_learned import FitOfRuns
 from tilth.cli.experiment_screen import Screen
-from tilth.cli.daemon_order import client_config
 from tilth.client.experiment.prompter import Course, course_of
 from tilth.client.experiment.runner import TURN_S, PlanRunner
 from tilth.client.experiment.wires import PrompterWires
