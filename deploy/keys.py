@@ -21,12 +21,8 @@ DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
 DAYS: Final = 3 * 365
-ORDERS: Final = (
-    "mark",
-    "accept",
-    "report/make",
-    "experiment/order",
-)  # they change something: not for readers
+# Keys that change something, not for readers.
+ORDERS: Final = ("mark", "accept", "report/make", "experiment/order")
 PROMPTED: Final = ("experiment", "experiment/order")  # of who prompts a driver, beside the daemon
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LARGEST: Final = 1_048_576  # bytes of one message that the daemon takes in; a mark has a few hundred
