@@ -71,7 +71,8 @@ def test_a_log_tells_its_ground_and_how_often_its_receivers_measure() -> None:
     assert len(known.rates) == len({(kind, place) for kind, place, _, _ in known.rates})
     yaw = {kind: hertz for kind, _, hertz, _ in known.rates}  # a body's two receivers both measure it
     assert yaw[YAW_RATE] == pytest.approx(10.0) and yaw[NORTH] == pytest.approx(5.0)
-    assert np.all(sds(known, [told(1)]) < sds(known, ()))
+    more = told_by(known, Scheduled(1, 1, RUN), DrivingLimits(), 1)
+    assert np.all(sds(known, [more]) < sds(known, ()))
     with pytest.raises(ValueError, match="tells nothing"):
         from_log(MACHINE, Fitted((), (), (), None, None))
 
