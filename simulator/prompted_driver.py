@@ -62,6 +62,7 @@ class PromptedDriver:
     _away_until: float = -math.inf
     _no_room_s: float = 0.0
     _last: float = 0.0
+    _armed: bool = False  # since he turned round: then there is room the other way, too
     _rng: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
@@ -87,6 +88,7 @@ class PromptedDriver:
             return STOP
         on_lane = abs(across) < ON_LANE_M and abs(off) < IN_LINE and not self.turning
         if bar.phase == "idle" and on_lane and 0.0 < along < self.lane[3] and bar.room:
+            self._armed = True
             return ARM
         return ""
 
@@ -116,8 +118,8 @@ class PromptedDriver:
         along, across, off = self._on_lane(x)
         if bar.phase == "idle" and not bar.room and abs(off) < math.pi / 2 and along > self.lane[3] / 2:
             self.turning = True
-        if self.turning and along > self.lane[3] + BEYOND_M:
-            self.outward, self.turning = not self.outward, False
+        if self.turning and (self._armed or along > self.lane[3] + BEYOND_M):
+            self.outward, self.turning, self._armed = not self.outward, False, False
             along, across, off = self._on_lane(x)
         bearing = math.atan2(-across, LOOK_AHEAD_M) - off
         wanted = math.atan2(2 * 2.9 * math.sin(math.remainder(bearing, math.tau)), LOOK_AHEAD_M)

@@ -7,7 +7,7 @@ as the priors of the estimators have them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tilth.analysis.fit.fitting import Fitted
 from tilth.analysis.fit.joint import Joint, Linearised, Told, join
 from tilth.analysis.fit.segment_fit import FittedWindow
-from tilth.analysis.fit.steering_terms import terms_at
+from tilth.analysis.fit.steering_terms import Terms, terms_at
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NOISE, SIX
@@ -88,7 +88,20 @@ def told_of(known: Known, speed: float, angles: Array) -> Told:
     angles = np.concatenate([np.zeros(round(LEAD_S / DT)), angles])
     record = expected(known.machine, known.point, speed, angles, _rows(known, len(angles)))
     noise = known.point[NOISE].copy()
-    return tuple(terms_at(known.machine, FittedWindow(part, noise), known.point) for part in _windows(record))
+    made = (terms_at(known.machine, FittedWindow(part, noise), known.point) for part in _windows(record))
+    return tuple(_on_average(known, one) for one in made)
+
+
+def _on_average(known: Known, terms: Terms) -> Terms:
+    """What the terms of a record without noise are on average with it: no gradient, scores that vary as the
+    information says, innovations as white as those of the log."""
+    whiteness = 0.0
+    if known.before is not None:
+        whiteness = float(np.mean([one.whiteness for told in known.before.told for one in told]))
+    return replace(
+        terms, gradient=np.zeros_like(terms.gradient), scores=terms.information,
+        steering_scores=terms.by_steering, whiteness=whiteness,
+    )  # fmt: skip
 
 
 def _rows(known: Known, count: int) -> Array:

@@ -9,13 +9,15 @@ from logs import MACHINE
 from numpy.random import default_rng
 
 from tilth.analysis.experiment import predict
-from tilth.analysis.experiment.predict import Known, from_machine, sds, told_by, told_of, worst_of
-from tilth.analysis.fit.joint import Linearised, Told
+from tilth.analysis.experiment.predict import Known, from_log, from_machine, sds, told_by, told_of, worst_of
+from tilth.analysis.fit.fitting import Fitted
+from tilth.analysis.fit.joint import Linearised, Told, linearise
+from tilth.analysis.fit.segment_fit import FittedWindow, SegmentFit
 from tilth.analysis.fit.steering_terms import places
 from tilth.estimator.filters import fit_covariance, unknowns
-from tilth.estimator.filters.unknowns import SIX
+from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.models.planned_run import DT, Scheduled
-from tilth.estimator.record.record import TICK
+from tilth.estimator.record.record import NORTH, TICK, YAW_RATE
 from tilth.estimator.results.advice import expected
 from tilth.schemas.experiment import DrivingLimits, StepsRun
 
@@ -56,6 +58,23 @@ def test_what_a_log_told_counts_before() -> None:
     known = replace(KNOWN, before=before, cache={})
     assert sds(known, ()) == pytest.approx(sds(KNOWN, [told(1), told(2)]), rel=0.02)
     assert np.all(sds(known, [told(1)]) < sds(known, ()))
+
+
+def test_a_log_tells_its_ground_and_how_often_its_receivers_measure() -> None:
+    angles = np.radians(6) * np.sign(np.sin(np.arange(600) * DT * 2))
+    mean, sd = unknowns.prior(MACHINE)
+    record = expected(MACHINE, mean, 4.5, angles, predict._rows(KNOWN, len(angles)))
+    noise = mean[NOISE] + 0.5
+    fit = SegmentFit({}, mean, np.diag(sd**2), (FittedWindow(record, noise),), 0.0, {}, 0.0)
+    known = from_log(MACHINE, Fitted((), (fit,), (0,), linearise(MACHINE, [fit], []), None))
+    assert known.point[NOISE] == pytest.approx(noise)
+    assert len(known.rates) == len({(kind, place) for kind, place, _, _ in known.rates})
+    yaw = {kind: hertz for kind, _, hertz, _ in known.rates}  # a body's two receivers both measure it
+    assert yaw[YAW_RATE] == pytest.approx(10.0) and yaw[NORTH] == pytest.approx(5.0)
+    more = told_by(known, Scheduled(1, 1, RUN), DrivingLimits(), 1)
+    assert np.all(sds(known, [more]) < sds(known, ()))
+    with pytest.raises(ValueError, match="tells nothing"):
+        from_log(MACHINE, Fitted((), (), (), None, None))
 
 
 def test_nothing_known_and_nothing_driven_is_the_prior() -> None:
