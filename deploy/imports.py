@@ -34,6 +34,7 @@ HOLDS = {
     "state_json": "stored state",
     "models": "how the rig moves",
     "pose": "both bodies, now",
+    "watch": "what was moved",
     "record": "data on ticks",
     "filters": "likelihoods",
     "results": "what is published",

@@ -30,7 +30,7 @@ from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.accepted import acceptance, corrected
-from tilth.estimator.watch.watch import Watch
+from tilth.estimator.watch.watch import WatchState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -61,7 +61,7 @@ class State:
     consistency: Consistency  # of the data with the machine file
     estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
     checks: ReceiverChecks = field(default_factory=ReceiverChecks)
-    watch: Watch = field(default_factory=Watch)  # of what may be moved while driving
+    watch: WatchState = field(default_factory=WatchState)  # of what may be moved while driving
     accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
     previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
     """Method -> what the run before had learned, from which this run has started."""

@@ -17,7 +17,7 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch.accepted import corrected
-from tilth.estimator.watch.watch import Watch
+from tilth.estimator.watch.watch import WatchState
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
@@ -125,7 +125,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         consistency=consistency_of(stored.raw("consistency")),
         estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
-        watch=stored.value(Watch, "watch"),
+        watch=stored.value(WatchState, "watch"),
         previous_run={
             method: SavedPosterior.from_json(stored_posterior)
             for method, stored_posterior in stored.raw("previous_run").items()

@@ -25,7 +25,7 @@ Warm = Callable[[Mapping[str, SavedPosterior], float, int, Sequence[Accepted]], 
 Report = Callable[[str, str], None]  # kind and text of an event
 
 
-class Kept(NamedTuple):
+class KeptRun(NamedTuple):
     """What earlier runs have left."""
 
     learned: dict[str, SavedPosterior]  # by method
@@ -67,7 +67,7 @@ def write(path: Path, text: str) -> None:
     new.replace(path)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> Kept | None:
+def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
     """What was kept; None where nothing was. Raises NotUsable."""
     try:
         plain = json.loads(path.read_text())
@@ -90,7 +90,7 @@ def read(path: Path, machine: Machine, utc_ns: int) -> Kept | None:
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return Kept(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted)
+    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted)
 
 
 def _digests(machine: Machine) -> dict[str, str]:

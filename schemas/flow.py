@@ -395,15 +395,6 @@ class FitOutcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
-    """Whether the estimators take the frames that follow in the log."""
-
-    t_ns: int
-    ready: bool
-    text: str  # what they wait for, or what has happened
-
-
-@dataclass(frozen=True, slots=True)
 class Accepted:
     """A value that the watch has found and the operator accepted; used from the next frame on."""
 
@@ -411,6 +402,15 @@ class Accepted:
     what: str  # estimator/watch/accepted.py: KNOWN
     amounts: tuple[float, ...]  # by which it has been moved: forward and right, m; or one angle, rad; or m
     sds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """Whether the estimators take the frames that follow in the log."""
+
+    t_ns: int
+    ready: bool
+    text: str  # what they wait for, or what has happened
 
 
 Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Ready | Accepted

@@ -45,7 +45,7 @@ class Suspect:
     directions: Array  # (N, m): change of the constants by each of its m amounts, m or rad or s
 
 
-class Verdict(NamedTuple):
+class Explanation(NamedTuple):
     """How well a suspect explains new samples."""
 
     name: str
@@ -96,7 +96,7 @@ def posterior(evidence: Evidence) -> tuple[Array, Array]:
     return covariance @ evidence.vector, covariance
 
 
-def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> list[Verdict]:
+def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> list[Explanation]:
     """Every suspect, the best explanation first.
 
     mean (N,), covariance (N, N): of the constants by samples before `now`, without drift.
@@ -110,5 +110,5 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> li
         spread = _inverse(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
         along = d.T @ score
         amounts = spread @ along
-        found.append(Verdict(suspect.name, float(along @ amounts), amounts, spread))
-    return sorted(found, key=lambda verdict: -verdict.chi_square)
+        found.append(Explanation(suspect.name, float(along @ amounts), amounts, spread))
+    return sorted(found, key=lambda explanation: -explanation.chi_square)

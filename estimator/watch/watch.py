@@ -29,7 +29,7 @@ from tilth.estimator.watch.suspects import (
     LATENCIES,
     PAIRS,
     WHEEL,
-    Verdict,
+    Explanation,
     judge,
     posterior,
     suspects,
@@ -68,7 +68,7 @@ class Moved:
 
 
 @dataclass(slots=True)
-class Watch:
+class WatchState:
     """Plain data."""
 
     old: Evidence = field(default_factory=Evidence)  # all before `blocks`
@@ -92,7 +92,7 @@ class Found(NamedTuple):
     back: bool = False
 
 
-def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
+def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Found]:
     """Take one pose. Returns what was found moved with it."""
     speed = pose.tractor.forward_velocity
     if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
@@ -107,7 +107,9 @@ def observe(state: Watch, aligner: Aligner, pose: Pose) -> list[Found]:
     return _look(state, aligner.machine)
 
 
-def _add(state: Watch, machine: Machine, given: tuple[NDArray[np.int64], Array, Array], t_ns: int) -> None:
+def _add(
+    state: WatchState, machine: Machine, given: tuple[NDArray[np.int64], Array, Array], t_ns: int
+) -> None:
     kinds, design, measured = given
     rig, block = lengths(machine), state.block
     block.since_ns = block.since_ns or t_ns
@@ -122,7 +124,7 @@ def _add(state: Watch, machine: Machine, given: tuple[NDArray[np.int64], Array, 
     state.samples += 1
 
 
-def _end_block(state: Watch, machine: Machine) -> None:
+def _end_block(state: WatchState, machine: Machine) -> None:
     n, total, squares = state.sums.T
     enough = n > BLOCK / 4
     variance = (squares - total**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
@@ -134,7 +136,7 @@ def _end_block(state: Watch, machine: Machine) -> None:
         _age(state, state.blocks.pop(0))
 
 
-def _age(state: Watch, block: Evidence) -> None:
+def _age(state: WatchState, block: Evidence) -> None:
     keep = 1.0 - 1.0 / MEMORY
     state.old = _sum(
         [Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
@@ -151,52 +153,52 @@ def _sum(parts: list[Evidence]) -> Evidence:
     )
 
 
-def _look(state: Watch, machine: Machine) -> list[Found]:
+def _look(state: WatchState, machine: Machine) -> list[Found]:
     state.mean, _ = posterior(_sum([state.old, *state.blocks]))
     told = _follow(state, machine)
-    best: tuple[int, list[Verdict]] | None = None
+    best: tuple[int, list[Explanation]] | None = None
     for since in SINCE:
         if state.old_blocks + len(state.blocks) - since < LEAST_BEFORE:
             break
         before, now = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
-        verdicts = judge(machine, *posterior(before), now)
-        if best is None or verdicts[0].chi_square > best[1][0].chi_square:
-            best = (since, verdicts)
+        explanations = judge(machine, *posterior(before), now)
+        if best is None or explanations[0].chi_square > best[1][0].chi_square:
+            best = (since, explanations)
     if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
         state.suspected_blocks = 0
         return told
     return told + _suspect(state, machine, *best)
 
 
-def _follow(state: Watch, machine: Machine) -> list[Found]:
+def _follow(state: WatchState, machine: Machine) -> list[Found]:
     """How far what has been moved is moved by all samples since; returns what is known by name now."""
     told = []
     for moved in state.moved:
         if moved.followed:
             moved.after = _sum([moved.after, state.blocks[-1]])
-        verdicts = judge(machine, *posterior(moved.before), moved.after)
-        names = _names(verdicts)
+        explanations = judge(machine, *posterior(moved.before), moved.after)
+        names = _names(explanations)
         if len(moved.names) > 1 and names:
             moved.names = names
             if len(names) == 1:
                 told.append(Found(moved))
-        _set(moved, next(verdict for verdict in verdicts if verdict.name == moved.names[0]))
+        _set(moved, next(explanation for explanation in explanations if explanation.name == moved.names[0]))
     return told
 
 
-def _set(moved: Moved, verdict: Verdict) -> None:
-    moved.amounts, moved.covariance = verdict.amounts, verdict.covariance
+def _set(moved: Moved, explanation: Explanation) -> None:
+    moved.amounts, moved.covariance = explanation.amounts, explanation.covariance
 
 
-def _names(verdicts: list[Verdict]) -> list[str]:
+def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
-    least = verdicts[0].chi_square - RIVAL
-    return [v.name for v in verdicts if v.chi_square > least and v.name not in LATENCIES]
+    least = explanations[0].chi_square - RIVAL
+    return [v.name for v in explanations if v.chi_square > least and v.name not in LATENCIES]
 
 
-def _suspect(state: Watch, machine: Machine, since: int, verdicts: list[Verdict]) -> list[Found]:
+def _suspect(state: WatchState, machine: Machine, since: int, explanations: list[Explanation]) -> list[Found]:
     """Something has been moved, if that is so block after block."""
-    first, names = verdicts[0], _names(verdicts)
+    first, names = explanations[0], _names(explanations)
     state.suspected_blocks += 1
     if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
         return []
@@ -214,20 +216,20 @@ def _suspect(state: Watch, machine: Machine, since: int, verdicts: list[Verdict]
         return [Found(found)]
     known.after, known.followed = after, True
     again = judge(machine, *posterior(known.before), after)
-    _set(known, next(verdict for verdict in again if verdict.name == known.names[0]))
-    if _matters(Verdict(known.names[0], 0.0, known.amounts, known.covariance)):
+    _set(known, next(explanation for explanation in again if explanation.name == known.names[0]))
+    if _matters(Explanation(known.names[0], 0.0, known.amounts, known.covariance)):
         return [Found(known)]
     state.moved.remove(known)
     return [Found(known, back=True)]
 
 
-def _matters(verdict: Verdict) -> bool:
-    if verdict.name in LATENCIES:
+def _matters(explanation: Explanation) -> bool:
+    if explanation.name in LATENCIES:
         return True
-    return float(np.linalg.norm(verdict.amounts)) > LEAST.get(verdict.name, LEAST_MOVED)
+    return float(np.linalg.norm(explanation.amounts)) > LEAST.get(explanation.name, LEAST_MOVED)
 
 
-def _absorb(state: Watch, machine: Machine, since: int, before: Evidence, found: Verdict) -> None:
+def _absorb(state: WatchState, machine: Machine, since: int, before: Evidence, found: Explanation) -> None:
     """What was learned before now predicts the samples since: moved by what was found."""
     directions = directions_of(machine, found.name)
     mean, covariance = posterior(before)
@@ -249,12 +251,12 @@ def message(found: Found, t_ns: int) -> str:
     return f"{describe(moved)}; {minutes:.0f} min ago. It is not used: {accept}"
 
 
-def left_out(state: Watch) -> frozenset[str]:
+def left_out(state: WatchState) -> frozenset[str]:
     """Mounts of the receivers that have been moved and are known by name: the others still give poses."""
     return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
 
 
-def contradictions(state: Watch) -> dict[str, str]:
+def contradictions(state: WatchState) -> dict[str, str]:
     """Key of the machine file -> message, of what has been moved and cannot be done without."""
     out = left_out(state)
     return {key_of(m.names[0]): f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
@@ -266,18 +268,18 @@ def describe(moved: Moved) -> str:
     return ", or it is ".join([text, *moved.names[1:]])
 
 
-def proposal(state: Watch, machine: Machine, what: str, t_ns: int) -> Accepted | None:
+def proposal(state: WatchState, machine: Machine, what: str, t_ns: int) -> Accepted | None:
     """The value that may be accepted by that name; None where there is none."""
     moved = next((moved for moved in state.moved if what in moved.names), None)
     if moved is None:
         return None
-    verdicts = judge(machine, *posterior(moved.before), moved.after)
-    found = next(verdict for verdict in verdicts if verdict.name == what)
+    explanations = judge(machine, *posterior(moved.before), moved.after)
+    found = next(explanation for explanation in explanations if explanation.name == what)
     sds = np.sqrt(np.diag(found.covariance))
     return Accepted(t_ns, what, tuple(found.amounts.tolist()), tuple(sds.tolist()))
 
 
-def accept(state: Watch, machine: Machine, accepted: Accepted) -> None:
+def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
     """The machine file has these values from now on; machine: without them.
 
     All that was learned is measured against them from here on.

@@ -15,7 +15,7 @@ from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
 from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
 from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, suspects
-from tilth.estimator.watch.watch import BLOCK, Found, Watch
+from tilth.estimator.watch.watch import BLOCK, Found, WatchState
 from tilth.schemas.flow import Accepted, Mount
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Drive:
     """Rows and turns, in which all measurements are what the constants say, and noise."""
 
     def __init__(self, seed: int = 1) -> None:
-        self.state = Watch()
+        self.state = WatchState()
         self._rng = np.random.default_rng(seed)
         self._poses = 0
         self.constants = self._rng.normal(0.0, 0.02, N)
