@@ -39,6 +39,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("discover", "listen to a bus and draft a machine file"),
+    ("calibrate", "find what a drive tells of a rig, and write it into its machine file"),
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),
     ("model", "say how a rig moves, and what a drive can tell of its tyres"),

@@ -35,10 +35,15 @@ MOST_FITS: Final = 3  # each about the file that the one before gives
 STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
 LEAST_DRIVEN_S: Final = 60.0
 LEAST_RECORDS_S: Final = 40.0
+LEAST_TURNED_S: Final = 10.0
 
 
 class CannotCalibrate(Exception):
-    """The drive tells nothing; one sentence that says why, and what to do."""
+    """The drive tells nothing; one sentence that says why, and what to do. faults: found meanwhile."""
+
+    def __init__(self, text: str, faults: Sequence[Fault] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +90,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         start = mean.copy() if fit is None else _from(fit, mean)
         fit = joint.fit(
             followed.records, rig_setup(now), mean, sd, start, TOLD,
-            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.017 * steps),
+            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}, largest {size:.2g} sd", 0.2 + 0.25 * k + 0.017 * steps),
         )  # fmt: skip
         before, changes = changes, _taken(machine, changes, fit)
         changes = _with_aside(machine, drive, changes, found_rolls)
@@ -150,7 +155,8 @@ def _check_records(followed: Followed, faults: Sequence[Fault]) -> None:
     most = max(followed.refused.items(), key=lambda item: item[1], default=("nothing was driven", 0))[0]
     raise CannotCalibrate(
         f"only {seconds:.0f} s of the drive can be learned from; most of it is refused: {most}"
-        + (f". Found meanwhile: {'; '.join(said)}" if said else "")
+        + (f". Found meanwhile: {'; '.join(said)}" if said else ""),
+        faults,
     )
 
 
@@ -204,16 +210,25 @@ def _first_look(machine: Machine, drive: Drive) -> tuple[Changes, list[Fault], S
     view = _view(applied(machine, changes), placed, changes, found_rolls)
     base = machine.tractor.a.value + machine.tractor.b.value
     told = first_look.wheel(view, base, view.rate[:, 0])
-    share = first_look.explained(view, base, view.rate[:, 0], told)
-    faults += finding.wheel_faults(told, share)
-    if share >= finding.SHARE:
-        late = first_look.common_latency(view, base, told)
-        gain = float(told.value[1])
-        changes = replace(
-            changes, wheel_sign=1 if gain > 0 else -1, wheel_zero=float(told.value[0]), wheel_gain=abs(gain),
-            late=changes.late + late,
-        )  # fmt: skip
+    wheel_faults = finding.wheel_faults(told, first_look.explained(view, base, view.rate[:, 0], told))
+    faults += wheel_faults
+    if any(fault.kind == finding.WHEEL_UNREAD for fault in wheel_faults):
+        _check_turned(first_look.driven(view))
+        raise CannotCalibrate(wheel_faults[0].text, faults)
+    gain = float(told.value[1])
+    changes = replace(
+        changes, wheel_sign=1 if gain > 0 else -1, wheel_zero=float(told.value[0]), wheel_gain=abs(gain),
+        late=changes.late + first_look.common_latency(view, base, told),
+    )  # fmt: skip
     return changes, faults, view, found_rolls
+
+
+def _check_turned(driven: Straightness) -> None:
+    if driven.left + driven.right < LEAST_TURNED_S:
+        raise CannotCalibrate(
+            "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
+            "drive slow circles to both sides"
+        )
 
 
 def _between_bodies(changes: Changes, late: float) -> Changes:

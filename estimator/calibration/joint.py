@@ -139,7 +139,7 @@ def _step(
     while damping < MOST_DAMPING:
         damped = information + damping * np.diag(np.diag(information))
         step = np.asarray(np.linalg.solve(damped, -gradient), np.float64)
-        step /= max(1.0, float(np.max(np.abs(step) / (LONGEST * sd[active]))))
+        step = np.clip(step, -LONGEST * sd[active], LONGEST * sd[active])  # what runs away holds up no other
         moved = point.copy()
         moved[active] += step
         then = _Sum(searches, moved, now.at)
