@@ -24,6 +24,8 @@ from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.machine import Machine, MachineError
 
+WIDTH = 120  # of what goes into a file
+
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
@@ -164,6 +166,8 @@ def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, float], None]:
 
 def _show(found: Calibrated) -> None:
     console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
     for fault in found.faults:
         console.print(f"FOUND {fault.text}", highlight=False, markup=False, soft_wrap=True)
     table = RichTable(title=found.title, title_justify="left")

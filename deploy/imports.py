@@ -36,6 +36,7 @@ HOLDS = {
     "pose": "both bodies, now",
     "record": "data on ticks",
     "filters": "likelihoods",
+    "calibration": "a rig by its driving",
     "results": "what is published",
     "methods": "the estimators",
     "fold": "frame in, results out",

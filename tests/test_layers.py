@@ -12,7 +12,7 @@ LAYERS = (
     "adaptive_guidance", "cli",
 )  # fmt: skip
 ROOMS = {
-    "estimator": ("models", "pose", "record", "filters", "results", "methods", ""),
+    "estimator": ("models", "pose", "record", "filters", "calibration", "results", "methods", ""),
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),
@@ -24,6 +24,7 @@ ROOMS = {
         "",
         "export",
         "report",
+        "calibration",
         "sensitivity",
         "dissertation",
     ),

@@ -43,10 +43,10 @@ def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, s
 def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: str) -> None:
     for key in keys:
         old, new = getattr(before, key), getattr(after, key)
-        if _plain(old) == _plain(new):
+        if _plain(old, key) == _plain(new, key):
             continue
-        said = f"{note}; was {_words(_plain(old))}" if key in table else note
-        _put(table, key, _plain(new), said)
+        said = f"{note}; was {_words(_plain(old, key))}" if key in table else note
+        _put(table, key, _plain(new, key), said)
 
 
 def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
@@ -65,21 +65,23 @@ def _item(value: Any) -> Item:
     return tomlkit.item(value)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, key: str) -> Any:
     """As it stands in the file, rounded."""
     if isinstance(value, Quantity):
         if value.sd == 0.0:
-            return _round(value.value)
-        return {"value": _round(value.value), "sd": float(f"{value.sd:.2g}")}
+            return _round(value.value, key)
+        return {"value": _round(value.value, key), "sd": float(f"{value.sd:.2g}")}
     if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) and not isinstance(value, bool):
-        return _round(value)
+        return [_plain(one, key) for one in value]
+    if isinstance(value, float):
+        return _round(value, key)
     return getattr(value, "value", value)  # of an enum
 
 
-def _round(value: float) -> float:
-    return float(f"{value:.6g}") if abs(value) < 0.1 else round(value, DIGITS)
+def _round(value: float, key: str) -> float:
+    if key.endswith("_sd"):
+        return float(f"{value:.2g}")
+    return float(f"{value:.7g}") if key in _WHEEL and key != "zero" else round(value, DIGITS)
 
 
 def _words(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from tilth.analysis.calibration.machine_text import difference, rewritten
 from tilth.analysis.calibration.reading import Heard, read, reading_as, wheel_candidate
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate
+from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import Fault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
@@ -125,6 +125,20 @@ def calibrate_logs(
     return Calibrated(
         machine, found, judged, (*faults, *found.faults), tuple(_notes(heard)), text, after, when, names, told
     )
+
+
+def look_at_logs(paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say) -> list[Fault]:
+    """What is structurally wrong, without the numbers. Raises as `calibrate_logs`."""
+    heard = read(paths, machine, buses, say, lambda done, of: None)
+    try:
+        return look(machine, heard.measurements)
+    except CannotCalibrate as error:
+        better = _reread(paths, machine, buses, heard, error)
+        if better is None:
+            raise
+        described, fault = better
+        again = read(paths, described, buses, say, lambda done, of: None)
+        return [fault, *look(described, again.measurements)]
 
 
 def _reread(

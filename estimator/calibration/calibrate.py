@@ -67,6 +67,54 @@ class Calibration:
 def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> Calibration:
     """measurements: of the whole drive, in their order, as this machine file makes them. Raises
     CannotCalibrate."""
+    looked = _looked(machine, measurements, progress)
+    drive, changes, faults = looked.drive, looked.changes, looked.faults
+    view, found_rolls, followed = looked.view, looked.rolls, looked.followed
+    _check_records(followed, faults)
+    fit: JointFit | None = None
+    for k in range(MOST_FITS):
+        now = applied(machine, changes)
+        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, ROLL_FLOOR))
+        moved = _moved(machine, changes)
+        mean, sd = _centred(now, mean, sd, moved)
+        start = mean.copy() if fit is None else _from(fit, mean)
+        fit = joint.fit(
+            followed.records, rig_setup(now), mean, sd, start, TOLD,
+            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.015 * steps),
+        )  # fmt: skip
+        before, changes = changes, _taken(machine, changes, fit)
+        changes = _with_aside(machine, drive, changes, found_rolls)
+        size = _largest(fit)
+        if k == MOST_FITS - 1 or (k > 0 and size < STANDS):
+            break
+        followed = follow(applied(machine, changes), measurements, changes)
+    assert fit is not None and before is not None
+    gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
+    return Calibration(
+        changes, applied(machine, changes), tuple(faults), found_rolls,
+        np.maximum(found_rolls.sd, ROLL_FLOOR), (0.0, _aside_sd(gap.sds[1], fit, machine)), fit,
+        _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
+    )  # fmt: skip
+
+
+def look(machine: Machine, measurements: Sequence[Measurement]) -> list[Fault]:
+    """What is structurally wrong, without the numbers. Raises CannotCalibrate, too."""
+    return _looked(machine, measurements, lambda what, share: None).faults
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What the first look gives."""
+
+    drive: Drive
+    changes: Changes
+    faults: list[Fault]
+    view: Seen
+    rolls: Rolls
+    followed: Followed
+
+
+def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> _Looked:
     progress("looking at the drive", 0.0)
     heard = drives.Heard()
     for measurement in measurements:
@@ -80,31 +128,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     if any(fault.kind == finding.ROLL_CORRECTED for fault in more):
         changes = replace(changes, roll_corrected=finding.corrected(changes, more, followed.flags))
         followed = follow(applied(machine, changes), measurements, changes)
-    _check_records(followed, faults)
-    fit: JointFit | None = None
-    for k in range(MOST_FITS):
-        now = applied(machine, changes)
-        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, ROLL_FLOOR))
-        moved = _moved(machine, changes)
-        mean, sd = _centred(now, mean, sd, moved)
-        start = mean.copy() if fit is None else _from(fit, mean)
-        fit = joint.fit(
-            followed.records, rig_setup(now), mean, sd, start, TOLD,
-            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}, largest {size:.2g} sd", 0.2 + 0.25 * k + 0.017 * steps),
-        )  # fmt: skip
-        before, changes = changes, _taken(machine, changes, fit)
-        changes = _with_aside(machine, drive, changes, found_rolls)
-        size = _largest(fit)
-        if k == MOST_FITS - 1 or (k > 0 and size < STANDS):
-            break
-        followed = follow(applied(machine, changes), measurements, changes)
-    assert fit is not None and before is not None
-    gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
-    return Calibration(
-        changes, applied(machine, changes), tuple([*faults, *more]), found_rolls,
-        np.maximum(found_rolls.sd, ROLL_FLOOR), (0.0, _aside_sd(gap.sds[1], fit, machine)), fit,
-        _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
-    )  # fmt: skip
+    return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed)
 
 
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
@@ -125,11 +149,12 @@ def _check_heard(machine: Machine, heard: drives.Heard) -> None:
             f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine file "
             "names other devices; `tilth discover LOG` lists who is there"
         )
-    if not heard.wheel:
-        raise CannotCalibrate(
+    if len(heard.wheel) < 2:
+        text = (
             "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
             "`tilth discover LOG` lists candidates"
         )
+        raise CannotCalibrate(text, [Fault(finding.WHEEL_UNREAD, "wheel_angle", text)])
     without = [
         mount.value
         for k, mount in enumerate(MOUNTS)

@@ -20,6 +20,7 @@ YAW_SIGN, ROLL_SIGN, ROLL_CORRECTED = "yaw_rate_sign", "roll_sign", "roll_correc
 SMOOTHED: Final = "smoothed_yaw_rate"
 GROSS_GAIN: Final = 1.35  # scales beyond this are no error of a linkage but of the description
 TURNING: Final = 0.03  # rad/s, sd of a body's turn rate: enough to compare signs
+EXPLAINED: Final = 0.9  # of the wheel angle's variance: less is no wheel angle
 SHARE: Final = 0.5  # of the turn rate: less than minus this says that the sign is wrong
 
 
@@ -87,7 +88,7 @@ def roll_sign_faults(signs: tuple[int, ...]) -> list[Fault]:
 def wheel_faults(found: Solved, explained: float) -> list[Fault]:
     """Of first_look.wheel and first_look.explained."""
     gain = float(found.value[1])
-    if explained < SHARE:
+    if explained < EXPLAINED:
         text = (
             "the wheel angle does not go with the way that is driven: another message, byte order, start byte "
             "or signedness is right ([wheel_angle])"

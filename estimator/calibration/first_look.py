@@ -11,10 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.changes import BODY
 from tilth.estimator.calibration.drive import MOUNTS, STEP_S, Drive
 from tilth.estimator.calibration.least_squares import Solved, solve
-from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -26,9 +24,8 @@ MOVING: Final = 0.8  # m/s
 SLOW: Final = 2.6  # m/s: below, slip is small
 SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
 NOISE_M: Final = 0.01  # of a position
-TYPICAL_SLIP: Final = 0.01  # s^2/m: of lateral velocity over u r u
 WHEEL_DELAY_S: Final = np.arange(-0.25, 0.2501, 0.01)  # that are tried
-RELAXATIONS_M: Final = (0.3, 0.7, 1.1, 1.6)  # that are tried with each, of the yaw rate behind the wheel
+RELAXATIONS_M: Final = (0.0, 0.3, 0.7, 1.1, 1.6)  # that are tried with each, of the yaw rate behind the wheel
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +52,7 @@ def seen(drive: Drive, machine: Machine, roll: Array, late: Array) -> Seen:
     """roll: rad, (n, 2), of both bodies, 0 where unknown. late: s, (4,), beyond the file's latencies."""
     by_mount = {r.mount: r for r in machine.receiver}
     at = drive.at + drive.velocity * late[:, None]
+    moving = _later(drive, late)
     heading, middle = np.full((len(drive.t), 2), np.nan), np.full((len(drive.t), 2, 2), np.nan)
     along, across, lengths = (np.full((len(drive.t), 2), np.nan) for _ in range(3))
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
@@ -70,12 +68,22 @@ def seen(drive: Drive, machine: Machine, roll: Array, late: Array) -> Seen:
         heights = [0.0 if r.roll_corrected else r.position[2] for r in pair]
         lean = float(np.mean(heights)) * np.sin(roll[:, body])
         middle[:, body] = at[:, [front, rear]].mean(axis=1) - lean[:, None] * right
-        velocity = drive.velocity[:, [front, rear]].mean(axis=1)
+        velocity = moving[:, [front, rear]].mean(axis=1)
         along[:, body] = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
         across[:, body] = (velocity * right).sum(axis=1)
     return Seen(
         drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate
     )
+
+
+def _later(drive: Drive, late: Array) -> Array:
+    """Velocities of receivers that report so much later than the grid takes for granted, (n, 4, 2)."""
+    found = drive.velocity.copy()
+    for k, by in enumerate(late):
+        for axis in range(2):
+            if len(drive.t):
+                found[:, k, axis] = np.interp(drive.t + by, drive.t, drive.velocity[:, k, axis])
+    return found
 
 
 def _rate(heading: Array) -> Array:
@@ -142,8 +150,11 @@ def wheel(view: Seen, wheelbase: float, rate: Array) -> Solved:
 
 
 def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float:
-    """Share of the wheel angle's variance that the way explains, 0 without driving."""
+    """Share of the wheel angle's variance that the way explains, in slow driving where there is some; 0 without
+    driving."""
     rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
+    slow = rows & (view.along[:, 0] < SLOW)
+    rows = slow if np.count_nonzero(slow) > 200 else rows
     if np.count_nonzero(rows) < 50:
         return 0.0
     u, r = view.along[rows, 0], rate[rows]
@@ -196,7 +207,3 @@ def driven(view: Seen) -> Straightness:
         float(np.count_nonzero(known & folded)) * STEP_S,
         float(np.count_nonzero(known & (np.abs(u) < 0.1))) * STEP_S,
     )
-
-
-def body_of(mount: Mount) -> int:
-    return BODY[MOUNTS.index(mount)]
