@@ -55,7 +55,8 @@ class Calibration:
     faults: tuple[Fault, ...]
     rolls: Rolls
     roll_sd: Array  # rad, (4,)
-    aside_t: tuple[float, float]  # m, and its sd: what is left aside on the tractor after the changes
+    aside_sd: float  # m, of what stands aside on the tractor
+    hitch_sd: tuple[float, float]  # m, of hitch and drawbar by where the bodies see the hitch
     fit: JointFit
     moved: dict[str, float]  # name of a number -> SI, by how much the file was moved
     driven: Straightness
@@ -92,7 +93,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
     return Calibration(
         changes, applied(machine, changes), tuple(faults), found_rolls,
-        np.maximum(found_rolls.sd, ROLL_FLOOR), (0.0, _aside_sd(gap.sds[1], fit, machine)), fit,
+        np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine), _hitch_sd(gap.sds), fit,
         _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
     )  # fmt: skip
 
@@ -134,6 +135,7 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.03)
 ASIDE_FLOOR: Final = 0.004
+TYPICAL_SPEED: Final = 2.0  # m/s, in turns
 
 
 def _check_heard(machine: Machine, heard: drives.Heard) -> None:
@@ -374,6 +376,13 @@ def _largest(fit: JointFit) -> float:
     """Sds by which a fit has moved any number from where its file stood."""
     rows = [AT[name] for name in priors.BY_LIKELIHOOD]
     return float(np.max(np.abs(fit.mean[rows]) / np.sqrt(np.diag(fit.covariance)[rows])))
+
+
+def _hitch_sd(sds: Array) -> tuple[float, float]:
+    """Of hitch and drawbar: what is late between the bodies shifts them along the way, and the likelihood has
+    no unknown for it."""
+    late = TYPICAL_SPEED * float(sds[4])
+    return math.hypot(float(sds[0]), late), math.hypot(float(sds[2]), late)
 
 
 def _aside_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:

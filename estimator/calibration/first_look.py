@@ -26,6 +26,9 @@ SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
 NOISE_M: Final = 0.01  # of a position
 WHEEL_DELAY_S: Final = np.arange(-0.25, 0.2501, 0.01)  # that are tried
 RELAXATIONS_M: Final = (0.0, 0.3, 0.7, 1.1, 1.6)  # that are tried with each, of the yaw rate behind the wheel
+USUAL: Final = ((0.0, 0.1), (0.8, 0.4))  # s and m, with their sds, of both: they look much alike
+UNUSUAL: Final = 0.03  # share by which one sd from what is usual makes a fit worse
+HITCH_BLOCK: Final = 400  # rows that may err together: 40 s of two coordinates
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,7 @@ def hitch(view: Seen) -> Solved:
         columns = [forward(psi[:, 0]), right(psi[:, 0]), -forward(psi[:, 1]), -right(psi[:, 1])]
         blocks.append(np.column_stack([*columns, -u * forward(psi[:, 1])]))
     design = np.stack(blocks, axis=1).reshape(-1, 5)
-    return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M)
+    return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
 
 
 def crab(view: Seen, body: int) -> Solved:
@@ -178,7 +181,9 @@ def common_latency(view: Seen, wheelbase: float, found: Solved) -> float:
             then = t - late - relaxation / u
             angle = (np.interp(then, view.t[good], view.wheel[good]) - zero) / gain
             left = np.tan(angle) * u / (wheelbase + under / gain * u * u) - r
-            best = min(best, (float(np.mean(np.abs(left[SMOOTH:-SMOOTH]))), float(late)))
+            away = sum(((x - m) / sd) ** 2 for x, (m, sd) in zip((late, relaxation), USUAL, strict=True))
+            size = float(np.mean(np.abs(left[SMOOTH:-SMOOTH]))) * (1.0 + UNUSUAL * away)
+            best = min(best, (size, float(late)))
     return best[1]
 
 

@@ -24,10 +24,10 @@ class Solved(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)), np.float64)
 
 
-def solve(design: Array, observed: Array, prior_sd: Array, floor: float = 1e-9) -> Solved:
+def solve(design: Array, observed: Array, prior_sd: Array, floor: float, block: int = BLOCK) -> Solved:
     """design: (n, p); observed: (n,); prior_sd: (p,), about 0. floor: least sd of a residual.
 
-    Rows of one BLOCK may err together: the covariance is the sandwich over blocks.
+    `block` rows that follow each other may err together: the covariance is the sandwich over blocks.
     """
     information = np.diag(prior_sd**-2.0)
     if len(observed) == 0:
@@ -44,7 +44,7 @@ def solve(design: Array, observed: Array, prior_sd: Array, floor: float = 1e-9) 
     scaled = design.T * (weights / sd**2)
     inverse = np.asarray(np.linalg.inv(scaled @ design + information), np.float64)
     scores = (scaled * left).T  # (n, p)
-    starts = np.arange(0, len(observed), BLOCK)
+    starts = np.arange(0, len(observed), block)
     sums = np.add.reduceat(scores, starts, axis=0)
     middle = sums.T @ sums + information
     robust = inverse @ middle @ inverse

@@ -88,13 +88,15 @@ def _told(machine: Machine, found: Calibration, number: Number) -> Told:
     if name in BY_LIKELIHOOD:
         k = AT[name]
         scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
-        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name])
+        # Folded, what stands aside on one body looks like it on the other; the tractor's is held in the fit.
+        seen = {"c": found.hitch_sd[0], "d": found.hitch_sd[1], "aside_i": 0.5 * found.aside_sd}.get(name, 0.0)
+        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], seen)
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
             halves = (float(one), float(other))
             p = math.erfc(abs(_difference(fit.halves, k)) / math.sqrt(2.0))
     elif name == "aside_t":
-        sd = math.hypot(found.aside_t[1], FLOOR[name])
+        sd = math.hypot(found.aside_sd, FLOOR[name])
     else:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
     status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD

@@ -17,12 +17,12 @@ from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
 DRIVE = """
-seconds = 150.0
+seconds = 160.0
 noise = 0.5
-speed = [[12.0, 0.0], [16.0, 3.0], [24.0, 1.8], [16.0, 3.0], [30.0, 1.5], [30.0, 1.5], [22.0, 4.0]]
+speed = [[12.0, 0.0], [16.0, 3.0], [22.0, 1.8], [16.0, 3.5], [26.0, 1.4], [26.0, 1.4], [20.0, 1.8], [22.0, 4.0]]
 steering = [
-    [12.0, 0.0], [16.0, 0.0], [24.0, -25.0], [16.0, 0.0], [30.0, 20.0], [30.0, -22.0],
-    [4.0, 0.0], [18.0, "random"],
+    [12.0, 0.0], [16.0, 0.0], [22.0, -25.0], [16.0, 0.0], [26.0, 20.0], [26.0, -22.0],
+    [5.0, 26.0], [5.0, -26.0], [5.0, 26.0], [5.0, -26.0], [22.0, "random"],
 ]
 [soil]
 grip = 0.7
@@ -112,7 +112,7 @@ def test_a_draft_is_told_what_to_fill_in(drive: Path, tmp_path: Path, capsys: py
     draft = tmp_path / "draft.toml"
     draft.write_text(MACHINE_TEXT.replace("mass = 9391.0", "mass =  # FILL IN: kg"), encoding="utf-8")
     assert main(["calibrate", str(drive), "--machine", str(draft)]) == 2
-    assert "tractor.mass (line 13)" in capsys.readouterr().err
+    assert "tractor.mass (line 11)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
