@@ -37,6 +37,7 @@ HOLDS = {
     "watch": "what was moved",
     "record": "data on ticks",
     "filters": "likelihoods",
+    "calibration": "a rig by its driving",
     "results": "what is published",
     "methods": "the estimators",
     "fold": "frame in, results out",

@@ -63,6 +63,11 @@ class Tractor(_Section):
     pair_yaw_sd: float = Field(
         default=0.2, ge=0, description="of the yaw of its pair of receivers as mounted, deg"
     )
+    lever_sd: float | None = Field(
+        default=None,
+        ge=0,
+        description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
+    )
     kingpin_distance: float | None = Field(
         default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
     )
@@ -81,6 +86,11 @@ class Implement(_Section):
     )
     pair_yaw_sd: float = Field(
         default=0.2, ge=0, description="of the yaw of its pair of receivers as mounted, deg"
+    )
+    lever_sd: float | None = Field(
+        default=None,
+        ge=0,
+        description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
     )
 
 
@@ -137,6 +147,11 @@ class Receiver(_Section):
     yaw_rate_sd: float = Field(default=0.3, gt=0, description="deg/s")
     heading_sd: float = Field(default=0.5, gt=0, description="of a heading the receiver reports, deg")
     roll_sd: float = Field(default=0.5, gt=0, description="deg")
+    roll_zero: Annotated[Quantity, _quantity()] | None = Field(
+        default=None, description="what it reports when level, after roll_sign, deg; none: 0, sd 0.57"
+    )
+    roll_sign: Literal[1, -1] = Field(default=1, description="-1 where it reports the right side down as minus")
+    yaw_rate_sign: Literal[1, -1] = Field(default=1, description="-1 where it reports a right turn as minus")
     roll_corrected: bool = Field(
         default=False, description="true where the receiver already reports the point on the ground below it"
     )

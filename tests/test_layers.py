@@ -12,7 +12,7 @@ LAYERS = (
     "adaptive_guidance", "cli",
 )  # fmt: skip
 ROOMS = {
-    "estimator": ("models", "pose", "watch", "record", "filters", "results", "methods", ""),
+    "estimator": ("models", "pose", "watch", "record", "filters", "calibration", "results", "methods", ""),
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),
@@ -25,6 +25,7 @@ ROOMS = {
         "",
         "export",
         "report",
+        "calibration",
         "sensitivity",
         "dissertation",
     ),

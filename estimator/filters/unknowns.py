@@ -124,7 +124,8 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     bodies: tuple[Tractor | Implement, ...] = (tractor, implement)
     for k, body in enumerate(bodies):
         name = ("tractor", "implement")[k]
-        survey, turned = _survey(machine, name), _turned(machine, name)
+        survey = _survey(machine, name) if body.lever_sd is None else body.lever_sd
+        turned = _turned(machine, name)
         sd[AT["pair_t"] + k] = math.hypot(math.radians(body.pair_yaw_sd), turned)
         sd[AT["lever_t"] + k] = survey
         sd[AT["cg_t"] + k] = body.cg_sd
@@ -134,8 +135,8 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
     (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK
-    measured = [any(r.mount is mount for r in machine.receiver) for mount in Mount]
-    sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = np.where(measured, ROLL_ZERO_SD, 0.0)
+    zeros = {r.mount: ROLL_ZERO_SD if r.roll_zero is None else math.radians(r.roll_zero.sd) for r in machine.receiver}
+    sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = [zeros.get(mount, 0.0) for mount in Mount]
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
     sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
     mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])

@@ -28,7 +28,7 @@ from tilth.schemas.flow import (
     WheelAngle,
     YawRate,
 )
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, Receiver
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
@@ -69,7 +69,7 @@ def initial(machine: Machine) -> Aligner:
     sds = [by_mount[m].latency.sd if m in by_mount else 0.0 for m in MOUNTS]
     return Aligner(
         machine=machine,
-        tracks={r.mount.value: Track(round(r.latency.value * 1e9)) for r in present},
+        tracks={r.mount.value: _track(r) for r in present},
         latency=latency.prior(sds),
     )
 
@@ -85,6 +85,11 @@ def leave_out(state: Aligner, mounts: Collection[str]) -> None:
         track.left_out = mount in mounts
     state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
     state.last_heading = [None, None]
+
+
+def _track(receiver: Receiver) -> Track:
+    zero = 0.0 if receiver.roll_zero is None else math.radians(receiver.roll_zero.value)
+    return Track(round(receiver.latency.value * 1e9), zero, receiver.roll_sign, receiver.yaw_rate_sign)
 
 
 def is_number(measurement: Measurement) -> bool:

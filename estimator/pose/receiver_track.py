@@ -49,6 +49,9 @@ class Track:
     """One receiver's recent samples. Times in ns on the clock of Frame.rx_ns."""
 
     latency_ns: int
+    roll_zero: float = 0.0  # rad, of the machine file
+    roll_sign: int = 1
+    yaw_rate_sign: int = 1
     clock: EpochClock = field(default_factory=EpochClock)
     utc: UtcClock = field(default_factory=UtcClock)
     positions: deque[Planar] = field(default_factory=lambda: deque(maxlen=32))
@@ -73,10 +76,10 @@ class Track:
             case Velocity(course=course, speed=speed, sd=sd):
                 self.velocities.append((t_ns, speed * math.cos(course), speed * math.sin(course), sd))
             case YawRate(yaw_rate=rate, sd=sd):
-                self.yaw_rates.append((t_ns, rate, sd))
+                self.yaw_rates.append((t_ns, self.yaw_rate_sign * rate, sd))
             case Attitude(roll=roll, pitch=pitch, sd=sd):
                 if roll is not None:
-                    self.rolls.append((t_ns, roll, sd))
+                    self.rolls.append((t_ns, self.roll_sign * roll - self.roll_zero, sd))
                 if pitch is not None:
                     self.pitches.append((t_ns, pitch, sd))
             case Heading(heading=heading, sd=sd):

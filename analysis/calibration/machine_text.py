@@ -1,0 +1,115 @@
+"""A machine file rewritten with what was found: comments stay, each changed value says what was found and what
+stood there."""
+
+import difflib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import tomlkit
+from tomlkit.items import AbstractTable, Item
+
+from tilth.schemas.machine import Machine, Quantity
+
+DIGITS: Final = 4  # after the point of a length, an angle or a time
+_RECEIVER: Final = (
+    "mount", "position", "survey_sd", "latency", "roll_zero", "roll_sign", "yaw_rate_sign", "roll_corrected",
+)  # fmt: skip
+_WHEEL: Final = (
+    "byte_order", "start_byte", "bits", "signed", "scale", "offset", "sign", "lookup", "zero", "gain",
+)  # fmt: skip
+_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd")
+_IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
+
+
+def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, str], when: str) -> str:
+    """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: for the
+    comments, the date of the drive. Receivers stay in the order of the text."""
+    document = tomlkit.parse(text)
+    note = f"calibrate {when}"
+    _section(document["tractor"], before.tractor, after.tractor, _TRACTOR, note)
+    _section(document["implement"], before.implement, after.implement, _IMPLEMENT, note)
+    by_mount = {r.mount.value: r for r in after.receiver}
+    blocks: Any = document["receiver"]
+    for block, receiver in zip(blocks, before.receiver, strict=True):
+        there = by_mount[places[receiver.mount.value]]
+        _section(block, receiver, there, _RECEIVER, note)
+    wheel: Any = document["wheel_angle"]
+    if "start_bit" in wheel and before.wheel_angle.start_bit != after.wheel_angle.start_bit:
+        wheel.remove("start_bit")
+    _section(wheel, before.wheel_angle, after.wheel_angle, _WHEEL, note)
+    return tomlkit.dumps(document)
+
+
+def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: str) -> None:
+    for key in keys:
+        old, new = getattr(before, key), getattr(after, key)
+        if _plain(old, key) == _plain(new, key):
+            continue
+        said = f"{note}; was {_words(_plain(old, key))}" if key in table else note
+        _put(table, key, _plain(new, key), said)
+
+
+def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
+    known = table.get(key)
+    comment = known.trivia.comment.lstrip("# ") if isinstance(known, Item) and known.trivia.comment else ""
+    table[key] = _item(value)
+    item: Any = table[key]
+    item.comment(f"{said}; {comment}" if comment else said)
+
+
+def _item(value: Any) -> Item:
+    if isinstance(value, dict):
+        inline = tomlkit.inline_table()
+        inline.update(value)
+        return inline
+    return tomlkit.item(value)
+
+
+def _plain(value: Any, key: str) -> Any:
+    """As it stands in the file, rounded."""
+    if isinstance(value, Quantity):
+        if value.sd == 0.0:
+            return _round(value.value, key)
+        return {"value": _round(value.value, key), "sd": float(f"{value.sd:.2g}")}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one, key) for one in value]
+    if isinstance(value, float):
+        return _round(value, key)
+    return getattr(value, "value", value)  # of an enum
+
+
+def _round(value: float, key: str) -> float:
+    if key.endswith("_sd"):
+        return float(f"{value:.2g}")
+    return float(f"{value:.7g}") if key in _WHEEL and key != "zero" else round(value, DIGITS)
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{value['value']:g} (sd {value['sd']:g})"
+    if isinstance(value, list):
+        return "[" + ", ".join(_words(one) for one in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def difference(before: str, after: str, name: str) -> str:
+    """What changes, line by line; "" where nothing does."""
+    lines = difflib.unified_diff(
+        before.splitlines(keepends=True), after.splitlines(keepends=True), f"{name} (before)", name, n=0
+    )
+    return "".join(lines)
+
+
+def unfilled(text: str) -> list[tuple[int, str]]:
+    """(number, key) of the lines of a draft that have no value yet."""
+    found, section = [], ""
+    for number, line in enumerate(text.splitlines(), 1):
+        bare = line.strip()
+        if bare.startswith("["):
+            section = bare.strip("[]")
+        key, equals, rest = bare.partition("=")
+        if equals and "FILL IN" in rest and not rest.split("#")[0].strip():
+            found.append((number, f"{section}.{key.strip()}"))
+    return found
+
+

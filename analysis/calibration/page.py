@@ -1,0 +1,83 @@
+"""The report of a calibration: the same kind of file as `tilth report` writes."""
+
+from tilth.analysis.calibration.run import Calibrated
+from tilth.analysis.report.document import (
+    WARNING,
+    DriveReport,
+    ReportCell,
+    ReportSection,
+    ReportTable,
+    ReportText,
+)
+from tilth.estimator.calibration.verdict import NOT_TOLD
+
+
+def report_of(found: Calibrated) -> DriveReport:
+    """All of it; every number is in its data."""
+    sections = (_at_a_glance(found), _numbers(found), _residuals(found), _soil(found), _file(found))
+    return DriveReport(f"Calibration of {found.machine.name}", sections, found.as_json())
+
+
+def _at_a_glance(found: Calibrated) -> ReportSection:
+    kind = "plain" if found.verdict.good else WARNING
+    parts = [ReportText(f"{found.title}; {', '.join(found.logs)}.")]
+    parts += [ReportText(f"Found: {fault.text}.", WARNING) for fault in found.faults]
+    parts += [ReportText(sentence, kind) for sentence in found.verdict.sentences]
+    parts += [ReportText(note) for note in found.notes]
+    return ReportSection("glance", "Is it good, and why not?", tuple(parts))
+
+
+def _numbers(found: Calibrated) -> ReportSection:
+    rows = tuple(
+        tuple(
+            ReportCell(text, one.moved if k == 1 else None, one.sd if k == 1 else None)
+            for k, text in enumerate(row)
+        )
+        for one, row in zip(found.verdict.told, found.rows(), strict=True)
+    )
+    columns = ("number", "change ± 95 %", "sd before", "sd now", "sd wanted", "by either half", "status")
+    table = ReportTable("numbers", "What the drive told, on top of what the file said", columns, rows)
+    asked = []
+    for one in found.verdict.told:
+        if one.why_not:
+            verb = "is not told" if one.status == NOT_TOLD else "would be told better"
+            asked.append(ReportText(f"{one.number.words}: {verb}; {one.why_not}."))
+    return ReportSection("numbers", "Numbers", (table, *asked))
+
+
+def _residuals(found: Calibrated) -> ReportSection:
+    fit = found.found.fit
+    rows = (
+        ("driving that was used", f"{fit.seconds:.0f} s, {fit.rows} measurements", fit.seconds),
+        ("innovations over their sds, rms", f"{fit.residual:.2f}", fit.residual),
+        ("autocorrelation of the innovations", f"{fit.whiteness:.2f}", fit.whiteness),
+        ("left out as outliers", f"{fit.outliers}", float(fit.outliers)),
+        ("gap of the hitch as seen from either body, sd", f"{found.found.hitch_gap * 100:.1f} cm", found.found.hitch_gap),
+        ("halves: chi-square, degrees of freedom, p", f"{found.verdict.chi2:.1f}, {found.verdict.dof}, {found.verdict.p:.2g}", found.verdict.p),
+    )  # fmt: skip
+    table = ReportTable(
+        "residuals", "What is left unexplained", ("", "found"),
+        tuple((ReportCell(name), ReportCell(text, value)) for name, text, value in rows),
+    )  # fmt: skip
+    refused = [ReportText(f"Not used: {count * 0.2:.0f} s, {why}.") for why, count in found.found.refused.items()]
+    return ReportSection("residuals", "Residuals", (table, *refused))
+
+
+def _soil(found: Calibrated) -> ReportSection:
+    rows = tuple(
+        (ReportCell(name), ReportCell(f"± {196 * whole:.1f} %", whole), ReportCell(f"± {196 * part:.1f} %", part))
+        for name, (whole, part) in found.verdict.soil.items()
+    )
+    table = ReportTable(
+        "soil", "95 % of the six by this drive, and what of it the numbers above leave open",
+        ("parameter", "by this drive", "of which from the numbers"), rows,
+    )  # fmt: skip
+    return ReportSection("soil", "What it costs the parameters of soil and tyres", (table,))
+
+
+def _file(found: Calibrated) -> ReportSection:
+    lines = [line for line in found.difference("machine file").splitlines() if line[:1] in "+-"][2:]
+    rows = tuple((ReportCell({"+": "new", "-": "old"}[line[0]]), ReportCell(line[1:])) for line in lines)
+    table = ReportTable("file", "Lines that change in the machine file", ("", "line"), rows)
+    asked = [ReportText(text) for text in found.sentences() if text.startswith("Not by driving")]
+    return ReportSection("file", "Machine file", (table, *asked))

@@ -1,0 +1,195 @@
+"""Logs in, what the drive tells out: measurements, calibration, verdict and the machine file's new text."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+
+from tilth.analysis.calibration.machine_text import difference, rewritten
+from tilth.analysis.calibration.reading import Heard, read, reading_as, wheel_candidate
+from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.faults import Fault
+from tilth.estimator.calibration.priors import NOT_BY_DRIVING
+from tilth.estimator.calibration.told_file import told_machine
+from tilth.estimator.calibration.verdict import NOT_TOLD, Told, Verdict, verdict
+from tilth.replay.readers.rig import Say
+from tilth.schemas.machine import Machine
+from tilth.schemas.spread import plus_minus
+
+Progress = Callable[[str, float], None]
+
+READING: Final = 0.1  # share of the work
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """All that `tilth calibrate` shows and writes."""
+
+    machine: Machine  # as it was read
+    found: Calibration
+    verdict: Verdict
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+    before: str  # texts of the machine file
+    after: str
+    when: str  # date of the drive
+    logs: tuple[str, ...]
+    told: Machine
+
+    @property
+    def title(self) -> str:
+        return f"{self.machine.name}, drive of {self.when}, {self.found.records_s:.0f} s of it used"
+
+    def difference(self, name: str) -> str:
+        """What changes in the machine file."""
+        return difference(self.before, self.after, name)
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Of the table of numbers, as texts."""
+        return [_row(one) for one in self.verdict.told]
+
+    def sentences(self) -> list[str]:
+        """What a person should know of it."""
+        soil = ", ".join(
+            f"{name} ± {196 * part:.1f} %" for name, (_, part) in self.verdict.soil.items()
+        )
+        return [
+            *self.verdict.sentences,
+            f"What these numbers leave uncertain of soil and tyres (95 %, of this drive): {soil}.",
+            *(f"Not by driving: {what}: {how}." for what, how in NOT_BY_DRIVING),
+            *self.notes,
+        ]
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return {
+            "machine": self.machine.name,
+            "drive": self.when,
+            "seconds": self.found.records_s,
+            "good": self.verdict.good,
+            "faults": [{"kind": f.kind, "of": f.of, "text": f.text} for f in self.faults],
+            "numbers": [
+                {
+                    "name": one.number.name, "words": one.number.words, "moved": one.moved, "sd": one.sd,
+                    "prior_sd": one.number.prior_sd, "wanted_sd": one.number.wanted_sd, "status": one.status,
+                    "halves": one.halves, "p": one.p, "tell": one.why_not,
+                }
+                for one in self.verdict.told
+            ],
+            "halves": {"chi2": self.verdict.chi2, "dof": self.verdict.dof, "p": self.verdict.p},
+            "soil": {
+                name: {"log_sd": whole, "log_sd_by_numbers": part}
+                for name, (whole, part) in self.verdict.soil.items()
+            },
+            "residuals": {
+                "innovations_over_sd": self.found.fit.residual, "whiteness": self.found.fit.whiteness,
+                "hitch_gap_m": self.found.hitch_gap, "outliers": self.found.fit.outliers,
+                "rows": self.found.fit.rows,
+            },
+            "refused": self.found.refused,
+            "sentences": self.sentences(),
+            "machine_file": self.after,
+        }  # fmt: skip
+
+
+def calibrate_logs(
+    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say, progress: Progress
+) -> Calibrated:
+    """Raises CannotCalibrate, LogError, OSError, MachineError."""
+    heard = read(paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1)))
+    faults: list[Fault] = []
+    described = machine
+
+    def later(what: str, share: float) -> None:
+        progress(what, READING + (1.0 - READING) * share)
+
+    try:
+        found = calibrate(described, heard.measurements, later)
+    except CannotCalibrate as error:
+        better = _reread(paths, machine, buses, heard, error)
+        if better is None:
+            raise
+        described, fault = better
+        faults.append(fault)
+        heard = read(paths, described, buses, lambda text: None, lambda done, of: None)
+        found = calibrate(described, heard.measurements, later)
+    judged = verdict(described, found)
+    told = told_machine(described, found, judged)
+    when = datetime.fromtimestamp(heard.first_ns * 1e-9, UTC).strftime("%Y-%m-%d")
+    after = rewritten(text, machine, told, _places(found), when)
+    names = tuple(path.name for path in paths)
+    return Calibrated(
+        machine, found, judged, (*faults, *found.faults), tuple(_notes(heard)), text, after, when, names, told
+    )
+
+
+def look_at_logs(paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say) -> list[Fault]:
+    """What is structurally wrong, without the numbers. Raises as `calibrate_logs`."""
+    heard = read(paths, machine, buses, say, lambda done, of: None)
+    try:
+        return look(machine, heard.measurements)
+    except CannotCalibrate as error:
+        better = _reread(paths, machine, buses, heard, error)
+        if better is None:
+            raise
+        described, fault = better
+        again = read(paths, described, buses, say, lambda done, of: None)
+        return [fault, *look(described, again.measurements)]
+
+
+def _reread(
+    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: Heard, error: CannotCalibrate
+) -> tuple[Machine, Fault] | None:
+    """The machine file with another word for the wheel angle, where one goes with the way."""
+    if not any(fault.kind == finding.WHEEL_UNREAD for fault in error.faults):
+        return None
+    best = wheel_candidate(paths, machine, buses, heard)
+    if best is None:
+        return None
+    other = reading_as(machine, best)
+    if other.wheel_angle == machine.wheel_angle:
+        return None
+    text = (
+        f"the wheel angle stands elsewhere in its message: byte {best.start_byte}, {best.byte_order} endian, "
+        f"{'signed' if best.signed else 'unsigned'}; it is changed in the file"
+    )
+    return other, Fault("wheel_byte_order", "wheel_angle", text)
+
+
+def _places(found: Calibration) -> dict[str, str]:
+    """Mount of each receiver in the file -> where it stands."""
+    return {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(found.changes.who)}
+
+
+def _notes(heard: Heard) -> list[str]:
+    many = [name for name, count in heard.strangers.items() if count > 100]
+    if not many:
+        return []
+    return [
+        f"Positions of devices that the machine file does not name are in the log too: {', '.join(sorted(many))}. "
+        "They are left out; of two rigs in one log only that of the file is calibrated."
+    ]
+
+
+def _row(one: Told) -> tuple[str, ...]:
+    number = one.number
+    unit, per = number.unit, number.per_unit
+
+    def shown(value: float) -> str:
+        return f"{value / per:.2g} {unit}"
+
+    change = "stays" if one.status == NOT_TOLD else plus_minus(one.moved / per, one.sd / per, unit)
+    halves = ""
+    if one.halves is not None and one.p is not None:
+        digits = 3 if unit == "m" else 2
+        halves = " / ".join(f"{half / per:.{digits}f}" for half in one.halves)
+        halves += "" if one.p >= 0.01 else ", differ"
+    return (
+        number.words, change, shown(number.prior_sd), shown(one.sd), shown(number.wanted_sd), halves, one.status
+    )
+
+

@@ -1,0 +1,1 @@
+"""A rig that nobody has surveyed: its machine file by what driving tells."""

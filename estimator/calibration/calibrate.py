@@ -1,0 +1,394 @@
+"""The machine file by what a drive tells: first in closed form, then by the likelihood until it stands.
+
+A pure function of the machine file and the measurements: live and at the desk it is the same.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.calibration import drive as drives
+from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration import first_look, joint, priors
+from tilth.estimator.calibration.changes import BODY, Changes, applied, further_wheel
+from tilth.estimator.calibration.drive import MOUNTS, Drive
+from tilth.estimator.calibration.faults import Fault
+from tilth.estimator.calibration.first_look import Seen, Straightness
+from tilth.estimator.calibration.joint import JointFit
+from tilth.estimator.calibration.records import Followed, follow
+from tilth.estimator.calibration.roll import Rolls, rolls
+from tilth.estimator.calibration.who import standing
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
+from tilth.schemas.flow import Measurement
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]  # what is done, share of all
+
+LOOKS: Final = 3  # rounds of the first look
+MOST_FITS: Final = 3  # each about the file that the one before gives
+STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
+LEAST_DRIVEN_S: Final = 60.0
+LEAST_RECORDS_S: Final = 40.0
+LEAST_TURNED_S: Final = 10.0
+
+
+class CannotCalibrate(Exception):
+    """The drive tells nothing; one sentence that says why, and what to do. faults: found meanwhile."""
+
+    def __init__(self, text: str, faults: Sequence[Fault] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a drive tells of a rig."""
+
+    changes: Changes
+    machine: Machine  # after the changes, sds as before
+    faults: tuple[Fault, ...]
+    rolls: Rolls
+    roll_sd: Array  # rad, (4,)
+    aside_sd: float  # m, of what stands aside on the tractor
+    hitch_sd: tuple[float, float]  # m, of hitch and drawbar by where the bodies see the hitch
+    fit: JointFit
+    moved: dict[str, float]  # name of a number -> SI, by how much the file was moved
+    driven: Straightness
+    records_s: float
+    refused: dict[str, int]
+    hitch_gap: float  # m, sd of the distance between the hitch as seen from either body
+
+
+def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> Calibration:
+    """measurements: of the whole drive, in their order, as this machine file makes them. Raises
+    CannotCalibrate."""
+    looked = _looked(machine, measurements, progress)
+    drive, changes, faults = looked.drive, looked.changes, looked.faults
+    view, found_rolls, followed = looked.view, looked.rolls, looked.followed
+    _check_records(followed, faults)
+    fit: JointFit | None = None
+    for k in range(MOST_FITS):
+        now = applied(machine, changes)
+        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, ROLL_FLOOR))
+        moved = _moved(machine, changes)
+        mean, sd = _centred(now, mean, sd, moved)
+        start = mean.copy() if fit is None else _from(fit, mean)
+        fit = joint.fit(
+            followed.records, rig_setup(now), mean, sd, start, TOLD,
+            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.015 * steps),
+        )  # fmt: skip
+        before, changes = changes, _taken(machine, changes, fit)
+        changes = _with_aside(machine, drive, changes, found_rolls)
+        size = _largest(fit)
+        if k == MOST_FITS - 1 or (k > 0 and size < STANDS):
+            break
+        followed = follow(applied(machine, changes), measurements, changes)
+    assert fit is not None and before is not None
+    gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
+    return Calibration(
+        changes, applied(machine, changes), tuple(faults), found_rolls,
+        np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine), _hitch_sd(gap.sds), fit,
+        _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
+    )  # fmt: skip
+
+
+def look(machine: Machine, measurements: Sequence[Measurement]) -> list[Fault]:
+    """What is structurally wrong, without the numbers. Raises CannotCalibrate, too."""
+    return _looked(machine, measurements, lambda what, share: None).faults
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What the first look gives."""
+
+    drive: Drive
+    changes: Changes
+    faults: list[Fault]
+    view: Seen
+    rolls: Rolls
+    followed: Followed
+
+
+def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> _Looked:
+    progress("looking at the drive", 0.0)
+    heard = drives.Heard()
+    for measurement in measurements:
+        drives.take(heard, measurement)
+    _check_heard(machine, heard)
+    drive = drives.drive_of(heard, machine)
+    changes, faults, view, found_rolls = _first_look(machine, drive)
+    progress("poses by the first values", 0.15)
+    followed = follow(applied(machine, changes), measurements, changes)
+    more = finding.receiver_faults(followed.flags, followed.poses)
+    if any(fault.kind == finding.ROLL_CORRECTED for fault in more):
+        changes = replace(changes, roll_corrected=finding.corrected(changes, more, followed.flags))
+        followed = follow(applied(machine, changes), measurements, changes)
+    return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed)
+
+
+TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
+ROLL_FLOOR: Final = math.radians(0.03)
+ASIDE_FLOOR: Final = 0.004
+TYPICAL_SPEED: Final = 2.0  # m/s, in turns
+
+
+def _check_heard(machine: Machine, heard: drives.Heard) -> None:
+    missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
+    names = {r.mount for r in machine.receiver}
+    if len(names) < 4:
+        raise CannotCalibrate(
+            f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on the "
+            "implement"
+        )
+    if missing:
+        raise CannotCalibrate(
+            f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine file "
+            "names other devices; `tilth discover LOG` lists who is there"
+        )
+    if len(heard.wheel) < 2:
+        text = (
+            "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
+            "`tilth discover LOG` lists candidates"
+        )
+        raise CannotCalibrate(text, [Fault(finding.WHEEL_UNREAD, "wheel_angle", text)])
+    without = [
+        mount.value
+        for k, mount in enumerate(MOUNTS)
+        if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
+    ]
+    if without:
+        raise CannotCalibrate(
+            f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: check "
+            "the correction service and drive again"
+        )
+
+
+def _fixed_share(fixes: dict[drives.FixType, int]) -> float:
+    good = fixes.get(drives.FixType.RTK_FIXED, 0)
+    return good / max(sum(fixes.values()), 1)
+
+
+def _check_records(followed: Followed, faults: Sequence[Fault]) -> None:
+    seconds = sum(len(record.ticks) for record in followed.records) * 0.02
+    if seconds >= LEAST_RECORDS_S:
+        return
+    said = [fault.text for fault in faults]
+    most = max(followed.refused.items(), key=lambda item: item[1], default=("nothing was driven", 0))[0]
+    raise CannotCalibrate(
+        f"only {seconds:.0f} s of the drive can be learned from; most of it is refused: {most}"
+        + (f". Found meanwhile: {'; '.join(said)}" if said else ""),
+        faults,
+    )
+
+
+def _placed(drive: Drive, changes: Changes) -> Drive:
+    """The same with the receivers in the order of where they stand, signs of turn rates and rolls turned."""
+    who = list(changes.who)
+    signs, turned = np.array(changes.roll_sign), np.array(changes.yaw_rate_sign)
+    wheel = changes.wheel_sign * (drive.wheel - changes.wheel_zero) / changes.wheel_gain
+    return replace(
+        drive, at=drive.at[:, who], velocity=drive.velocity[:, who], roll=drive.roll[:, who] * signs,
+        yaw_rate=drive.yaw_rate[:, who] * turned, wheel=wheel,
+    )  # fmt: skip
+
+
+def _view(now: Machine, placed: Drive, changes: Changes, found: Rolls | None) -> Seen:
+    """By a file after the changes. Its latencies are those of the changed file; the grid has the old ones."""
+    roll = np.zeros((len(placed.t), 2))
+    if found is not None:
+        for body in range(2):
+            both = placed.roll[:, 2 * body : 2 * body + 2] - found.zero[2 * body : 2 * body + 2]
+            good = np.isfinite(both).any(axis=1)
+            roll[good, body] = np.nanmean(both[good], axis=1)
+    return first_look.seen(placed, now, roll, changes.late)
+
+
+def _first_look(machine: Machine, drive: Drive) -> tuple[Changes, list[Fault], Seen, Rolls]:
+    stands = standing(drive, machine)
+    changes = Changes(who=stands.who)
+    faults = finding.standing_faults(stands.who) if stands.sure else []
+    placed = _placed(drive, changes)
+    view = _view(applied(machine, changes), placed, changes, None)
+    if np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > first_look.MOVING)) * drives.STEP_S < LEAST_DRIVEN_S:
+        raise CannotCalibrate(
+            "the four receivers were heard together for less than a minute of driving; drive what "
+            "docs/calibrate.md lists, with RTK"
+        )
+    changes = replace(changes, late=first_look.latency_differences(placed, view))
+    for _ in range(LOOKS - 1):
+        view = _view(applied(machine, changes), placed, changes, None)
+        changes = _between_bodies(changes, float(first_look.hitch(view).value[4]))
+    view = _view(applied(machine, changes), placed, changes, None)
+    signs, wrong = finding.yaw_rate_signs(view)
+    found_rolls = rolls(placed, view)
+    changes = replace(
+        changes, yaw_rate_sign=signs, roll_sign=found_rolls.sign,
+        roll_zero=np.where(found_rolls.heard, found_rolls.zero, 0.0),
+    )  # fmt: skip
+    faults += [*wrong, *finding.roll_sign_faults(found_rolls.sign)]
+    placed = _placed(drive, changes)
+    changes = _geometry(machine, placed, changes, found_rolls)
+    view = _view(applied(machine, changes), placed, changes, found_rolls)
+    base = machine.tractor.a.value + machine.tractor.b.value
+    told = first_look.wheel(view, base, view.rate[:, 0])
+    wheel_faults = finding.wheel_faults(told, first_look.explained(view, base, view.rate[:, 0], told))
+    faults += wheel_faults
+    if any(fault.kind == finding.WHEEL_UNREAD for fault in wheel_faults):
+        _check_turned(first_look.driven(view))
+        raise CannotCalibrate(wheel_faults[0].text, faults)
+    gain = float(told.value[1])
+    changes = replace(
+        changes, wheel_sign=1 if gain > 0 else -1, wheel_zero=float(told.value[0]), wheel_gain=abs(gain),
+        late=changes.late + first_look.common_latency(view, base, told),
+    )  # fmt: skip
+    return changes, faults, view, found_rolls
+
+
+def _check_turned(driven: Straightness) -> None:
+    if driven.left + driven.right < LEAST_TURNED_S:
+        raise CannotCalibrate(
+            "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
+            "drive slow circles to both sides"
+        )
+
+
+def _between_bodies(changes: Changes, late: float) -> Changes:
+    return replace(changes, late=changes.late + late * np.array([-0.5, -0.5, 0.5, 0.5]))
+
+
+def _middles(machine: Machine) -> Array:
+    """(forward, right) of the middle of each pair, (2, 2)."""
+    by_mount = {r.mount: r.position[:2] for r in machine.receiver}
+    return np.array([np.mean([by_mount[MOUNTS[k]], by_mount[MOUNTS[k + 1]]], axis=0) for k in (0, 2)])
+
+
+def _geometry(machine: Machine, placed: Drive, changes: Changes, found: Rolls) -> Changes:
+    """Yaw and length of the pairs, levers, hitch and drawbar."""
+    for _ in range(2):
+        now = applied(machine, changes)
+        view = _view(now, placed, changes, found)
+        crabs = [first_look.crab(view, body) for body in range(2)]
+        lengths = np.array([_length(now, body) for body in range(2)])
+        longer = np.nan_to_num(np.nanmedian(view.lengths[view.known], axis=0) - lengths)
+        axle = np.array([now.tractor.b.value, now.implement.e.value])
+        ahead = np.array([crab.value[1] for crab in crabs]) - axle - _middles(now)[:, 0]
+        ahead = np.where([crab.sds[1] < 0.15 for crab in crabs], ahead, 0.0)
+        yaw = np.array([crab.value[0] for crab in crabs])
+        changes = replace(
+            changes, pair=changes.pair + yaw, longer=changes.longer + longer, forward=changes.forward + ahead
+        )
+    now = applied(machine, changes)
+    told = first_look.hitch(_view(now, placed, changes, found))
+    middles = _middles(now)
+    c, d = -told.value[0] - middles[0, 0], told.value[2] + middles[1, 0]
+    known = told.sds[[0, 2]] < 0.1
+    by = np.where(known, [c - now.tractor.c.value, d - now.implement.d.value], 0.0)
+    return _with_aside(machine, placed, replace(changes, hitch=changes.hitch + by), found, placed=True)
+
+
+def _with_aside(
+    machine: Machine, drive: Drive, changes: Changes, found: Rolls, *, placed: bool = False
+) -> Changes:
+    """The tractor's receivers aside, by where the hitch is seen from either body: it is on the middle line.
+
+    The implement's go along: the likelihood knows them relative to the tractor's.
+    """
+    now = applied(machine, changes)
+    told = first_look.hitch(_view(now, drive if placed else _placed(drive, changes), changes, found))
+    if told.sds[1] > 0.05:
+        return changes
+    right = -told.value[[1, 3]] - _middles(now)[:, 1]
+    if placed:
+        return replace(changes, aside=changes.aside + right)
+    return replace(changes, aside=changes.aside + right[0])
+
+
+def _length(machine: Machine, body: int) -> float:
+    pair = [r.position[:2] for r in machine.receiver if BODY[MOUNTS.index(r.mount)] == body]
+    return math.dist(*pair)
+
+
+def _centred(
+    now: Machine, mean: Array, sd: Array, moved: dict[str, float]
+) -> tuple[Array, Array]:
+    """The prior about what the file said at first, unless that was no error of measuring. Masses are held."""
+    mean, sd = mean.copy(), sd.copy()
+    sd[list(MASSES)] = 0.0
+    for name in priors.BY_LIKELIHOOD:
+        by = moved[name]
+        if abs(by) > 3.0 * priors.NUMBER[name].prior_sd:
+            continue
+        if name == "c":
+            mean[AT["c"]] = math.log1p(-by / now.tractor.c.value)
+        elif name == "d":
+            mean[AT["d"]] = math.log1p(-by / now.implement.d.value)
+        else:
+            mean[AT[name]] = -by
+    return mean, sd
+
+
+def _from(fit: JointFit, mean: Array) -> Array:
+    """Where a fit about the changed file begins: what the changes do not hold stays."""
+    start = fit.mean.copy()
+    for name in priors.BY_LIKELIHOOD:
+        start[AT[name]] = 0.0
+    for k in range(AT["roll_zero_tractor_front"], AT["roll_zero_implement_rear"] + 1):
+        start[k] = mean[k]
+    return start
+
+
+def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
+    """The changes with what a fit about the file after them has found of the numbers."""
+    now = applied(machine, changes)
+    by = dict(zip(priors.BY_LIKELIHOOD, priors.metres(now, fit.mean).tolist(), strict=True))
+    changes = further_wheel(changes, by["wheel_zero"], by["wheel_gain"])
+    return replace(
+        changes,
+        late=changes.late + by["latency"],
+        pair=changes.pair + [by["pair_t"], by["pair_i"]],
+        forward=changes.forward + [by["lever_t"], by["lever_i"]],
+        aside=changes.aside + [0.0, by["aside_i"]],
+        hitch=changes.hitch + [by["c"], by["d"]],
+    )
+
+
+def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
+    """Number -> by how much the changes move the file, SI."""
+    gain = changes.wheel_gain
+    found = {
+        "pair_t": changes.pair[0], "pair_i": changes.pair[1], "aside_t": changes.aside[0],
+        "aside_i": changes.aside[1] - changes.aside[0], "lever_t": changes.forward[0],
+        "lever_i": changes.forward[1], "c": changes.hitch[0], "d": changes.hitch[1],
+        "wheel_zero": changes.wheel_sign * changes.wheel_zero / gain, "wheel_gain": math.log(gain),
+        "latency": float(np.mean(changes.late)),
+    }  # fmt: skip
+    found |= {f"roll_zero_{mount.value}": changes.roll_zero[k] for k, mount in enumerate(MOUNTS)}
+    return {name: float(value) for name, value in found.items()}
+
+
+def _largest(fit: JointFit) -> float:
+    """Sds by which a fit has moved any number from where its file stood."""
+    rows = [AT[name] for name in priors.BY_LIKELIHOOD]
+    return float(np.max(np.abs(fit.mean[rows]) / np.sqrt(np.diag(fit.covariance)[rows])))
+
+
+def _hitch_sd(sds: Array) -> tuple[float, float]:
+    """Of hitch and drawbar: what is late between the bodies shifts them along the way, and the likelihood has
+    no unknown for it."""
+    late = TYPICAL_SPEED * float(sds[4])
+    return math.hypot(float(sds[0]), late), math.hypot(float(sds[2]), late)
+
+
+def _aside_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:
+    turned = math.sqrt(float(fit.covariance[AT["pair_t"], AT["pair_t"]]))
+    reach = machine.tractor.c.value + abs(_middles(machine)[0, 0])
+    return math.hypot(seen_sd, turned * reach, ASIDE_FLOOR)
+
+
+assert NAMES[SHAPE] == NAMES[AT["a"] : AT["I_i"] + 1]

@@ -1,0 +1,136 @@
+"""What a machine file has structurally wrong, found without being told: kinds, and sentences for people."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.calibration.changes import BODIES, BODY, Changes
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.first_look import Seen
+from tilth.estimator.calibration.least_squares import Solved
+from tilth.schemas.flow import Flag, FlagKind
+
+Array = NDArray[np.float64]
+
+REVERSED, SWAPPED = "reversed_pair", "swapped"
+WHEEL_SIGN, WHEEL_SCALE, WHEEL_UNREAD = "wheel_sign", "wheel_scale", "wheel_unread"
+YAW_SIGN, ROLL_SIGN, ROLL_CORRECTED = "yaw_rate_sign", "roll_sign", "roll_corrected"
+SMOOTHED: Final = "smoothed_yaw_rate"
+GROSS_GAIN: Final = 1.35  # scales beyond this are no error of a linkage but of the description
+TURNING: Final = 0.03  # rad/s, sd of a body's turn rate: enough to compare signs
+EXPLAINED: Final = 0.9  # of the wheel angle's variance: less is no wheel angle
+SHARE: Final = 0.5  # of the turn rate: less than minus this says that the sign is wrong
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One that was found, and that the changed file does not have any more unless it says so."""
+
+    kind: str
+    of: str  # a mount, a body, a key
+    text: str  # what was found, and what to do or what was changed
+
+
+def standing_faults(who: tuple[int, ...]) -> list[Fault]:
+    """Of receivers that stand elsewhere than the file says. who: as Changes.who."""
+    found = []
+    for body, (front, rear) in enumerate(((0, 1), (2, 3))):
+        if (who[front], who[rear]) == (rear, front):
+            found.append(
+                Fault(
+                    REVERSED, BODIES[body],
+                    f"the {BODIES[body]}'s receivers are exchanged: the one that the file calls front "
+                    "drives behind; mount and position are exchanged in the file",
+                )
+            )  # fmt: skip
+    if {BODY[k] for k in who[:2]} != {0}:
+        moved = [f"{MOUNTS[who[k]]} stands at {MOUNTS[k]}" for k in range(4) if who[k] != k]
+        found.append(
+            Fault(
+                SWAPPED, "receiver",
+                f"receivers are not on the body that the file says: {', '.join(moved)}; mount and position "
+                "are exchanged in the file",
+            )
+        )  # fmt: skip
+    return found
+
+
+def yaw_rate_signs(view: Seen) -> tuple[tuple[int, ...], list[Fault]]:
+    """Signs of the receivers' turn rates against those of the bodies' headings."""
+    signs, found = [1, 1, 1, 1], []
+    for k, body in enumerate(BODY):
+        rows = np.isfinite(view.gyro[:, k]) & np.isfinite(view.rate[:, body]) & view.known
+        rate = view.rate[rows, body]
+        if np.count_nonzero(rows) < 100 or np.std(rate) < TURNING:
+            continue
+        slope = float(rate @ view.gyro[rows, k] / (rate @ rate))
+        if slope < -SHARE:
+            signs[k] = -1
+            text = f"the turn rate of {MOUNTS[k]} has the wrong sign; yaw_rate_sign is turned in the file"
+            found.append(Fault(YAW_SIGN, MOUNTS[k].value, text))
+    return tuple(signs), found
+
+
+def roll_sign_faults(signs: tuple[int, ...]) -> list[Fault]:
+    """Of roll.Rolls.sign."""
+    return [
+        Fault(
+            ROLL_SIGN, MOUNTS[k].value,
+            f"the roll of {MOUNTS[k]} has the wrong sign: on the same ground it leans the other way than the "
+            "others; roll_sign is turned in the file",
+        )
+        for k in range(4) if signs[k] < 0
+    ]  # fmt: skip
+
+
+def wheel_faults(found: Solved, explained: float) -> list[Fault]:
+    """Of first_look.wheel and first_look.explained."""
+    gain = float(found.value[1])
+    if explained < EXPLAINED:
+        text = (
+            "the wheel angle does not go with the way that is driven: another message, byte order, start byte "
+            "or signedness is right ([wheel_angle])"
+        )
+        return [Fault(WHEEL_UNREAD, "wheel_angle", text)]
+    faults = []
+    if gain < 0.0:
+        text = "the wheel angle has the wrong sign; wheel_angle.sign is turned in the file"
+        faults.append(Fault(WHEEL_SIGN, "wheel_angle.sign", text))
+    if not 1 / GROSS_GAIN < abs(gain) < GROSS_GAIN:
+        text = f"the wheel angle reads {abs(gain):.3g} times the true one; wheel_angle.scale is changed in the file"
+        faults.append(Fault(WHEEL_SCALE, "wheel_angle.scale", text))
+    return faults
+
+
+_CORRECTED: Final = {FlagKind.ROLL_CORRECTED_TWICE: True, FlagKind.NOT_ROLL_CORRECTED: False}
+
+
+def receiver_faults(flags: dict[Flag, int], poses: int) -> list[Fault]:
+    """Of the flags of a drive's poses; a flag of a few poses at the beginning counts not."""
+    found = []
+    for flag, count in sorted(flags.items()):
+        if count < 0.2 * poses:
+            continue
+        if flag.kind in _CORRECTED:
+            right = str(_CORRECTED[flag.kind]).lower()
+            text = f"roll_corrected of {flag.of} should be {right}; it is changed in the file"
+            found.append(Fault(ROLL_CORRECTED, flag.of, text))
+        elif flag.kind is FlagKind.ROLL_CORRECTION:
+            text = "roll_corrected is wrong on one of the bodies, and the drive does not tell on which; look it up"
+            found.append(Fault(ROLL_CORRECTED, "receiver", text))
+        elif flag.kind is FlagKind.SMOOTHED_YAW_RATE:
+            text = f"the turn rate of {flag.of} is smoothed and is not used; turn its smoothing off"
+            found.append(Fault(SMOOTHED, flag.of, text))
+    return found
+
+
+def corrected(changes: Changes, faults: list[Fault], flags: dict[Flag, int]) -> tuple[bool | None, ...]:
+    """Changes.roll_corrected after these faults."""
+    found = list(changes.roll_corrected)
+    named = {fault.of for fault in faults if fault.kind == ROLL_CORRECTED}
+    for flag in flags:
+        if flag.kind in _CORRECTED and flag.of in named:
+            found[[mount.value for mount in MOUNTS].index(flag.of)] = _CORRECTED[flag.kind]
+    return tuple(found)

@@ -1,0 +1,234 @@
+"""One estimate over all records of a drive: maximum of the product's own likelihood by Fisher scoring.
+
+All records share one vector of unknowns (unknowns.NAMES), the six and the noise levels among them. What the
+known wheel angles explain counts in the covariance, widened by how the scores vary, as in pem.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import fit_covariance, likelihood, unknowns
+from tilth.estimator.filters.likelihood import Iterate, Search
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
+from tilth.estimator.record.record import Record
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, float], None]  # steps done, largest step in sds
+
+NOISE_STEPS: Final = 6  # with the noise levels
+MOST_STEPS: Final = 10  # at most, with these held
+SETTLED: Final = 0.15  # sds: a step this small ends a search
+OUTLIER: Final = 5.0  # sds
+LONGEST: Final = 1.0  # prior sds, of one step
+MOST_DAMPING: Final = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Half:
+    """What every other record says alone, near the common point."""
+
+    mean: Array  # [n]
+    covariance: Array  # [n, n]
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """Of n unknowns."""
+
+    mean: Array  # [n]
+    covariance: Array  # [n, n]
+    prior_mean: Array  # [n]
+    prior_sd: Array  # [n]
+    halves: tuple[Half, Half] | None  # None of fewer than four records
+    seconds: float
+    rows: int
+    outliers: int
+    whiteness: float  # autocorrelation of innovations at lag one
+    residual: float  # rms of the innovations over their sds
+    steps: int
+    settled: bool
+
+
+class _Sum:
+    """Gradient and information of the records at a point, without the prior."""
+
+    def __init__(self, searches: Sequence[Search], point: Array, before: Sequence[Iterate] | None) -> None:
+        with np.errstate(all="ignore"):  # after a step that is too long nothing is finite; it is rejected
+            self.at = [
+                likelihood.with_noise_levels(search, likelihood.evaluate(search, point, past))
+                for search, past in zip(searches, before or [None] * len(searches), strict=True)
+            ]
+            self.each = [
+                _without_prior(
+                    search, at, *likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
+                )
+                for search, at in zip(searches, self.at, strict=True)
+            ]
+            self.cost = _cost(searches, self.at)
+        if not all(np.isfinite(gradient).all() and np.isfinite(square).all() for gradient, square in self.each):
+            self.cost = np.inf
+
+
+def fit(
+    records: Sequence[Record], setup: RigSetup, mean: Array, sd: Array, start: Array, told: Sequence[int],
+    progress: Progress = lambda steps, size: None,
+) -> JointFit:  # fmt: skip
+    """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must settle.
+    Raises ValueError without records.
+
+    Noise levels are sought for some steps and then held: where there is nothing to a level, it would go on
+    for ever.
+    """
+    if not records:
+        raise ValueError("no record to fit")
+    point, outlying = start.copy(), None
+    for most, held in ((NOISE_STEPS, False), (MOST_STEPS, True)):
+        free = sd.copy()
+        about = mean.copy()
+        if held:
+            free[NOISE], about[NOISE] = 0.0, point[NOISE]
+        searches = [likelihood.search_of(record, setup, about, np.diag(free**2)) for record in records]
+        if outlying is not None:
+            for search, used in zip(searches, outlying, strict=True):
+                search.used = used
+        point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
+        if outlying is None:
+            _leave_out_outliers(searches, now.at)
+            outlying = [search.used for search in searches]
+    return _result(searches, now, point, about, free, steps, size < SETTLED)
+
+
+def _search(
+    searches: Sequence[Search], point: Array, mean: Array, sd: Array, most: int, told: Sequence[int],
+    progress: Progress,
+) -> tuple[Array, "_Sum", float, int]:  # fmt: skip
+    """(where it ended, what is there, largest last step of what is told in sds, steps)."""
+    active = searches[0].active
+    prior = np.diag(sd[active] ** -2.0)
+    of_told = np.isin(active, told)
+    now, damping, size, steps = _Sum(searches, point, None), 1e-3, np.inf, 0
+    for steps in range(1, most + 1):
+        gradient, information = _with_prior(now.each, prior, (point - mean)[active])
+        sds = np.sqrt(np.diag(np.linalg.inv(information)))
+        moved, then, damping = _step(searches, now, point, (gradient, information, prior, mean, sd), damping)
+        if then is None:
+            left = np.abs(np.linalg.solve(information, gradient)) / sds
+            return point, now, float(np.max(left[of_told], initial=0.0)), steps
+        size = float(np.max((np.abs(moved - point)[active] / sds)[of_told], initial=0.0))
+        progress(steps, size)
+        point, now = moved, then
+        if len(told) and size < SETTLED:
+            break
+    return point, now, size, steps
+
+
+def _step(
+    searches: Sequence[Search], now: _Sum, point: Array, terms: tuple[Array, Array, Array, Array, Array],
+    damping: float,
+) -> tuple[Array, _Sum | None, float]:  # fmt: skip
+    """(next point, what is there, damping after it); None where no step lowers the cost."""
+    gradient, information, prior, mean, sd = terms
+    active = searches[0].active
+    away = (point - mean)[active]
+    cost = now.cost + 0.5 * float(away @ prior @ away)
+    while damping < MOST_DAMPING:
+        damped = information + damping * np.diag(np.diag(information))
+        step = np.asarray(np.linalg.solve(damped, -gradient), np.float64)
+        step = np.clip(step, -LONGEST * sd[active], LONGEST * sd[active])  # what runs away holds up no other
+        moved = point.copy()
+        moved[active] += step
+        then = _Sum(searches, moved, now.at)
+        away = (moved - mean)[active]
+        after = then.cost + 0.5 * float(away @ prior @ away)
+        if np.isfinite(after) and after < cost + 0.2:
+            return moved, then, max(damping * 0.1, 1e-6)
+        damping *= 30.0
+    return point, None, damping
+
+
+def _cost(searches: Sequence[Search], at: Iterable[Iterate]) -> float:
+    return sum(
+        likelihood.negative_log_likelihood(search, one.e, one.S)
+        for search, one in zip(searches, at, strict=True)
+    )
+
+
+def _without_prior(search: Search, at: Iterate, gradient: Array, information: Array) -> tuple[Array, Array]:
+    away = (at.point - search.prior_mean)[search.active]
+    return gradient - search.prior_information @ away, information - search.prior_information
+
+
+def _with_prior(each: Sequence[tuple[Array, Array]], prior: Array, away: Array) -> tuple[Array, Array]:
+    gradient = np.asarray(sum((one for one, _ in each), prior @ away), np.float64)
+    return gradient, np.asarray(sum((one for _, one in each), prior), np.float64)
+
+
+def _leave_out_outliers(searches: Sequence[Search], at: Sequence[Iterate]) -> None:
+    for search, one in zip(searches, at, strict=True):
+        search.used = np.where(np.abs(one.e) > OUTLIER * np.sqrt(one.S), 0.0, search.used)
+
+
+def _result(
+    searches: Sequence[Search], now: _Sum, point: Array, mean: Array, sd: Array, steps: int, settled: bool
+) -> JointFit:
+    prior = np.diag(sd[searches[0].active] ** -2.0)
+    known = [_by_steering(search, at) for search, at in zip(searches, now.at, strict=True)]
+    away = (point - mean)[searches[0].active]
+    covariance = _covariance(known, prior)
+    halves = None
+    if len(searches) >= 4:
+        halves = tuple(
+            _half(now.each[k::2], known[k::2], prior, point, searches[0].active, away) for k in range(2)
+        )
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(searches[0].active, searches[0].active)] = covariance
+    white = float(
+        np.mean([
+            fit_covariance.whiteness(s.record.rows, s.scored, at.e, at.S)
+            for s, at in zip(searches, now.at, strict=True)
+        ])
+    )  # fmt: skip
+    for record in searches:
+        whole[SIX, SIX] += np.diag(fit_covariance.model_sd_of(record.record, point) ** 2) / len(searches)
+    scored = np.concatenate([s.scored for s in searches]) > 0.0
+    z = np.concatenate([at.e / np.sqrt(at.S) for at in now.at])[scored]
+    return JointFit(
+        point, whole, mean, sd, halves,  # type: ignore[arg-type]
+        sum(len(s.record.ticks) for s in searches) * 0.02, len(z),
+        int(sum(np.sum(s.used == 0.0) for s in searches)), white, float(np.sqrt(np.mean(z**2))), steps,
+        settled,
+    )  # fmt: skip
+
+
+def _by_steering(search: Search, at: Iterate) -> tuple[Array, Array]:
+    """(information, covariance of the scores), each (a, a), of what the known wheel angles explain."""
+    known = likelihood.by_steering(search, at, at.point, likelihood.response_to_steering(search, at.point))
+    scores = likelihood.scores_at(search, known)
+    _, information = likelihood.gradient_and_information(search, known, scores)
+    return information - search.prior_information, fit_covariance.scores_covariance(search, scores)
+
+
+def _covariance(known: Sequence[tuple[Array, Array]], prior: Array) -> Array:
+    information = np.asarray(sum((one for one, _ in known), prior), np.float64)
+    scores = np.asarray(sum((one for _, one in known), prior), np.float64)
+    return fit_covariance.widened(likelihood.inverse(information), scores)
+
+
+def _half(
+    each: Sequence[tuple[Array, Array]], known: Sequence[tuple[Array, Array]], prior: Array, point: Array,
+    active: NDArray[np.int64], away: Array,
+) -> Half:  # fmt: skip
+    gradient, information = _with_prior(each, prior, away)
+    mean = point.copy()
+    mean[active] -= np.linalg.solve(information, gradient)
+    whole = np.zeros((len(NAMES), len(NAMES)))
+    whole[np.ix_(active, active)] = _covariance(known, prior)
+    return Half(mean, whole)
+
+
+assert unknowns.SIX == SIX

@@ -1,0 +1,77 @@
+"""The machine after a calibration, with the sds that the numbers have now; what was not told stays."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tilth.estimator.calibration.calibrate import Calibration
+from tilth.estimator.calibration.changes import BODY, Changes, applied
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.verdict import NOT_TOLD, Verdict
+from tilth.schemas.machine import Machine, Quantity, Receiver
+
+LEAST_SURVEY = 0.002  # m
+
+
+def told_changes(found: Calibration, verdict: Verdict) -> Changes:
+    """The changes without those of numbers that the drive does not tell."""
+    without = {one.number.name for one in verdict.told if one.status == NOT_TOLD}
+    changes = found.changes
+
+    def of(values: np.ndarray, *names: str) -> np.ndarray:
+        return np.where([name in without for name in names], 0.0, values)
+
+    late = changes.late - (np.mean(changes.late) if "latency" in without else 0.0)
+    zeros = [f"roll_zero_{mount.value}" for mount in MOUNTS]
+    return replace(
+        changes,
+        late=late,
+        forward=of(changes.forward, "lever_t", "lever_i"),
+        aside=of(changes.aside, "aside_t", "aside_i"),
+        pair=of(changes.pair, "pair_t", "pair_i"),
+        hitch=of(changes.hitch, "c", "d"),
+        wheel_zero=0.0 if "wheel_zero" in without else changes.wheel_zero,
+        wheel_gain=1.0 if "wheel_gain" in without else changes.wheel_gain,
+        roll_zero=of(changes.roll_zero, *zeros),
+    )
+
+
+def told_machine(machine: Machine, found: Calibration, verdict: Verdict) -> Machine:
+    """machine: as it was read."""
+    sds = {one.number.name: one.sd for one in verdict.told if one.status != NOT_TOLD}
+    after = applied(machine, told_changes(found, verdict))
+    tractor, implement, wheel = after.tractor, after.implement, after.wheel_angle
+    bodies = {}
+    for name, body, key, suffix in (("tractor", tractor, "c", "t"), ("implement", implement, "d", "i")):
+        update: dict[str, object] = {}
+        if key in sds:
+            length: Quantity = getattr(body, key)
+            update[key] = Quantity(value=length.value, sd=sds[key])
+        if f"pair_{suffix}" in sds:
+            update["pair_yaw_sd"] = math.degrees(sds[f"pair_{suffix}"])
+        if f"lever_{suffix}" in sds:
+            update["lever_sd"] = sds[f"lever_{suffix}"]
+        bodies[name] = body.model_copy(update=update)
+    turned: dict[str, object] = {}
+    if "wheel_zero" in sds:
+        turned["zero"] = Quantity(value=wheel.zero.value, sd=math.degrees(sds["wheel_zero"]))
+    if "wheel_gain" in sds:
+        turned["gain"] = Quantity(value=wheel.gain.value, sd=wheel.gain.value * sds["wheel_gain"])
+    receivers = [_receiver(receiver, sds) for receiver in after.receiver]
+    return after.model_copy(
+        update={**bodies, "receiver": receivers, "wheel_angle": wheel.model_copy(update=turned)}
+    )
+
+
+def _receiver(receiver: Receiver, sds: dict[str, float]) -> Receiver:
+    update: dict[str, object] = {}
+    if "latency" in sds:
+        update["latency"] = Quantity(value=receiver.latency.value, sd=sds["latency"])
+    aside = "aside_i" if BODY[MOUNTS.index(receiver.mount)] else "aside_t"
+    if aside in sds:
+        update["survey_sd"] = max(sds[aside], LEAST_SURVEY)
+    name = f"roll_zero_{receiver.mount.value}"
+    if name in sds and receiver.roll_zero is not None:
+        update["roll_zero"] = Quantity(value=receiver.roll_zero.value, sd=math.degrees(sds[name]))
+    return receiver.model_copy(update=update)

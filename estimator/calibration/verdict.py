@@ -1,0 +1,144 @@
+"""Is it good, and why not? Each number with what was known before, what the drive told, twice from halves, and
+what it costs the six parameters of soil and tyres."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from tilth.estimator.calibration import priors
+from tilth.estimator.calibration.calibrate import Calibration
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Number
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+TOLD, ROUGH, NOT_TOLD = "told", "rough", "not told"
+FLOOR: Final = {
+    "pair_t": math.radians(0.05), "pair_i": math.radians(0.05), "lever_t": 0.010, "lever_i": 0.010,
+    "aside_i": 0.004, "aside_t": 0.004, "c": 0.008, "d": 0.008, "wheel_zero": math.radians(0.015),
+    "wheel_gain": 0.004, "latency": 0.003,
+}  # fmt: skip
+"""Sds of what the model leaves out, which a longer drive does not reduce: by bench/calibration.py."""
+DISAGREE: Final = 0.01  # p of the halves' difference, of one number
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One number. SI; `moved` is on top of what the file said."""
+
+    number: Number
+    moved: float
+    sd: float
+    halves: tuple[float, float] | None  # moved by each half of the drive
+    p: float | None  # that halves differ by so much by chance
+    status: str  # told | rough | not told
+
+    @property
+    def why_not(self) -> str:
+        """What would tell it better, "" where it is told."""
+        if self.status == TOLD:
+            return ""
+        tape = "" if self.number.tape == "none" else f"; or {self.number.tape}"
+        return f"{self.number.drive}{tape}"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Of a calibration."""
+
+    told: tuple[Told, ...]
+    chi2: float  # of all halves that can be compared
+    dof: int
+    p: float
+    soil: dict[str, tuple[float, float]]  # parameter -> (sd of its logarithm by this drive, share from the numbers)
+    sentences: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether every number is told as well as wanted, and the halves agree."""
+        return all(one.status == TOLD for one in self.told) and self.p >= DISAGREE
+
+
+def verdict(machine: Machine, found: Calibration) -> Verdict:
+    """machine: as it was read."""
+    told = tuple(_told(machine, found, number) for number in NUMBERS if _heard(found, number))
+    zs = [_z(one, found) for one in told if one.halves is not None]
+    chi2, dof = float(sum(z * z for z in zs)), len(zs)
+    p = float(chdtrc(dof, chi2)) if dof else 1.0
+    soil = _soil(found)
+    return Verdict(told, chi2, dof, p, soil, tuple(_sentences(told, p, found)))
+
+
+def _heard(found: Calibration, number: Number) -> bool:
+    place = number.name.removeprefix("roll_zero_")
+    names = [mount.value for mount in MOUNTS]
+    return place not in names or found.rolls.heard[names.index(place)]
+
+
+def _told(machine: Machine, found: Calibration, number: Number) -> Told:
+    name, fit = number.name, found.fit
+    moved, halves, p = found.moved[name], None, None
+    if name in BY_LIKELIHOOD:
+        k = AT[name]
+        scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
+        # Folded, what stands aside on one body looks like it on the other; the tractor's is held in the fit.
+        seen = {"c": found.hitch_sd[0], "d": found.hitch_sd[1], "aside_i": 0.5 * found.aside_sd}.get(name, 0.0)
+        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], seen)
+        if fit.halves is not None:
+            one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
+            halves = (float(one), float(other))
+            p = math.erfc(abs(_difference(fit.halves, k)) / math.sqrt(2.0))
+    elif name == "aside_t":
+        sd = math.hypot(found.aside_sd, FLOOR[name])
+    else:
+        sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
+    status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD
+    return Told(number, moved, sd, halves, p, status)
+
+
+def _difference(halves: tuple[object, ...], k: int) -> float:
+    """Sds by which halves differ."""
+    one, other = halves  # type: ignore[misc]
+    variance = one.covariance[k, k] + other.covariance[k, k]  # type: ignore[attr-defined]
+    return float((one.mean[k] - other.mean[k]) / math.sqrt(variance)) if variance > 0.0 else 0.0  # type: ignore[attr-defined]
+
+
+def _z(one: Told, found: Calibration) -> float:
+    assert found.fit.halves is not None
+    return _difference(found.fit.halves, AT[one.number.name])
+
+
+def _soil(found: Calibration) -> dict[str, tuple[float, float]]:
+    """What the six know from this drive, and how much of it is the numbers' own uncertainty."""
+    covariance = found.fit.covariance
+    rows = [AT[name] for name in BY_LIKELIHOOD]
+    mine = covariance[np.ix_(rows, rows)]
+    across = covariance[SIX][:, rows]
+    part = np.einsum("ij,ji->i", across, np.linalg.solve(mine, across.T))
+    whole = np.sqrt(np.diag(covariance)[SIX])
+    shares = np.sqrt(np.maximum(part, 0.0))
+    return {name: (float(whole[k]), float(shares[k])) for k, name in enumerate(PARAMETERS)}
+
+
+def _sentences(told: tuple[Told, ...], p: float, found: Calibration) -> list[str]:
+    good = sum(one.status == TOLD for one in told)
+    said = [f"{good} of {len(told)} numbers are known as well as is wanted."]
+    without = [one.number.words for one in told if one.status == NOT_TOLD]
+    if without:
+        said.append(f"The drive does not tell: {', '.join(without)}. These stay as the file has them.")
+    if p < DISAGREE:
+        said.append("The halves of the drive do not agree: something moved on the way, or the ground is too rough.")
+    elif found.fit.halves is not None:
+        said.append("Both halves of the drive give the same numbers within their intervals.")
+    if not found.fit.settled:
+        said.append("The search has not settled; take the numbers with care, and drive again.")
+    if not found.rolls.signs_told:
+        said.append("Level ground: the signs of rolls were not told; on a slope of 2° they would be.")
+    return said

@@ -1,0 +1,138 @@
+"""`tilth calibrate` from a log: numbers within their sds, files kept, refusals in sentences."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
+
+from tilth.analysis.calibration.machine_text import rewritten
+from tilth.cli import main
+from tilth.estimator.calibration.changes import Changes, applied
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.schemas.machine import parse_machine
+from tilth.simulator.scenario import Scenario, parse_scenario
+from tilth.simulator.simulate import SimulationInput, simulate_to
+
+DRIVE = """
+seconds = 160.0
+noise = 0.5
+speed = [[12.0, 0.0], [16.0, 3.0], [22.0, 1.8], [16.0, 3.5], [26.0, 1.4], [26.0, 1.4], [20.0, 1.8], [22.0, 4.0]]
+steering = [
+    [12.0, 0.0], [16.0, 0.0], [22.0, -25.0], [16.0, 0.0], [26.0, 20.0], [26.0, -22.0],
+    [5.0, 26.0], [5.0, -26.0], [5.0, 26.0], [5.0, -26.0], [22.0, "random"],
+]
+[soil]
+grip = 0.7
+rolling = 0.06
+[ground]
+slope_deg = 1.5
+"""
+ROWS = "seconds = 100.0\nsteering = [[100.0, 0.0]]\nspeed = 3.0\n"
+BAD = Changes(
+    late=np.full(4, 0.05), forward=np.array([0.15, -0.1]), aside=np.array([0.1, 0.1]),
+    pair=np.radians([-2.0, 2.0]), hitch=np.array([0.15, -0.1]), wheel_zero=np.radians(3.0), wheel_gain=1.1,
+    wheel_sign=-1, who=(1, 0, 2, 3),
+)  # fmt: skip
+WRONG = rewritten(
+    MACHINE_TEXT, MACHINE, applied(MACHINE, BAD),
+    {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(BAD.who)}, "by hand",
+)  # fmt: skip
+
+
+def _simulate(folder: Path, text: str) -> Path:
+    scenario: Scenario = parse_scenario(text)
+    log = folder / "drive.mcap"
+    source = SimulationInput(MACHINE, MACHINE_TEXT, scenario, text, 3, scenario.seconds)
+    simulate_to(source, log, lambda what, at_s: None)
+    return log
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _simulate(tmp_path_factory.mktemp("drive"), DRIVE)
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _simulate(tmp_path_factory.mktemp("rows"), ROWS)
+
+
+def _true(drive: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(Path(f"{drive}.truth.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Everything at once: a file that is wrong in all that people get wrong, and in its structure."""
+    out, report = tmp_path / "m.toml", tmp_path / "report.html"
+    out.write_text(WRONG, encoding="utf-8")
+    arguments = [str(drive), "--machine", str(out), "--out", str(out), "--report", str(report)]
+    assert main(["calibrate", *arguments, "--yes", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sorted(fault["kind"] for fault in told["faults"]) == ["reversed_pair", "wheel_sign"]
+    numbers = {number["name"]: number for number in told["numbers"]}
+    sd = {name: number["sd"] for name, number in numbers.items()}
+    now, truth = parse_machine(out.read_text(encoding="utf-8")), _true(drive)
+    rig, nuisances = truth["rig"], truth["nuisances"]
+    away = rig["b"]["value"] - MACHINE.tractor.b.value
+    assert now.tractor.c.value == pytest.approx(rig["c"]["value"] - away, abs=3 * sd["c"])
+    zero = np.degrees(nuisances["wheel_zero"])
+    assert now.wheel_angle.zero.value == pytest.approx(zero, abs=3 * np.degrees(sd["wheel_zero"]))
+    assert now.wheel_angle.scale * now.wheel_angle.sign == pytest.approx(0.01, rel=3 * sd["wheel_gain"])
+    late = np.mean([nuisances[f"latency_{mount.value}"] for mount in MOUNTS])
+    assert np.mean([r.latency.value for r in now.receiver]) == pytest.approx(late, abs=3 * sd["latency"])
+    assert [r.mount for r in now.receiver if r.name == MACHINE.receiver[0].name] == [MACHINE.receiver[0].mount]
+    assert all(number["sd"] < number["prior_sd"] / 4 for number in told["numbers"])
+    (kept,) = tmp_path.glob("m.toml.before-*")
+    assert kept.read_text(encoding="utf-8") == WRONG
+    assert "<script" not in report.read_text(encoding="utf-8") and "Is it good" in report.read_text(encoding="utf-8")
+
+
+def test_rows_only(rows: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "m.toml"
+    out.write_text(WRONG, encoding="utf-8")
+    assert main(["calibrate", str(rows), "--machine", str(MACHINE_FILE), "--out", str(out), "--yes"]) == 1
+    said = capsys.readouterr().err
+    assert "rows only" in said and "stays as it was" in said
+    assert out.read_text(encoding="utf-8") == WRONG
+
+
+def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(MACHINE_TEXT.replace("A00017000421E24", "A00017000421F24"), encoding="utf-8")
+    assert main(["calibrate", str(drive), "--machine", str(other), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert "tractor_front, tractor_rear" in told["refused"] and told["written"] is None
+
+
+def test_a_draft_is_told_what_to_fill_in(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draft = tmp_path / "draft.toml"
+    draft.write_text(MACHINE_TEXT.replace("mass = 9391.0", "mass =  # FILL IN: kg"), encoding="utf-8")
+    assert main(["calibrate", str(drive), "--machine", str(draft)]) == 2
+    assert "tractor.mass (line 11)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["nowhere.mcap"], "nowhere.mcap"),
+        ([str(MACHINE_FILE)], "jd7930-parker500.toml"),
+        ([str(MACHINE_FILE), "--machine", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_wrong_use(arguments: list[str], match: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", *arguments]) == 2
+    assert match in capsys.readouterr().err
+
+
+RECORDED = sorted(DATA.rglob("*.log"))[:3] if DATA.is_dir() else []
+
+
+@pytest.mark.parametrize("log", RECORDED, ids=lambda path: path.name)
+def test_recorded_traffic_is_refused(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of devices that are no such rig: one sentence, no traceback."""
+    assert main(["calibrate", str(log), "--machine", str(MACHINE_FILE)]) in (1, 2)
+    assert "tilth calibrate: " in capsys.readouterr().err

@@ -1,0 +1,120 @@
+"""The first look finds what is wrong with a file, on a rig that does not slip."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from kinematic_drive import GUIDED, MACHINE, ONE_SIDE, ROWS, measurements
+
+from tilth.estimator.calibration import calibrate as calibrating
+from tilth.estimator.calibration import drive as drives
+from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration.calibrate import CannotCalibrate
+from tilth.estimator.calibration.changes import Changes, applied, heard_after
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.who import standing
+from tilth.schemas.flow import FixType, Measurement
+from tilth.schemas.machine import Machine
+
+
+@pytest.fixture(scope="module")
+def heard() -> list[Measurement]:
+    return measurements(GUIDED)
+
+
+def _drive(machine: Machine, made: list[Measurement]) -> drives.Drive:
+    found = drives.Heard()
+    for measurement in made:
+        drives.take(found, measurement)
+    return drives.drive_of(found, machine)
+
+
+def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.Fault]]:
+    """The machine file after the first look, and the faults."""
+    wrong = applied(MACHINE, bad)
+    drive = _drive(wrong, [heard_after(m, bad) for m in made])
+    changes, faults, _, _ = calibrating._first_look(wrong, drive)
+    return applied(wrong, changes), faults
+
+
+def test_values_are_found(heard: list[Measurement]) -> None:
+    """Wrong by what people are wrong by, all at once."""
+    bad = Changes(
+        late=np.array([0.07, 0.05, -0.02, -0.04]), forward=np.array([0.15, -0.2]), aside=np.array([-0.1, 0.12]),
+        pair=np.radians([2.0, -3.0]), hitch=np.array([0.2, -0.15]), wheel_zero=math.radians(4.0), wheel_gain=1.12,
+        roll_zero=np.radians([2.0, -1.0, 3.0, 0.5]),
+    )  # fmt: skip
+    found, faults = _look(bad, heard)
+    assert faults == []
+    for right, now in zip(MACHINE.receiver, found.receiver, strict=True):
+        assert now.position[:2] == pytest.approx(right.position[:2], abs=0.04)
+        assert now.latency.value == pytest.approx(right.latency.value, abs=0.12)  # tyres that do not slip are not what the search takes for usual
+        assert now.roll_zero is not None
+        assert now.roll_zero.value == pytest.approx(0.0, abs=0.15)
+    assert found.tractor.c.value == pytest.approx(MACHINE.tractor.c.value, abs=0.04)
+    assert found.implement.d.value == pytest.approx(MACHINE.implement.d.value, abs=0.04)
+    assert found.wheel_angle.scale == pytest.approx(MACHINE.wheel_angle.scale, rel=0.02)
+    assert found.wheel_angle.zero.value == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("who", [(1, 0, 2, 3), (0, 1, 3, 2), (2, 3, 0, 1), (2, 1, 0, 3), (3, 1, 0, 2)])
+def test_who_stands_where(who: tuple[int, ...], heard: list[Measurement]) -> None:
+    found, faults = _look(Changes(who=who), heard)
+    assert {fault.kind for fault in faults} <= {finding.REVERSED, finding.SWAPPED} and faults
+    assert {r.name: r.mount for r in found.receiver} == {r.name: r.mount for r in MACHINE.receiver}
+
+
+@pytest.mark.parametrize(
+    ("bad", "kind"),
+    [
+        (Changes(wheel_sign=-1), finding.WHEEL_SIGN),
+        (Changes(wheel_gain=10.0), finding.WHEEL_SCALE),
+        (Changes(yaw_rate_sign=(1, -1, 1, 1)), finding.YAW_SIGN),
+        (Changes(yaw_rate_sign=(1, 1, 1, -1)), finding.YAW_SIGN),
+        (Changes(roll_sign=(1, 1, -1, 1)), finding.ROLL_SIGN),
+        (Changes(roll_sign=(-1, 1, 1, 1)), finding.ROLL_SIGN),
+        (Changes(), ""),
+    ],
+)
+def test_structure(bad: Changes, kind: str, heard: list[Measurement]) -> None:
+    """Found, and nothing beside it; the file is right after it."""
+    found, faults = _look(bad, heard)
+    assert [fault.kind for fault in faults] == ([kind] if kind else [])
+    for right, now in zip(MACHINE.receiver, found.receiver, strict=True):
+        assert (now.roll_sign, now.yaw_rate_sign) == (right.roll_sign, right.yaw_rate_sign)
+    assert found.wheel_angle.sign == 1
+
+
+def test_what_is_no_wheel_angle(heard: list[Measurement]) -> None:
+    """An angle that does not go with the way is said, with what else was found."""
+    rng = np.random.default_rng(3)
+    other = [
+        replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, drives.WheelAngle) else m for m in heard
+    ]
+    with pytest.raises(CannotCalibrate, match="byte order") as caught:
+        calibrating._first_look(MACHINE, _drive(MACHINE, other))
+    assert [fault.kind for fault in caught.value.faults] == [finding.WHEEL_UNREAD]
+
+
+def test_rows_alone_do_not_tell_who_is_who() -> None:
+    """Nothing is claimed of bodies, and the drive is refused with what to drive."""
+    made = measurements(ROWS)
+    assert not standing(_drive(MACHINE, made), MACHINE).sure
+    with pytest.raises(CannotCalibrate, match="rows only"):
+        calibrating.look(MACHINE, made)
+
+
+@pytest.mark.parametrize(
+    ("made", "match"),
+    [
+        (lambda: measurements(ONE_SIDE[:1]), "less than a minute"),
+        (lambda: measurements(ONE_SIDE, fix=FixType.GNSS), "no RTK fix"),
+        (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not MOUNTS[2]], "implement_front"),
+        (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not None], "no wheel angle"),
+        (lambda: [], "no position of"),
+    ],
+)
+def test_refusals(made: "calibrating.Callable[[], list[Measurement]]", match: str) -> None:
+    with pytest.raises(CannotCalibrate, match=match):
+        calibrating.look(MACHINE, made())
