@@ -25,6 +25,7 @@ from tilth.analysis.experiment.predict import (
     from_log,
     from_machine,
     predicted,
+    sds,
     worst_of,
 )
 from tilth.analysis.experiment.propose import NUMBERS, WantedPlan, largest, propose
@@ -116,7 +117,7 @@ def drive_plan(machine: Machine, plan: ExperimentPlan, scenario: Scenario, seed:
     course = course_of(plan, rig_of(machine))
     one = Prompted(course, rig_of(machine), PERSON, seed)
     one.prompt = placed(one.prompt, plan)
-    seconds = 75.0 * len(course.drives) + 200.0
+    seconds = 50.0 * len(course.drives) + 200.0
     truth = drive(machine, seed, seconds, scenario, driven_by=lambda setting: one)
     if not one.finished:
         raise RuntimeError(f"only {one.prompt.at} runs were driven in {seconds:.0f} s")
@@ -144,9 +145,9 @@ def linearised(machine: Machine, fits: Sequence[SegmentFit]) -> Linearised:
     return linearise(machine, told, [BETWEEN_M] * (len(told) - 1))
 
 
-def found_sd(machine: Machine, fits: Sequence[SegmentFit]) -> Array:
-    """Sds of the six logarithms, (6,), as `tilth fit` publishes them of all runs together."""
-    joint = join(machine, linearised(machine, fits))
+def found_sd(machine: Machine, every: Linearised, count: int | None = None) -> Array:
+    """Sds of the six logarithms, (6,), as `tilth fit` publishes them of the first runs, of all if None."""
+    joint = join(machine, every, None if count is None else list(range(count)))
     return np.asarray(np.sqrt(np.diag(joint.covariance)[SIX]), np.float64)
 
 
@@ -160,20 +161,22 @@ def compare(plant: str, seeds: Sequence[int]) -> None:
     for seed in seeds:
         began = time.monotonic()
         made = drive_plan(rig, plan, scenario, seed)
-        ratios["machine file"].append(found_sd(rig, made.fits) / predicted(known, plan))
+        whole = linearised(rig, made.fits)
+        ratios["machine file"].append(found_sd(rig, whole) / predicted(known, plan))
         before = log_before(rig, scenario, seed)
-        if before.linearised is not None:
-            ratios["log"].append(
-                found_sd(rig, [*before.fits, *made.fits]) / predicted(from_log(rig, before), plan)
-            )
-        steps = drive_plan(rig, held_steps(plan), scenario, seed)
-        speedups.append(speedup(rig, known, made, steps))
+        both = found_sd(rig, linearised(rig, [*before.fits, *made.fits]))
+        ratios["log"].append(both / predicted(from_log(rig, before), plan))
         print(
             f"  seed {seed}: {made.attempts} tries, {'; '.join(made.reasons) or 'all done at once'}; "
             f"published/predicted {np.round(ratios['log'][-1], 2)} from the log, "
-            f"{np.round(ratios['machine file'][-1], 2)} from the file; {speedups[-1]:.1f} times as long with "
-            f"held steps ({time.monotonic() - began:.0f} s)", flush=True,
+            f"{np.round(ratios['machine file'][-1], 2)} from the file", flush=True,
         )  # fmt: skip
+        steps = drive_plan(rig, held_steps(plan), scenario, seed)
+        speedups.append(speedup(rig, known, made, whole, steps))
+        print(
+            f"    {speedups[-1]:.1f} times as long with held steps ({time.monotonic() - began:.0f} s)",
+            flush=True,
+        )
     for name, rows in ratios.items():
         every = np.array(rows)
         near = np.mean(np.abs(every - 1.0) <= WITHIN)
@@ -201,21 +204,21 @@ def _largest_step(plan: ExperimentPlan) -> float:
     return float(largest(from_machine(machine()), wanted, "step", {}).amplitude_deg)
 
 
-def speedup(rig: Machine, known: Known, made: DrivenPlan, steps: DrivenPlan) -> float:
-    """Seconds of all held steps over those of the plan's first runs that leave as small a worst sd."""
-    worst = worst_of(known, found_sd(rig, steps.fits))
-    whole, kept = linearised(rig, made.fits), [k for k, fit in enumerate(made.fits) if fit.windows]
-    before, spent = np.inf, 0.0
-    for count in range(1, len(kept) + 1):
-        joint = join(rig, whole, list(range(count)))
-        after = worst_of(known, np.sqrt(np.diag(joint.covariance)[SIX]))
+def speedup(rig: Machine, known: Known, made: DrivenPlan, whole: Linearised, steps: DrivenPlan) -> float:
+    """Seconds of all held steps over those of the plan's first runs that leave as small a worst sd; between
+    runs it is interpolated."""
+    worst = worst_of(known, found_sd(rig, linearised(rig, steps.fits)))
+    kept = [seconds for seconds, fit in zip(made.seconds, made.fits, strict=True) if fit.windows]
+    before, spent = worst_of(known, sds(known, ())), 0.0
+    for count, seconds in enumerate(kept, 1):
+        after = worst_of(known, found_sd(rig, whole, count))
         if after <= worst:
-            share = 1.0
-            if np.isfinite(before):
-                share = (np.log(before) - np.log(worst)) / (np.log(before) - np.log(after))
-            return sum(steps.seconds) / (spent + share * made.seconds[kept[count - 1]])
-        before, spent = after, spent + made.seconds[kept[count - 1]]
-    return sum(steps.seconds) / spent * (worst / before) ** 2  # the plan is no better: as far as it got
+            share = (np.log(before) - np.log(worst)) / (np.log(before) - np.log(after))
+            return float(sum(steps.seconds) / (spent + share * seconds))
+        before, spent = after, spent + seconds
+    return float(
+        sum(steps.seconds) / spent * (worst / before) ** 2
+    )  # the plan is no better: as far as it got
 
 
 def _words(run: AnyRun) -> str:

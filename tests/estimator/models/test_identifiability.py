@@ -198,5 +198,5 @@ def test_a_manoeuvre_stays_within_its_amplitude(row: Manoeuvre) -> None:
 
 
 def test_an_unknown_manoeuvre_is_named() -> None:
-    with pytest.raises(ValueError, match="step, steps, chirp, turn, random, row"):
+    with pytest.raises(ValueError, match="step, steps, chirp, turn, random, multisine, row"):
         manoeuvre_named("slalom")
