@@ -18,7 +18,6 @@ import math
 import os
 import struct
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
@@ -151,7 +150,7 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
         spent += time.process_time() - began
         return found
 
-    watch.observe = timed  # to know what it costs, no more
+    setattr(watch, "observe", timed)  # noqa: B010 - to know what it costs, no more
     try:
         for frame in given:
             for publication in fold.step(state, frame):
@@ -164,7 +163,7 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                     names = tuple(state.watch.moved[-1].names) if state.watch.moved else ()
                     events.append((value.t_ns, names, value.text))
     finally:
-        watch.observe = observe
+        setattr(watch, "observe", observe)  # noqa: B010
     return Watched(events, watched * POSE_S, 1e5 * spent / max(poses, 1))
 
 
@@ -218,18 +217,17 @@ def without(row: str, seed: int) -> tuple[str, float, float, list[str]]:
 
 
 def print_still(results: list[tuple[str, float, float, list[str]]]) -> None:
-    total = Counter[str]()
+    total_hours, count = 0.0, 0
     for row in FIELDS:
         own = [result for result in results if result[0] == row]
         texts = [text for result in own for text in result[3]]
-        hours, driven = (sum(result[k] for result in own) for k in (1, 2))
+        hours, driven = sum(result[1] for result in own), sum(result[2] for result in own)
         print(f"{row} {len(own)} rigs, {driven:.1f} h driven, {hours:.1f} h watched: {len(texts)} events")
         print("".join(f"    {text}\n" for text in texts), end="")
-        total.update(hours=hours, events=len(texts))
-    if not total["hours"]:
-        return
-    limit = chi2.ppf(0.95, 2 * (total["events"] + 1)) / 2 / total["hours"]
-    print(f"{total['events']} false in {total['hours']:.1f} h: with 95 % fewer than one in {1 / limit:.1f} h")
+        total_hours, count = total_hours + hours, count + len(texts)
+    if total_hours:
+        limit = chi2.ppf(0.95, 2 * (count + 1)) / 2 / total_hours
+        print(f"{count} false in {total_hours:.1f} h: with 95 % fewer than one in {1 / limit:.1f} h")
 
 
 def done(
