@@ -1,27 +1,28 @@
 """How soon the watch names what has been moved during field work, and how often it is wrong when nothing was.
 
-    python bench/watch.py moved [--seeds 0-39] [--faults 2]
-    python bench/watch.py still [--seeds 0-39]
+    python bench/watch.py moved [--seeds 0-39] [--faults 2] [--keep DONE.jsonl]
+    python bench/watch.py still [--seeds 0-39] [--keep DONE.jsonl]
 
 Uses the fields of bench/spatial_logs.py, of both plants. moved: in each log one thing at a time is moved by
 editing frames from the sixth minute on: a receiver by 10 cm forward or to the right, a pair by 1 degree (its
 front receiver to the side), the wheels' sensor by 1 degree. Prints how long it takes to the event, and how
 often the event names it. still: the same logs as they are, and after each spatial field the other rows of the
 same rig: slope, rough and flat ground, other soil, other speeds. Prints hours, false events, and the limit
-below which their rate is with 95 %.
+below which their rate is with 95 %. --keep: what is done is kept there, a line each, and not done again.
 """
 
 import argparse
 import itertools
+import json
 import math
 import os
 import struct
 import time
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -149,7 +150,7 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
         spent += time.process_time() - began
         return found
 
-    watch.observe = timed  # to know what it costs, no more
+    setattr(watch, "observe", timed)  # noqa: B010 - to know what it costs, no more
     try:
         for frame in given:
             for publication in fold.step(state, frame):
@@ -162,7 +163,7 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                     names = tuple(state.watch.moved[-1].names) if state.watch.moved else ()
                     events.append((value.t_ns, names, value.text))
     finally:
-        watch.observe = observe
+        setattr(watch, "observe", observe)  # noqa: B010
     return Watched(events, watched * POSE_S, 1e5 * spent / max(poses, 1))
 
 
@@ -187,7 +188,7 @@ def with_a_fault(row: str, seed: int, number: int) -> tuple[str, str, float, boo
 def print_moved(results: list[tuple[str, str, float, bool, bool, float]]) -> None:
     for title in dict.fromkeys(result[0] for result in results):
         for row in FIELDS:
-            own = [result for result in results if result[:2] == (title, row)]
+            own = [result for result in results if (result[0], result[1]) == (title, row)]
             if not own:
                 continue
             delays = np.array([result[2] for result in own])
@@ -216,16 +217,35 @@ def without(row: str, seed: int) -> tuple[str, float, float, list[str]]:
 
 
 def print_still(results: list[tuple[str, float, float, list[str]]]) -> None:
-    total = Counter[str]()
+    total_hours, count = 0.0, 0
     for row in FIELDS:
         own = [result for result in results if result[0] == row]
         texts = [text for result in own for text in result[3]]
-        hours, driven = (sum(result[k] for result in own) for k in (1, 2))
+        hours, driven = sum(result[1] for result in own), sum(result[2] for result in own)
         print(f"{row} {len(own)} rigs, {driven:.1f} h driven, {hours:.1f} h watched: {len(texts)} events")
         print("".join(f"    {text}\n" for text in texts), end="")
-        total.update(hours=hours, events=len(texts))
-    limit = chi2.ppf(0.95, 2 * (total["events"] + 1)) / 2 / total["hours"]
-    print(f"{total['events']} false in {total['hours']:.1f} h: with 95 % fewer than one in {1 / limit:.1f} h")
+        total_hours, count = total_hours + hours, count + len(texts)
+    if total_hours:
+        limit = chi2.ppf(0.95, 2 * (count + 1)) / 2 / total_hours
+        print(f"{count} false in {total_hours:.1f} h: with 95 % fewer than one in {1 / limit:.1f} h")
+
+
+def done(
+    keep: Path | None, processes: int, work: Callable[..., Any], jobs: list[tuple[Any, ...]]
+) -> list[Any]:
+    """The results of all jobs: those that are kept, and the others, which are kept too."""
+    kept: dict[str, Any] = {}
+    if keep is not None and keep.exists():
+        kept = dict(json.loads(line) for line in keep.read_text(encoding="utf-8").splitlines())
+    names = {json.dumps([work.__name__, *job]): job for job in jobs}
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        waiting = {pool.submit(work, *job): name for name, job in names.items() if name not in kept}
+        for future in as_completed(waiting):
+            kept[waiting[future]] = future.result()
+            if keep is not None:
+                with keep.open("a", encoding="utf-8") as stream:
+                    stream.write(json.dumps([waiting[future], future.result()]) + "\n")
+    return [kept[name] for name in names]
 
 
 def main() -> None:
@@ -233,20 +253,21 @@ def main() -> None:
     parser.add_argument("what", choices=("moved", "still"))
     parser.add_argument("--seeds", type=seeds_of, default=range(40), help="of each row, as 0-7")
     parser.add_argument("--faults", type=int, default=2, help="of each log, in turn")
+    parser.add_argument("--keep", type=Path, help="file of what is done")
     parser.add_argument("--processes", type=int, default=1)
     args = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with ProcessPoolExecutor(args.processes, get_context("spawn")) as pool:
-        each = list(itertools.product(FIELDS, args.seeds))
-        if args.what == "still":
-            print_still(list(pool.map(without, *zip(*each, strict=True))))
-            return
-        count = len(faults(parse_machine(spatial_logs.read_run(CACHE, *each[0]).machine_text), 1.0))
-        jobs = [
-            (row, seed, (args.faults * seed + k + 5 * (row == FIELDS[1])) % count)
-            for (row, seed), k in itertools.product(each, range(args.faults))
-        ]
-        print_moved(list(pool.map(with_a_fault, *zip(*jobs, strict=True))))
+    each: list[tuple[Any, ...]] = [(row, seed) for seed, row in itertools.product(args.seeds, FIELDS)]
+    if args.what == "still":
+        print_still(done(args.keep, args.processes, without, each))
+        return
+    first = spatial_logs.read_run(CACHE, *each[0])
+    count = len(faults(parse_machine(first.machine_text), 1.0))
+    jobs: list[tuple[Any, ...]] = [
+        (row, seed, (args.faults * seed + k + 5 * (row == FIELDS[1])) % count)
+        for (row, seed), k in itertools.product(each, range(args.faults))
+    ]
+    print_moved(done(args.keep, args.processes, with_a_fault, jobs))
 
 
 if __name__ == "__main__":

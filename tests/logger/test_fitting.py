@@ -27,6 +27,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.tractor import drive
@@ -79,6 +80,9 @@ class Pocket:
             if t_ns < self._first.setdefault(method, t_ns) + self.by_s * SECOND:
                 return LATE
         return self.made(method, job)
+
+    def use(self, machine: Machine) -> None:
+        raise AssertionError("nothing is accepted here")
 
     def made(self, method: str, job: Any) -> Any:
         assert self._worker is not None
