@@ -1,5 +1,5 @@
-"""Is it good, and why not? Each number with what was known before, what the drive told, twice from halves, and
-what it costs the six parameters of soil and tyres."""
+"""Is it good, and why not? Each number with what was known before, what the drive told, twice from halves,
+and what it costs the six parameters of soil and tyres."""
 
 import math
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.joint import Half
 from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Number
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.schemas.flow import PARAMETERS
@@ -57,7 +58,9 @@ class Verdict:
     chi2: float  # of all halves that can be compared
     dof: int
     p: float
-    soil: dict[str, tuple[float, float]]  # parameter -> (sd of its logarithm by this drive, share from the numbers)
+    soil: dict[
+        str, tuple[float, float]
+    ]  # parameter -> (sd of its logarithm by this drive, share from the numbers)
     sentences: tuple[str, ...]
 
     @property
@@ -89,7 +92,9 @@ def _told(machine: Machine, found: Calibration, number: Number) -> Told:
         k = AT[name]
         scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
         # Folded, what stands aside on one body looks like it on the other; the tractor's is held in the fit.
-        seen = {"c": found.hitch_sd[0], "d": found.hitch_sd[1], "aside_i": 0.5 * found.aside_sd}.get(name, 0.0)
+        seen = {"c": found.hitch_sd[0], "d": found.hitch_sd[1], "aside_i": 0.5 * found.aside_sd}.get(
+            name, 0.0
+        )
         sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], seen)
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
@@ -103,11 +108,11 @@ def _told(machine: Machine, found: Calibration, number: Number) -> Told:
     return Told(number, moved, sd, halves, p, status)
 
 
-def _difference(halves: tuple[object, ...], k: int) -> float:
+def _difference(halves: tuple[Half, Half], k: int) -> float:
     """Sds by which halves differ."""
-    one, other = halves  # type: ignore[misc]
-    variance = one.covariance[k, k] + other.covariance[k, k]  # type: ignore[attr-defined]
-    return float((one.mean[k] - other.mean[k]) / math.sqrt(variance)) if variance > 0.0 else 0.0  # type: ignore[attr-defined]
+    one, other = halves
+    variance = float(one.covariance[k, k] + other.covariance[k, k])
+    return float(one.mean[k] - other.mean[k]) / math.sqrt(variance) if variance > 0.0 else 0.0
 
 
 def _z(one: Told, found: Calibration) -> float:
@@ -134,7 +139,9 @@ def _sentences(told: tuple[Told, ...], p: float, found: Calibration) -> list[str
     if without:
         said.append(f"The drive does not tell: {', '.join(without)}. These stay as the file has them.")
     if p < DISAGREE:
-        said.append("The halves of the drive do not agree: something moved on the way, or the ground is too rough.")
+        said.append(
+            "The halves of the drive do not agree: something moved on the way, or the ground is too rough."
+        )
     elif found.fit.halves is not None:
         said.append("Both halves of the drive give the same numbers within their intervals.")
     if not found.fit.settled:
