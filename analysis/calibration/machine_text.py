@@ -21,8 +21,8 @@ _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 
 def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, str], when: str) -> str:
-    """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: date of
-    the drive, for the comments. Receivers stay in the order of the text."""
+    """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: date
+    of the drive, for the comments. Receivers stay in the order of the text."""
     document = tomlkit.parse(text)
     note = f"calibrate {when}"
     _section(document["tractor"], before.tractor, after.tractor, _TRACTOR, note)

@@ -169,8 +169,8 @@ def _notes(heard: Heard) -> list[str]:
     if not many:
         return []
     return [
-        f"Positions of devices that the machine file does not name are in the log too: "
-        f"{', '.join(sorted(many))}. They are left out; of two rigs in one log only that of the file is calibrated."
+        f"Positions of devices that the machine file does not name are in the log too: {', '.join(many)}. "
+        "They are left out; of two rigs in one log only that of the file is calibrated."
     ]
 
 

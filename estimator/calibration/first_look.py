@@ -162,7 +162,7 @@ def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float
     u, r = view.along[rows, 0], rate[rows]
     design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
     left = view.wheel[rows] - design @ found.value
-    return float(1.0 - np.var(left) / max(np.var(view.wheel[rows]), 1e-12))
+    return 1.0 - float(np.var(left)) / max(float(np.var(view.wheel[rows])), 1e-12)
 
 
 def common_latency(view: Seen, wheelbase: float, found: Solved) -> float:
