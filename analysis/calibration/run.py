@@ -22,6 +22,7 @@ from tilth.schemas.spread import plus_minus
 Progress = Callable[[str, float], None]
 
 READING: Final = 0.1  # share of the work
+MANY: Final = 100  # positions of a device that the file does not name
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,7 @@ def calibrate_logs(
     except CannotCalibrate as error:
         better = _reread(paths, machine, buses, heard, error)
         if better is None:
-            raise
+            raise CannotCalibrate(" ".join([f"{error}.", *_notes(heard)]), error.faults) from None
         described, fault = better
         faults.append(fault)
         heard = read(paths, described, buses, lambda text: None, lambda done, of: None)
@@ -165,7 +166,7 @@ def _places(found: Calibration) -> dict[str, str]:
 
 
 def _notes(heard: Heard) -> list[str]:
-    many = [name for name, count in heard.strangers.items() if count > 100]
+    many = sorted(name for name, count in heard.strangers.items() if count > MANY)
     if not many:
         return []
     return [

@@ -136,7 +136,7 @@ def test_wrong_use(arguments: list[str], match: str, capsys: pytest.CaptureFixtu
     assert match in capsys.readouterr().err
 
 
-RECORDED = sorted(DATA.rglob("*.log"))[:3] if DATA.is_dir() else []
+RECORDED = [path for path in sorted(DATA.rglob("*")) if path.suffix in (".log", ".trc", ".txt")][:6]
 
 
 @pytest.mark.parametrize("log", RECORDED, ids=lambda path: path.name)

@@ -1,6 +1,7 @@
 """The first look finds what is wrong with a file, on a rig that does not slip."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.who import standing
-from tilth.schemas.flow import FixType, Measurement
+from tilth.schemas.flow import FixType, Measurement, WheelAngle
 from tilth.schemas.machine import Machine
 
 
@@ -93,8 +94,7 @@ def test_what_is_no_wheel_angle(heard: list[Measurement]) -> None:
     """An angle that does not go with the way is said, with what else was found."""
     rng = np.random.default_rng(3)
     other = [
-        replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, drives.WheelAngle) else m
-        for m in heard
+        replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, WheelAngle) else m for m in heard
     ]
     with pytest.raises(CannotCalibrate, match="byte order") as caught:
         calibrating._first_look(MACHINE, _drive(MACHINE, other))
@@ -119,6 +119,6 @@ def test_rows_alone_do_not_tell_who_is_who() -> None:
         (lambda: [], "no position of"),
     ],
 )
-def test_refusals(made: "calibrating.Callable[[], list[Measurement]]", match: str) -> None:
+def test_refusals(made: Callable[[], list[Measurement]], match: str) -> None:
     with pytest.raises(CannotCalibrate, match=match):
         calibrating.look(MACHINE, made())
