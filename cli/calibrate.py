@@ -5,7 +5,6 @@ import json
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -31,8 +30,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "calibrate",
         help="find what a drive tells of a rig, and write it into its machine file",
-        description="Levers, yaw of the antenna pairs, hitch, drawbar, wheel angle, latency and roll zeros by a "
-        "drive of a quarter of an hour; docs/calibrate.md says what to drive. The old file is kept.",
+        description="Levers, yaw of the antenna pairs, hitch, drawbar, wheel angle, latency and roll zeros "
+        "by a drive of a quarter of an hour; docs/calibrate.md says what to drive. The old file is kept.",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="of one rig, in their order")
     parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
@@ -95,8 +94,8 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
             raise
         keys = ", ".join(f"{key} (line {number})" for number, key in lines)
         raise WrongUse(
-            f"{args.machine}: fill in {keys}. Lengths by a tape to 20 cm are good enough, masses by a scale or the "
-            "papers; calibrate finds the rest"
+            f"{args.machine}: fill in {keys}. Lengths by a tape to 20 cm are good enough, masses by a scale "
+            "or the papers; calibrate finds the rest"
         ) from None
 
 
@@ -114,7 +113,7 @@ def _refused(args: argparse.Namespace, error: CannotCalibrate) -> int:
 
 
 def _write(args: argparse.Namespace, found: Calibrated) -> bool:
-    """Whether the file stands as found. A file that exists is changed only with a yes; the old one is kept."""
+    """Whether the file stands as found. A file that exists is changed only with a yes and kept."""
     there = args.out.read_text(encoding="utf-8") if args.out.exists() else None
     change = found.difference(args.out.name if there is None or there == found.before else str(args.out))
     if not args.json and change:
@@ -149,10 +148,10 @@ def _asked(out: Path, other: bool) -> bool:
 
 
 def _backup(out: Path) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    kept, number = out.with_name(f"{out.name}.before-{stamp}"), 2
-    while kept.exists():
-        kept, number = out.with_name(f"{out.name}.before-{stamp}-{number}"), number + 1
+    """A name that is free."""
+    number = 1
+    while (kept := out.with_name(f"{out.name}.before-{number}")).exists():
+        number += 1
     return kept
 
 
@@ -186,5 +185,3 @@ def _show(found: Calibrated) -> None:
 
 def _say(text: str) -> None:
     print(f"tilth calibrate: {text}", file=sys.stderr)
-
-

@@ -150,7 +150,9 @@ class Receiver(_Section):
     roll_zero: Annotated[Quantity, _quantity()] | None = Field(
         default=None, description="what it reports when level, after roll_sign, deg; none: 0, sd 0.57"
     )
-    roll_sign: Literal[1, -1] = Field(default=1, description="-1 where it reports the right side down as minus")
+    roll_sign: Literal[1, -1] = Field(
+        default=1, description="-1 where it reports the right side down as minus"
+    )
     yaw_rate_sign: Literal[1, -1] = Field(default=1, description="-1 where it reports a right turn as minus")
     roll_corrected: bool = Field(
         default=False, description="true where the receiver already reports the point on the ground below it"

@@ -1,5 +1,4 @@
-"""A machine file rewritten with what was found: comments stay, each changed value says what was found and what
-stood there."""
+"""A machine file rewritten with what was found: comments stay, each changed value says what stood there."""
 
 import difflib
 from collections.abc import Mapping
@@ -22,8 +21,8 @@ _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 
 def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, str], when: str) -> str:
-    """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: for the
-    comments, the date of the drive. Receivers stay in the order of the text."""
+    """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: date
+    of the drive, for the comments. Receivers stay in the order of the text."""
     document = tomlkit.parse(text)
     note = f"calibrate {when}"
     _section(document["tractor"], before.tractor, after.tractor, _TRACTOR, note)
@@ -62,7 +61,8 @@ def _item(value: Any) -> Item:
         inline = tomlkit.inline_table()
         inline.update(value)
         return inline
-    return tomlkit.item(value)
+    made: Item = tomlkit.item(value)
+    return made
 
 
 def _plain(value: Any, key: str) -> Any:
@@ -111,5 +111,3 @@ def unfilled(text: str) -> list[tuple[int, str]]:
         if equals and "FILL IN" in rest and not rest.split("#")[0].strip():
             found.append((number, f"{section}.{key.strip()}"))
     return found
-
-

@@ -46,26 +46,33 @@ def _numbers(found: Calibrated) -> ReportSection:
 
 
 def _residuals(found: Calibrated) -> ReportSection:
-    fit = found.found.fit
+    fit, gap, judged = found.found.fit, found.found.hitch_gap, found.verdict
+    halves = f"{judged.chi2:.1f}, {judged.dof}, {judged.p:.2g}"
     rows = (
         ("driving that was used", f"{fit.seconds:.0f} s, {fit.rows} measurements", fit.seconds),
         ("innovations over their sds, rms", f"{fit.residual:.2f}", fit.residual),
         ("autocorrelation of the innovations", f"{fit.whiteness:.2f}", fit.whiteness),
         ("left out as outliers", f"{fit.outliers}", float(fit.outliers)),
-        ("gap of the hitch as seen from either body, sd", f"{found.found.hitch_gap * 100:.1f} cm", found.found.hitch_gap),
-        ("halves: chi-square, degrees of freedom, p", f"{found.verdict.chi2:.1f}, {found.verdict.dof}, {found.verdict.p:.2g}", found.verdict.p),
+        ("gap of the hitch as seen from either body, sd", f"{gap * 100:.1f} cm", gap),
+        ("halves: chi-square, degrees of freedom, p", halves, judged.p),
     )  # fmt: skip
     table = ReportTable(
         "residuals", "What is left unexplained", ("", "found"),
         tuple((ReportCell(name), ReportCell(text, value)) for name, text, value in rows),
     )  # fmt: skip
-    refused = [ReportText(f"Not used: {count * 0.2:.0f} s, {why}.") for why, count in found.found.refused.items()]
+    refused = [
+        ReportText(f"Not used: {count * 0.2:.0f} s, {why}.") for why, count in found.found.refused.items()
+    ]
     return ReportSection("residuals", "Residuals", (table, *refused))
 
 
 def _soil(found: Calibrated) -> ReportSection:
     rows = tuple(
-        (ReportCell(name), ReportCell(f"± {196 * whole:.1f} %", whole), ReportCell(f"± {196 * part:.1f} %", part))
+        (
+            ReportCell(name),
+            ReportCell(f"± {196 * whole:.1f} %", whole),
+            ReportCell(f"± {196 * part:.1f} %", part),
+        )
         for name, (whole, part) in found.verdict.soil.items()
     )
     table = ReportTable(

@@ -1,4 +1,4 @@
-"""The measurements of a drive from logs, by a machine file; and its wheel angle where the file reads it wrongly."""
+"""The measurements of a drive from logs, by a machine file; its wheel angle where that is read wrongly."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from tilth.replay.readers.rig import Say, on_buses_of
 from tilth.replay.wheel_search import WheelCandidate, candidates
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement, Mount, Position, YawRate
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, WheelAngle
 
 SHOWN_EVERY: Final = 8192  # frames
 LIKELY: Final = 0.6  # correlation of a word with the yaw rate, at all speeds together
@@ -25,7 +25,9 @@ class Heard:
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
-    strangers: dict[str, int] = field(default_factory=dict)  # senders of positions that the file does not name
+    strangers: dict[str, int] = field(
+        default_factory=dict
+    )  # senders of positions that the file does not name
 
 
 def read(
@@ -63,8 +65,8 @@ def _take(heard: Heard, decoder: Decoder, frame: Frame) -> None:
 def wheel_candidate(
     paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: Heard
 ) -> WheelCandidate | None:
-    """Where in the message that the file names the wheel angle stands, by the tractor's turn rates; None where
-    no word of it goes with them."""
+    """Where in the message that the file names the wheel angle stands, by the tractor's turn rates; None
+    where no word of it goes with them."""
     given = machine.wheel_angle
     if given.id is None:
         return None
@@ -78,15 +80,19 @@ def wheel_candidate(
         log = open_log(path)
         with log.file:
             for record in on_buses_of(machine, log, buses, lambda text: None):
-                if isinstance(record, Frame) and record.bus == given.bus and record.extended == given.extended:
-                    if (record.can_id ^ given.id) & given.mask == 0:
-                        times.append(record.rx_ns)
-                        data.append(record.data)
+                if isinstance(record, Frame) and _is_of(record, given):
+                    times.append(record.rx_ns)
+                    data.append(record.data)
     if not times:
         return None
     found = list(candidates(given.bus, given.id, given.extended, times, data, yaw))
     best = max(found, key=lambda one: abs(one.yaw_correlation or 0.0), default=None)
     return best if best is not None and abs(best.yaw_correlation or 0.0) >= LIKELY else None
+
+
+def _is_of(frame: Frame, given: WheelAngle) -> bool:
+    same = frame.bus == given.bus and frame.extended == given.extended
+    return same and given.id is not None and (frame.can_id ^ given.id) & given.mask == 0
 
 
 def reading_as(machine: Machine, candidate: WheelCandidate) -> Machine:

@@ -6,7 +6,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-
 from tilth.analysis.calibration.machine_text import difference, rewritten
 from tilth.analysis.calibration.reading import Heard, read, reading_as, wheel_candidate
 from tilth.estimator.calibration import faults as finding
@@ -23,6 +22,7 @@ from tilth.schemas.spread import plus_minus
 Progress = Callable[[str, float], None]
 
 READING: Final = 0.1  # share of the work
+MANY: Final = 100  # positions of a device that the file does not name
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,7 @@ class Calibrated:
 
     def sentences(self) -> list[str]:
         """What a person should know of it."""
-        soil = ", ".join(
-            f"{name} ± {196 * part:.1f} %" for name, (_, part) in self.verdict.soil.items()
-        )
+        soil = ", ".join(f"{name} ± {196 * part:.1f} %" for name, (_, part) in self.verdict.soil.items())
         return [
             *self.verdict.sentences,
             f"What these numbers leave uncertain of soil and tyres (95 %, of this drive): {soil}.",
@@ -100,7 +98,9 @@ def calibrate_logs(
     paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say, progress: Progress
 ) -> Calibrated:
     """Raises CannotCalibrate, LogError, OSError, MachineError."""
-    heard = read(paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1)))
+    heard = read(
+        paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1))
+    )
     faults: list[Fault] = []
     described = machine
 
@@ -112,7 +112,7 @@ def calibrate_logs(
     except CannotCalibrate as error:
         better = _reread(paths, machine, buses, heard, error)
         if better is None:
-            raise
+            raise CannotCalibrate(" ".join([f"{error}.", *_notes(heard)]), error.faults) from None
         described, fault = better
         faults.append(fault)
         heard = read(paths, described, buses, lambda text: None, lambda done, of: None)
@@ -166,11 +166,11 @@ def _places(found: Calibration) -> dict[str, str]:
 
 
 def _notes(heard: Heard) -> list[str]:
-    many = [name for name, count in heard.strangers.items() if count > 100]
+    many = sorted(name for name, count in heard.strangers.items() if count > MANY)
     if not many:
         return []
     return [
-        f"Positions of devices that the machine file does not name are in the log too: {', '.join(sorted(many))}. "
+        f"Positions of devices that the machine file does not name are in the log too: {', '.join(many)}. "
         "They are left out; of two rigs in one log only that of the file is calibrated."
     ]
 
@@ -189,7 +189,11 @@ def _row(one: Told) -> tuple[str, ...]:
         halves = " / ".join(f"{half / per:.{digits}f}" for half in one.halves)
         halves += "" if one.p >= 0.01 else ", differ"
     return (
-        number.words, change, shown(number.prior_sd), shown(one.sd), shown(number.wanted_sd), halves, one.status
+        number.words,
+        change,
+        shown(number.prior_sd),
+        shown(one.sd),
+        shown(number.wanted_sd),
+        halves,
+        one.status,
     )
-
-

@@ -24,7 +24,7 @@ from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
-from tilth.schemas.flow import Measurement
+from tilth.schemas.flow import FixType, Measurement
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -79,10 +79,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         moved = _moved(machine, changes)
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
-        fit = joint.fit(
-            followed.records, rig_setup(now), mean, sd, start, TOLD,
-            lambda steps, size, k=k: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.015 * steps),
-        )  # fmt: skip
+        fit = joint.fit(followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k))
         before, changes = changes, _taken(machine, changes, fit)
         changes = _with_aside(machine, drive, changes, found_rolls)
         size = _largest(fit)
@@ -96,6 +93,10 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine), _hitch_sd(gap.sds), fit,
         _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
     )  # fmt: skip
+
+
+def _of_fit(progress: Progress, k: int) -> joint.Progress:
+    return lambda steps, size: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.015 * steps)
 
 
 def look(machine: Machine, measurements: Sequence[Measurement]) -> list[Fault]:
@@ -143,13 +144,13 @@ def _check_heard(machine: Machine, heard: drives.Heard) -> None:
     names = {r.mount for r in machine.receiver}
     if len(names) < 4:
         raise CannotCalibrate(
-            f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on the "
-            "implement"
+            f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on "
+            "the implement"
         )
     if missing:
         raise CannotCalibrate(
-            f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine file "
-            "names other devices; `tilth discover LOG` lists who is there"
+            f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine "
+            "file names other devices; `tilth discover LOG` lists who is there"
         )
     if len(heard.wheel) < 2:
         text = (
@@ -158,19 +159,17 @@ def _check_heard(machine: Machine, heard: drives.Heard) -> None:
         )
         raise CannotCalibrate(text, [Fault(finding.WHEEL_UNREAD, "wheel_angle", text)])
     without = [
-        mount.value
-        for k, mount in enumerate(MOUNTS)
-        if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
+        mount.value for k, mount in enumerate(MOUNTS) if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
     ]
     if without:
         raise CannotCalibrate(
-            f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: check "
-            "the correction service and drive again"
+            f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: "
+            "check the correction service and drive again"
         )
 
 
-def _fixed_share(fixes: dict[drives.FixType, int]) -> float:
-    good = fixes.get(drives.FixType.RTK_FIXED, 0)
+def _fixed_share(fixes: dict[FixType, int]) -> float:
+    good = fixes.get(FixType.RTK_FIXED, 0)
     return good / max(sum(fixes.values()), 1)
 
 
@@ -215,7 +214,10 @@ def _first_look(machine: Machine, drive: Drive) -> tuple[Changes, list[Fault], S
     faults = finding.standing_faults(stands.who) if stands.sure else []
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)
-    if np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > first_look.MOVING)) * drives.STEP_S < LEAST_DRIVEN_S:
+    if (
+        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > first_look.MOVING)) * drives.STEP_S
+        < LEAST_DRIVEN_S
+    ):
         raise CannotCalibrate(
             "the four receivers were heard together for less than a minute of driving; drive what "
             "docs/calibrate.md lists, with RTK"
@@ -314,9 +316,7 @@ def _length(machine: Machine, body: int) -> float:
     return math.dist(*pair)
 
 
-def _centred(
-    now: Machine, mean: Array, sd: Array, moved: dict[str, float]
-) -> tuple[Array, Array]:
+def _centred(now: Machine, mean: Array, sd: Array, moved: dict[str, float]) -> tuple[Array, Array]:
     """The prior about what the file said at first, unless that was no error of measuring. Masses are held."""
     mean, sd = mean.copy(), sd.copy()
     sd[list(MASSES)] = 0.0
@@ -351,10 +351,10 @@ def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
     return replace(
         changes,
         late=changes.late + by["latency"],
-        pair=changes.pair + [by["pair_t"], by["pair_i"]],
-        forward=changes.forward + [by["lever_t"], by["lever_i"]],
-        aside=changes.aside + [0.0, by["aside_i"]],
-        hitch=changes.hitch + [by["c"], by["d"]],
+        pair=changes.pair + np.array([by["pair_t"], by["pair_i"]]),
+        forward=changes.forward + np.array([by["lever_t"], by["lever_i"]]),
+        aside=changes.aside + np.array([0.0, by["aside_i"]]),
+        hitch=changes.hitch + np.array([by["c"], by["d"]]),
     )
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.schemas.flow import Measurement, WheelAngle
-from tilth.schemas.machine import Machine, Quantity, Receiver, WheelAngle as WheelFile
+from tilth.schemas.machine import Machine, Quantity, Receiver
+from tilth.schemas.machine import WheelAngle as WheelFile
 
 Array = NDArray[np.float64]
 

@@ -114,12 +114,12 @@ def drive_of(heard: Heard, machine: Machine) -> Drive:
     starts = [rows[0][0] for rows in heard.positions if rows]
     ends = [rows[-1][0] for rows in heard.positions if rows]
     n = int((max(ends) - min(starts)) / STEP_S) if starts else 0
-    t = (min(starts) if starts else 0.0) + STEP_S * np.arange(max(n, 0))
+    t: Array = (min(starts) if starts else 0.0) + STEP_S * np.arange(max(n, 0), dtype=np.float64)
     shape = (len(t), len(MOUNTS))
     at, velocity = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
     yaw_rate, roll = np.full(shape, np.nan), np.full(shape, np.nan)
     for k, mount in enumerate(MOUNTS):
-        then = t + late.get(mount, 0.0)
+        then: Array = t + late.get(mount, 0.0)
         for axis in range(2):
             at[:, k, axis] = _between(heard.positions[k], 1 + axis, then)
             velocity[:, k, axis] = _between(heard.velocities[k], 1 + axis, then)
@@ -133,15 +133,14 @@ def drive_of(heard: Heard, machine: Machine) -> Drive:
 
 def _columns(rows: Sequence[tuple[float, ...]]) -> Array:
     found = np.array(rows, np.float64)
-    return found[np.concatenate([[True], np.diff(found[:, 0]) > 0.0])]
+    later = np.concatenate([[True], np.diff(found[:, 0]) > 0.0])
+    return np.asarray(found[later], np.float64)
 
 
 def _gaps(times: Array, at: Array) -> NDArray[np.bool_]:
     """(n,): outside of the times, or in a gap of them."""
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    return np.asarray(
-        (times[after] - times[after - 1] > LONGEST_GAP_S) | (at < times[0]) | (at > times[-1])
-    )
+    return np.asarray((times[after] - times[after - 1] > LONGEST_GAP_S) | (at < times[0]) | (at > times[-1]))
 
 
 def _between(rows: Rows, column: int, at: Array) -> Array:

@@ -90,8 +90,8 @@ def wheel_faults(found: Solved, explained: float) -> list[Fault]:
     gain = float(found.value[1])
     if explained < EXPLAINED:
         text = (
-            "the wheel angle does not go with the way that is driven: another message, byte order, start byte "
-            "or signedness is right ([wheel_angle])"
+            "the wheel angle does not go with the way that is driven: another message, byte order, start "
+            "byte or signedness is right ([wheel_angle])"
         )
         return [Fault(WHEEL_UNREAD, "wheel_angle", text)]
     faults = []
@@ -99,7 +99,7 @@ def wheel_faults(found: Solved, explained: float) -> list[Fault]:
         text = "the wheel angle has the wrong sign; wheel_angle.sign is turned in the file"
         faults.append(Fault(WHEEL_SIGN, "wheel_angle.sign", text))
     if not 1 / GROSS_GAIN < abs(gain) < GROSS_GAIN:
-        text = f"the wheel angle reads {abs(gain):.3g} times the true one; wheel_angle.scale is changed in the file"
+        text = f"the wheel angle reads {abs(gain):.3g} times the true one; scale is changed in the file"
         faults.append(Fault(WHEEL_SCALE, "wheel_angle.scale", text))
     return faults
 
@@ -118,7 +118,9 @@ def receiver_faults(flags: dict[Flag, int], poses: int) -> list[Fault]:
             text = f"roll_corrected of {flag.of} should be {right}; it is changed in the file"
             found.append(Fault(ROLL_CORRECTED, flag.of, text))
         elif flag.kind is FlagKind.ROLL_CORRECTION:
-            text = "roll_corrected is wrong on one of the bodies, and the drive does not tell on which; look it up"
+            text = (
+                "roll_corrected is wrong on one of the bodies; the drive does not tell on which, look it up"
+            )
             found.append(Fault(ROLL_CORRECTED, "receiver", text))
         elif flag.kind is FlagKind.SMOOTHED_YAW_RATE:
             text = f"the turn rate of {flag.of} is smoothed and is not used; turn its smoothing off"

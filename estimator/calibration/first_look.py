@@ -5,6 +5,7 @@ it has no unknown for comes from here: roll zeros (roll.py), the length of each 
 the tractor.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -74,9 +75,7 @@ def seen(drive: Drive, machine: Machine, roll: Array, late: Array) -> Seen:
         velocity = moving[:, [front, rear]].mean(axis=1)
         along[:, body] = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
         across[:, body] = (velocity * right).sum(axis=1)
-    return Seen(
-        drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate
-    )
+    return Seen(drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate)
 
 
 def _later(drive: Drive, late: Array) -> Array:
@@ -115,8 +114,8 @@ def latency_differences(drive: Drive, view: Seen) -> Array:
 
 
 def hitch(view: Seen) -> Solved:
-    """(forward, right) of the hitch from the tractor's middle and from the implement's, m, and by how much the
-    implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i."""
+    """(forward, right) of the hitch from the tractor's middle and from the implement's, m, and by how much
+    the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i."""
     rows = view.known
     rows = rows & np.isfinite(view.middle).all((1, 2))
     apart = view.middle[rows, 1] - view.middle[rows, 0]
@@ -131,8 +130,8 @@ def hitch(view: Seen) -> Solved:
 
 
 def crab(view: Seen, body: int) -> Solved:
-    """(heading by the pair less direction of travel, rad; m that the middle is ahead of the axle; slip), (3,),
-    of driving that is not quick; gravity along a plane's two slopes is in it as two more: (5,)."""
+    """(heading by the pair less direction of travel, rad; m that the middle is ahead of the axle; slip; what
+    gravity does along a plane's two slopes): (5,)."""
     rows = view.known & (view.along[:, body] > MOVING) & np.isfinite(view.rate[:, body])
     u, r = view.along[rows, body], view.rate[rows, body]
     psi = view.heading[rows, body]
@@ -153,8 +152,8 @@ def wheel(view: Seen, wheelbase: float, rate: Array) -> Solved:
 
 
 def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float:
-    """Share of the wheel angle's variance that the way explains, in slow driving where there is some; 0 without
-    driving."""
+    """Share of the wheel angle's variance that the way explains, in slow driving where there is some; 0
+    without driving."""
     rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
     slow = rows & (view.along[:, 0] < SLOW)
     rows = slow if np.count_nonzero(slow) > 200 else rows
@@ -163,7 +162,7 @@ def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float
     u, r = view.along[rows, 0], rate[rows]
     design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
     left = view.wheel[rows] - design @ found.value
-    return float(1.0 - np.var(left) / max(np.var(view.wheel[rows]), 1e-12))
+    return 1.0 - float(np.var(left)) / max(float(np.var(view.wheel[rows])), 1e-12)
 
 
 def common_latency(view: Seen, wheelbase: float, found: Solved) -> float:
@@ -175,13 +174,15 @@ def common_latency(view: Seen, wheelbase: float, found: Solved) -> float:
     good = np.isfinite(view.wheel)
     t, u, r = view.t[rows], view.along[rows, 0], view.rate[rows, 0]
     zero, gain, under = found.value
-    best = (np.inf, 0.0)
+    best = (math.inf, 0.0)
     for relaxation in RELAXATIONS_M:
         for late in WHEEL_DELAY_S:
             then = t - late - relaxation / u
             angle = (np.interp(then, view.t[good], view.wheel[good]) - zero) / gain
             left = np.tan(angle) * u / (wheelbase + under / gain * u * u) - r
-            away = sum(((x - m) / sd) ** 2 for x, (m, sd) in zip((late, relaxation), USUAL, strict=True))
+            away = sum(
+                ((x - m) / sd) ** 2 for x, (m, sd) in zip((float(late), relaxation), USUAL, strict=True)
+            )
             size = float(np.mean(np.abs(left[SMOOTH:-SMOOTH]))) * (1.0 + UNUSUAL * away)
             best = min(best, (size, float(late)))
     return best[1]
@@ -206,7 +207,7 @@ def driven(view: Seen) -> Straightness:
     eighths = np.floor(view.heading[straight, 0] / (2 * np.pi) * 8).astype(np.int64) % 8
     folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > np.radians(10.0)
     return Straightness(
-        np.bincount(eighths, minlength=8) * STEP_S,
+        np.bincount(eighths, minlength=8).astype(np.float64) * STEP_S,
         float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & folded)) * STEP_S,

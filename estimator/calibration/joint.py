@@ -1,11 +1,14 @@
 """One estimate over all records of a drive: maximum of the product's own likelihood by Fisher scoring.
 
-All records share one vector of unknowns (unknowns.NAMES), the six and the noise levels among them. What the
-known wheel angles explain counts in the covariance, widened by how the scores vary, as in pem.
+All records share one vector of unknowns (unknowns.NAMES), the six and the noise levels among them. The
+covariance is that of the likelihood, widened by how the scores vary over time, as in pem. What pem does for
+the six beyond that, to count only what known steering explains, is not done: geometry does not hang on the
+ground's forces, and over half a minute of tight turns the open loop that it needs may run away.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Final
 
 import numpy as np
@@ -61,16 +64,20 @@ class _Sum:
         with np.errstate(all="ignore"):  # after a step that is too long nothing is finite; it is rejected
             self.at = [
                 likelihood.with_noise_levels(search, likelihood.evaluate(search, point, past))
-                for search, past in zip(searches, before or [None] * len(searches), strict=True)
+                for search, past in zip(searches, before or repeat(None, len(searches)), strict=True)
             ]
             self.each = [
                 _without_prior(
-                    search, at, *likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
+                    search,
+                    at,
+                    *likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at)),
                 )
                 for search, at in zip(searches, self.at, strict=True)
             ]
             self.cost = _cost(searches, self.at)
-        if not all(np.isfinite(gradient).all() and np.isfinite(square).all() for gradient, square in self.each):
+        if not all(
+            np.isfinite(gradient).all() and np.isfinite(square).all() for gradient, square in self.each
+        ):
             self.cost = np.inf
 
 
@@ -78,8 +85,8 @@ def fit(
     records: Sequence[Record], setup: RigSetup, mean: Array, sd: Array, start: Array, told: Sequence[int],
     progress: Progress = lambda steps, size: None,
 ) -> JointFit:  # fmt: skip
-    """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must settle.
-    Raises ValueError without records.
+    """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must
+    settle. Raises ValueError without records.
 
     Noise levels are sought for some steps and then held: where there is nothing to a level, it would go on
     for ever.
@@ -177,14 +184,18 @@ def _result(
     searches: Sequence[Search], now: _Sum, point: Array, mean: Array, sd: Array, steps: int, settled: bool
 ) -> JointFit:
     prior = np.diag(sd[searches[0].active] ** -2.0)
-    known = [_by_steering(search, at) for search, at in zip(searches, now.at, strict=True)]
+    known = [
+        (information, fit_covariance.scores_covariance(search, likelihood.scores_at(search, at)))
+        for search, at, (_, information) in zip(searches, now.at, now.each, strict=True)
+    ]
     away = (point - mean)[searches[0].active]
     covariance = _covariance(known, prior)
     halves = None
     if len(searches) >= 4:
-        halves = tuple(
+        one, other = (
             _half(now.each[k::2], known[k::2], prior, point, searches[0].active, away) for k in range(2)
         )
+        halves = one, other
     whole = np.zeros((len(NAMES), len(NAMES)))
     whole[np.ix_(searches[0].active, searches[0].active)] = covariance
     white = float(
@@ -198,19 +209,11 @@ def _result(
     scored = np.concatenate([s.scored for s in searches]) > 0.0
     z = np.concatenate([at.e / np.sqrt(at.S) for at in now.at])[scored]
     return JointFit(
-        point, whole, mean, sd, halves,  # type: ignore[arg-type]
+        point, whole, mean, sd, halves,
         sum(len(s.record.ticks) for s in searches) * 0.02, len(z),
         int(sum(np.sum(s.used == 0.0) for s in searches)), white, float(np.sqrt(np.mean(z**2))), steps,
         settled,
     )  # fmt: skip
-
-
-def _by_steering(search: Search, at: Iterate) -> tuple[Array, Array]:
-    """(information, covariance of the scores), each (a, a), of what the known wheel angles explain."""
-    known = likelihood.by_steering(search, at, at.point, likelihood.response_to_steering(search, at.point))
-    scores = likelihood.scores_at(search, known)
-    _, information = likelihood.gradient_and_information(search, known, scores)
-    return information - search.prior_information, fit_covariance.scores_covariance(search, scores)
 
 
 def _covariance(known: Sequence[tuple[Array, Array]], prior: Array) -> Array:

@@ -32,12 +32,13 @@ def solve(design: Array, observed: Array, prior_sd: Array, floor: float, block: 
     information = np.diag(prior_sd**-2.0)
     if len(observed) == 0:
         return Solved(np.zeros(len(prior_sd)), np.diag(prior_sd**2), floor)
-    value, weights = np.zeros(len(prior_sd)), np.ones(len(observed))
+    value: Array = np.zeros(len(prior_sd))
+    weights: Array = np.ones(len(observed))
     sd = max(float(np.std(observed)), floor)
     for _ in range(ROUNDS):
         scaled = design.T * (weights / sd**2)
         normal = scaled @ design + information
-        value = np.linalg.solve(normal, scaled @ observed)
+        value = np.asarray(np.linalg.solve(normal, scaled @ observed), np.float64)
         left = observed - design @ value
         sd = max(1.4826 * float(np.median(np.abs(left))), floor)
         weights = np.minimum(1.0, TUNING * sd / np.maximum(np.abs(left), 1e-300))

@@ -46,16 +46,18 @@ class Number:
 
 
 _LEVER: Final = "a tape, from rear axle to antenna along the body"
+_PIN: Final = "a tape, from rear axle to hitch pin"
+_AXLE: Final = "a tape, from hitch pin to the axle"
 _SIDE: Final = "a tape, from the middle of the body to the antenna"
 NUMBERS: Final = (
-    Number("pair_t", "yaw of the tractor's pair of receivers", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
+    Number("pair_t", "yaw of the tractor's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
     Number("pair_i", "yaw of the implement's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
     Number("aside_t", "tractor's receivers to the right", "m", 1.0, 0.01, LEVER_SD, FOLD, _SIDE),
     Number("aside_i", "implement's receivers to the right", "m", 1.0, 0.01, LEVER_SD, ROW, _SIDE),
     Number("lever_t", "tractor's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
     Number("lever_i", "implement's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
-    Number("c", "tractor.c, CG to hitch", "m", 1.0, 0.03, HITCH_SD, FOLD, "a tape, from rear axle to hitch pin"),
-    Number("d", "implement.d, hitch to CG", "m", 1.0, 0.02, HITCH_SD, FOLD, "a tape, from hitch pin to the axle"),
+    Number("c", "tractor.c, CG to hitch", "m", 1.0, 0.03, HITCH_SD, FOLD, _PIN),
+    Number("d", "implement.d, hitch to CG", "m", 1.0, 0.02, HITCH_SD, FOLD, _AXLE),
     Number("wheel_zero", "wheel angle when straight", "°", 1 / DEG, math.radians(0.05), ZERO_SD, ROW, "none"),
     Number("wheel_gain", "scale of the wheel angle", "%", 0.01, 0.01, GAIN_SD, CIRCLE, "none"),
     Number("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
@@ -68,9 +70,9 @@ NUMBERS: Final = (
     ),
 )  # fmt: skip
 NUMBER: Final = {number.name: number for number in NUMBERS}
-BY_LIKELIHOOD: Final = tuple(number.name for number in NUMBERS if number.name in AT and number.name not in (
-    "roll_zero_tractor_front", "roll_zero_tractor_rear", "roll_zero_implement_front", "roll_zero_implement_rear",
-))  # fmt: skip
+BY_LIKELIHOOD: Final = tuple(
+    number.name for number in NUMBERS if number.name in AT and not number.name.startswith("roll_zero")
+)
 NOT_BY_DRIVING: Final = (
     ("masses and yaw inertias", "a scale; driving shows stiffnesses over masses"),
     ("heights of the CGs and the hitch", "a tape, the data sheet of the tractor"),

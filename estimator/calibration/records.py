@@ -15,10 +15,10 @@ from tilth.schemas.machine import Machine, Quantity
 
 LONGEST: Final = 150  # segments of 0.2 s in one record
 SHORTEST: Final = 40
-LOOSE_M: Final = 0.2  # of the survey, so that a rough file refuses nothing
+LOOSE_M: Final = 0.2  # of the survey: a rough file refuses nothing
 LATENCY_SD: Final = 0.001
-"""s: the poses' own search for late receivers is held. It takes a hitch that stands elsewhere for latency, and
-the likelihood would then agree: on 150 s of driving tractor.c came out 6 cm off."""
+"""s: the poses' own search for late receivers is held. It takes a hitch that stands elsewhere for latency,
+and the likelihood would then agree: on 150 s of driving tractor.c came out 6 cm off."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """Zeros and signs of the receivers' rolls: the same ground, driven over in other directions.
 
 roll = zero + slope of the ground across + lean times lateral acceleration. The slope is that of a cell of the
-ground, which does not care who drives over it and where to: driving there and back, or round in circles, tells
-it from a zero. Both sides of turning tell the lean.
+ground, which does not care who drives over it and where to: driving there and back, or round in circles,
+tells it from a zero. Both sides of turning tell the lean.
 """
 
 from typing import Final, NamedTuple
@@ -43,7 +43,8 @@ def rolls(drive: Drive, view: Seen) -> Rolls:
     heard = tuple(bool(np.isfinite(drive.roll[:, k]).any()) for k in range(4))
     cells, rows = _cells(view)
     plain = _fit(drive, view, cells, rows, (1, 1, 1, 1))
-    best, signs = plain, (1, 1, 1, 1)
+    signs: tuple[int, ...] = (1, 1, 1, 1)
+    best = plain
     for turned in range(4):
         trial = tuple(-1 if k == turned else 1 for k in range(4))
         found = _fit(drive, view, cells, rows, trial) if heard[turned] else plain
@@ -92,4 +93,10 @@ def _fit(
     found = solve(np.concatenate(designs)[times], values, prior, FLOOR)
     left = values - np.concatenate(designs)[times] @ found.value
     swing = float(np.mean((values - values.mean()) ** 2)) if len(values) else 0.0
-    return found.value[:4], found.sds[:4], found.value[4:6], float(np.mean(left**2)) if len(left) else 0.0, swing
+    return (
+        found.value[:4],
+        found.sds[:4],
+        found.value[4:6],
+        float(np.mean(left**2)) if len(left) else 0.0,
+        swing,
+    )

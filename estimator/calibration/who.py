@@ -41,7 +41,9 @@ def standing(drive: Drive, machine: Machine) -> Standing:
     rigid = (spread[0, 1], spread[2, 3])
     others = [total for k, total in enumerate(totals) if k != best]
     if min(others) < CLEARLY * totals[best]:
-        return Standing(same, False, "without turns nobody can tell which two receivers are on one body", rigid)
+        return Standing(
+            same, False, "without turns nobody can tell which two receivers are on one body", rigid
+        )
     ahead = velocity.mean(axis=1)
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     one, other = PAIRINGS[best]
@@ -53,7 +55,7 @@ def standing(drive: Drive, machine: Machine) -> Standing:
 
 def _speed(drive: Drive) -> Array:
     mean = drive.velocity.mean(axis=1)
-    return np.nan_to_num(np.hypot(mean[:, 0], mean[:, 1]))
+    return np.asarray(np.nan_to_num(np.hypot(mean[:, 0], mean[:, 1])), np.float64)
 
 
 def _spread(at: Array, velocity: Array, pair: tuple[int, int]) -> float:

@@ -135,7 +135,10 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
     (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK
-    zeros = {r.mount: ROLL_ZERO_SD if r.roll_zero is None else math.radians(r.roll_zero.sd) for r in machine.receiver}
+    zeros = {
+        r.mount: ROLL_ZERO_SD if r.roll_zero is None else math.radians(r.roll_zero.sd)
+        for r in machine.receiver
+    }
     sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = [zeros.get(mount, 0.0) for mount in Mount]
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
     sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]

@@ -63,8 +63,9 @@ TIGHT_SHARE: Final = 0.1
 linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
 that was their beginnings and ends, and errors of the model are as in them."""
 TIGHT_SD: Final = 0.35
-"""Sd of each of the six logarithms from errors of the model in such driving: slow, with wheels that turn fast,
-and one linearisation at a time. In fields of the planar virtual tractor they came out a third too low."""
+"""Sd of each of the six logarithms from errors of the model in such driving: slow, with wheels that turn
+fast, and one linearisation at a time. In fields of the planar virtual tractor they came out a third too
+low."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial

@@ -1,4 +1,4 @@
-"""Measurements of a rig whose wheels do not slip, on a plane that slopes: what calibration must find exactly."""
+"""Measurements of a rig whose wheels do not slip, on a plane that slopes: calibration must find it."""
 
 import math
 from collections.abc import Sequence

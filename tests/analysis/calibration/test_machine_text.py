@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
 
-
 from tilth.analysis.calibration.machine_text import difference, rewritten, unfilled
 from tilth.estimator.calibration.changes import Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
@@ -49,6 +48,8 @@ def test_exchanged_receivers_stay_in_their_order() -> None:
 
 
 def test_lines_of_a_draft() -> None:
-    draft = "[tractor]\na =  # FILL IN: m\nb = 1.2\n[[receiver]]\nposition = # FILL IN: [forward, right, up]\n"
+    draft = (
+        "[tractor]\na =  # FILL IN: m\nb = 1.2\n[[receiver]]\nposition = # FILL IN: [forward, right, up]\n"
+    )
     assert unfilled(draft) == [(2, "tractor.a"), (5, "receiver.position")]
     assert unfilled(TEXT) == []

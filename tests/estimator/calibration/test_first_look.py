@@ -1,6 +1,7 @@
 """The first look finds what is wrong with a file, on a rig that does not slip."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.who import standing
-from tilth.schemas.flow import FixType, Measurement
+from tilth.schemas.flow import FixType, Measurement, WheelAngle
 from tilth.schemas.machine import Machine
 
 
@@ -41,15 +42,18 @@ def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.
 def test_values_are_found(heard: list[Measurement]) -> None:
     """Wrong by what people are wrong by, all at once."""
     bad = Changes(
-        late=np.array([0.07, 0.05, -0.02, -0.04]), forward=np.array([0.15, -0.2]), aside=np.array([-0.1, 0.12]),
-        pair=np.radians([2.0, -3.0]), hitch=np.array([0.2, -0.15]), wheel_zero=math.radians(4.0), wheel_gain=1.12,
+        late=np.array([0.07, 0.05, -0.02, -0.04]), forward=np.array([0.15, -0.2]),
+        aside=np.array([-0.1, 0.12]), pair=np.radians([2.0, -3.0]), hitch=np.array([0.2, -0.15]),
+        wheel_zero=math.radians(4.0), wheel_gain=1.12,
         roll_zero=np.radians([2.0, -1.0, 3.0, 0.5]),
     )  # fmt: skip
     found, faults = _look(bad, heard)
     assert faults == []
     for right, now in zip(MACHINE.receiver, found.receiver, strict=True):
         assert now.position[:2] == pytest.approx(right.position[:2], abs=0.04)
-        assert now.latency.value == pytest.approx(right.latency.value, abs=0.12)  # tyres that do not slip are not what the search takes for usual
+        assert now.latency.value == pytest.approx(
+            right.latency.value, abs=0.12
+        )  # tyres that do not slip are not what the search takes for usual
         assert now.roll_zero is not None
         assert now.roll_zero.value == pytest.approx(0.0, abs=0.15)
     assert found.tractor.c.value == pytest.approx(MACHINE.tractor.c.value, abs=0.04)
@@ -90,7 +94,7 @@ def test_what_is_no_wheel_angle(heard: list[Measurement]) -> None:
     """An angle that does not go with the way is said, with what else was found."""
     rng = np.random.default_rng(3)
     other = [
-        replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, drives.WheelAngle) else m for m in heard
+        replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, WheelAngle) else m for m in heard
     ]
     with pytest.raises(CannotCalibrate, match="byte order") as caught:
         calibrating._first_look(MACHINE, _drive(MACHINE, other))
@@ -115,6 +119,6 @@ def test_rows_alone_do_not_tell_who_is_who() -> None:
         (lambda: [], "no position of"),
     ],
 )
-def test_refusals(made: "calibrating.Callable[[], list[Measurement]]", match: str) -> None:
+def test_refusals(made: Callable[[], list[Measurement]], match: str) -> None:
     with pytest.raises(CannotCalibrate, match=match):
         calibrating.look(MACHINE, made())
