@@ -1,4 +1,4 @@
-"""A driver through a plan in real time: the real bus, the real daemon, `tilth experiment` as it is started."""
+"""A driver through a plan in real time: real bus, real daemon, `tilth experiment` as a person starts it."""
 
 import logging
 from importlib import resources
