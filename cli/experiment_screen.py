@@ -16,7 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from tilth.client.experiment.prompter import COUNTDOWN, FINISHED, IDLE, RUNNING
+from tilth.client.experiment.prompter import COUNTDOWN, FINISHED, RUNNING
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEYS: Final = {" ": "arm", "\n": "arm", "\r": "arm", "s": "stop", "k": "skip", "q": "quit"}
@@ -87,10 +87,7 @@ def panel(state: pb.ExperimentState) -> Panel:
     if state.attempts:
         parts.append(_attempts(state))
     parts += [Text(line) for line in (*state.learned, *state.commands)]
-    if state.phase in (IDLE, RUNNING) or state.phase != FINISHED:
-        parts.append(Text(HELP, style="dim"))
-    else:
-        parts.append(Text("q: quit", style="dim"))
+    parts.append(Text("q: quit" if state.phase == FINISHED else HELP, style="dim"))
     return Panel(Group(*parts), title=f"{state.plan}: {state.done} of {state.of} runs", title_align="left")
 
 

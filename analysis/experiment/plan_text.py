@@ -3,7 +3,7 @@
 import json
 from typing import Any, Final
 
-from tilth.analysis.experiment.propose import Proposal
+from tilth.analysis.experiment.propose import Compared, Proposal
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.schemas.experiment import AnyRun
 from tilth.schemas.flow import PARAMETERS
@@ -38,9 +38,17 @@ def worth(proposal: Proposal) -> str:
     worst = PARAMETERS[int(proposal.sd.argmax())]
     left = share(float(proposal.sd.max()))
     what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {left}"
-    bound = "" if proposal.reached else "more than "
-    steps = f"held steps need {bound}{proposal.step_seconds:.0f} s to be as good"
-    return f"{what}; {steps}, {bound}{proposal.faster:.1f} times as long."
+    return (
+        f"{what}. To be as good, held steps {_compared(proposal, proposal.held)}, and steps of three seconds "
+        f"to either side {_compared(proposal, proposal.swung)}."
+    )
+
+
+def _compared(proposal: Proposal, other: Compared | None) -> str:
+    if other is None:
+        return "have no room in this field"
+    bound = "" if other.reached else "more than "
+    return f"take {bound}{other.seconds:.0f} s ({bound}{other.seconds / proposal.seconds:.1f} times as long)"
 
 
 def _run(run: AnyRun) -> list[str]:

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 TRIES: Final = 14  # evaluations of one kind
 TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 SHORTEST_S: Final = 8.0  # of a proposed run
-MOST_REPLICATES: Final = 40  # of the step that a plan is compared with
+MOST_REPLICATES: Final = 40  # of the steps that a plan is compared with
 LEAST_AMPLITUDE: Final = 1.0  # degrees
 DRIFT: Final = 0.85  # of the field's width, of a proposed run: a driver comes off its course
 _RUN: Final[TypeAdapter[AnyRun]] = TypeAdapter(Run)
@@ -88,13 +88,15 @@ class Proposal:
     seconds: float  # of steering
     sd: Array  # (6,) of the logarithms, after the plan
     before: Array  # (6,)
-    step_seconds: float  # that held steps take for the same worst sd
-    reached: bool  # whether they get there at all, by MOST_REPLICATES
+    held: "Compared | None"  # with steps that are held
+    swung: "Compared | None"  # with steps to either side, three seconds each, as in MANOEUVRES
 
-    @property
-    def faster(self) -> float:
-        """Seconds of held steps over those of the plan."""
-        return self.step_seconds / self.seconds
+
+class Compared(NamedTuple):
+    """What another way to drive takes for the same worst sd."""
+
+    seconds: float  # of steering
+    reached: bool  # whether it gets there at all, by MOST_REPLICATES
 
 
 Progress = Callable[[str], None]
@@ -127,8 +129,10 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: 
     plan = plan.model_copy(update={"predicted": _named(sd)})
     seconds = sum(run.seconds * run.replicates for run in plan.run)
     progress("comparing it with held steps")
-    steps_s, reached = seconds_of_steps(known, wanted, worst_of(known, sd))
-    return Proposal(plan, seconds, sd, sds(known, ()), steps_s, reached)
+    worst = worst_of(known, sd)
+    held = compared(known, wanted, worst, "step", {})
+    swung = compared(known, wanted, worst, "steps", {"hold_s": 3.0})
+    return Proposal(plan, seconds, sd, sds(known, ()), held, swung)
 
 
 def _named(sd: Array) -> dict[str, float]:
@@ -229,10 +233,15 @@ def _together(known: Known, best: Sequence[BestRun], count: int) -> tuple[BestRu
     return min(choices, key=lambda some: worst_of(known, sds(known, [t for one in some for t in one.told])))
 
 
-def seconds_of_steps(known: Known, wanted: WantedPlan, worst: float) -> tuple[float, bool]:
-    """(s of held steps, to either side in turn, of the largest amplitude allowed, until the worst sd is as
-    small as that; whether that is reached). Between whole steps it is interpolated."""
-    run = largest(known, wanted, "step", {})
+def compared(
+    known: Known, wanted: WantedPlan, worst: float, kind: str, values: dict[str, float]
+) -> Compared | None:
+    """Runs of one kind, to either side in turn, of the largest amplitude allowed, until the worst sd is as
+    small as that; between whole runs it is interpolated. None where they have no room."""
+    try:
+        run = largest(known, wanted, kind, values)
+    except PlanError:
+        return None
     both = [told_by(known, Scheduled(1, k, run), wanted.limits, wanted.seed) for k in (1, 2)]
     before = worst_of(known, sds(known, ()))
     low, high = 0, 1
@@ -240,7 +249,7 @@ def seconds_of_steps(known: Known, wanted: WantedPlan, worst: float) -> tuple[fl
         after = worst_of(known, sds(known, [both[k % 2] for k in range(high)]))
         if after <= worst:
             share = (np.log(before) - np.log(worst)) / max(np.log(before) - np.log(after), 1e-9)
-            return (low + float(share) * (high - low)) * run.seconds, True
+            return Compared((low + float(share) * (high - low)) * run.seconds, True)
         low, before = high, after
         high += max(1, high // 4)
-    return low * run.seconds, False
+    return Compared(low * run.seconds, False)

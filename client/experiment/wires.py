@@ -3,9 +3,11 @@
 import queue
 import time
 from collections import Counter
+from collections.abc import Iterable
 from typing import Final
 
 import zenoh
+from google.protobuf.message import DecodeError
 
 from tilth.client.experiment.prompter import ORDERS, Marked, Order
 from tilth.client.experiment.sight import Seen, seen_of
@@ -16,6 +18,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 WAITING: Final = 64  # poses or orders that may wait for the loop; older ones are dropped
 MARK_S: Final = 10.0  # a disk may stall for some seconds before it takes a mark
 ASK_S: Final = 5.0
+LARGEST_ORDER: Final = 1024  # bytes
 ENCODING: Final = f"application/protobuf;{pb.ExperimentState.DESCRIPTOR.full_name}"
 SILENT: Final = "the daemon does not answer; is this key an operator's?"
 
@@ -109,26 +112,34 @@ class PrompterWires:
             self._logs[status.log_file] = None
 
     def _take_order(self, query: zenoh.Query) -> None:
-        payload = query.payload
         try:
-            if payload is None or len(payload) > 1024 or "*" in str(query.key_expr):
-                raise Refused("an order is a tilth.ExperimentOrder")
-            order = pb.ExperimentOrder.FromString(payload.to_bytes())
-            if order.kind not in ORDERS:
-                raise Refused(f"{text(order.kind)[:40]!r}: no order; there are {', '.join(ORDERS)}")
+            order = _order_of(query)
             if self._orders.full():
                 raise Refused("too many orders at a time")
-        except Exception as error:  # whatever a stranger sent
-            query.reply_err(str(error) if isinstance(error, Refused) else "not an ExperimentOrder")
-            query.drop()
-            return
-        self._orders.put(Order(order.kind))
-        query.reply(query.key_expr, b"")
+        except Refused as refusal:
+            query.reply_err(str(refusal))
+        else:
+            self._orders.put(order)
+            query.reply(query.key_expr, b"")
         query.drop()
 
 
-def _answered(note: str, replies: object) -> Marked:
-    for reply in replies:  # type: ignore[attr-defined]
+def _order_of(query: zenoh.Query) -> Order:
+    """Raises Refused."""
+    payload = query.payload
+    if payload is None or len(payload) > LARGEST_ORDER or "*" in str(query.key_expr):
+        raise Refused("an order is an ExperimentOrder")
+    try:
+        kind = pb.ExperimentOrder.FromString(payload.to_bytes()).kind
+    except DecodeError:
+        raise Refused("not an ExperimentOrder") from None
+    if kind not in ORDERS:
+        raise Refused(f"{text(kind)[:40]!r}: no order; there are {', '.join(ORDERS)}")
+    return Order(kind)
+
+
+def _answered(note: str, replies: Iterable[zenoh.Reply]) -> Marked:
+    for reply in replies:
         if reply.ok is not None:
             return Marked(note, "")
         refusal = reply.err.payload.to_bytes()[:200].decode(errors="replace") if reply.err else ""

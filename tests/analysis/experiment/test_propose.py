@@ -7,7 +7,7 @@ from numpy.random import default_rng
 
 from tilth.analysis.experiment.plan_text import text_of, worth
 from tilth.analysis.experiment.predict import from_machine
-from tilth.analysis.experiment.propose import WantedPlan, propose
+from tilth.analysis.experiment.propose import WantedPlan, compared, propose
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.models.planned_run import check, drives
 from tilth.schemas.experiment import DrivingLimits, PlanError, Rectangle, parse_plan
@@ -33,12 +33,18 @@ def test_a_proposal_can_be_driven_and_is_better_than_held_steps() -> None:
     assert [run.speed for run in found.plan.run if run.kind == "turn"] == [2.0]
     assert np.all(found.sd < found.before)
     assert set(found.plan.predicted) == set(PARAMETERS) == set(found.plan.run[0].predicted)
-    assert found.faster > 1.0
+    assert found.held is not None and found.held.seconds > found.seconds
+    assert found.swung is not None and found.swung.seconds > 0.0
     assert "searching the best chirp" in said
     text = text_of(found, "PLAN.toml", "a.mcap")
     assert parse_plan(text) == found.plan
     assert "from a.mcap" in text and worth(found) in text
-    assert "held steps need" in worth(found)
+    assert "held steps take" in worth(found)
+
+
+def test_on_a_narrow_field_there_is_nothing_to_compare_with() -> None:
+    narrow = wanted(field=Rectangle(length=300, width=30))
+    assert compared(KNOWN, narrow, 0.1, "step", {}) is None
 
 
 @pytest.mark.parametrize(

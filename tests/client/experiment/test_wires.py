@@ -10,7 +10,7 @@ from client_daemon import until
 from loopback import PATIENCE_S
 from stage import Stage
 
-from tilth.client.experiment.prompter import IDLE, LINING_UP, Marked, course_of
+from tilth.client.experiment.prompter import COUNTDOWN, IDLE, LINING_UP, Marked, course_of
 from tilth.client.experiment.runner import PlanRunner
 from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import open_session
@@ -95,7 +95,7 @@ def test_the_page_sees_where_it_stands_and_its_orders_arrive(wires: PrompterWire
         )
         assert "ExperimentOrder" in order(page, b"\xff\xff")
         assert order(page, pb.ExperimentOrder(kind="arm").SerializeToString()) == ""
-        until(lambda: runner.turn().phase == LINING_UP)
+        until(lambda: runner.turn().phase in (LINING_UP, COUNTDOWN))
         runner.order("stop")
         assert runner.turn().phase == IDLE
         subscriber.undeclare()
