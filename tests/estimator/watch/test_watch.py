@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.pose import aligner
+from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
@@ -16,7 +17,8 @@ from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
 from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, suspects
 from tilth.estimator.watch.watch import BLOCK, Found, WatchState
-from tilth.schemas.flow import Accepted, Mount
+from tilth.schemas.flow import Accepted, Mount, Pose
+from tilth.simulator.traffic import simulate
 
 Array = NDArray[np.float64]
 
@@ -167,6 +169,24 @@ def test_it_watches_four_receivers_only() -> None:
     assert sample(state, START_NS + 2_000_000_000) is None
     three = MACHINE.model_copy(update={"receiver": MACHINE.receiver[:3]})
     assert sample(aligner.initial(three), START_NS) is None
+
+
+def test_a_receiver_that_is_left_out_gives_neither_poses_nor_rows() -> None:
+    state = fold.initial(MACHINE)
+    state.ready = False
+    poses, places = [], set[float]()
+    for number, frame in enumerate(simulate(MACHINE, 12, 4.5)):
+        if number == 0:
+            aligner.leave_out(state.aligner, {"implement_front"})
+        poses += [p.value for p in fold.step(state, frame) if isinstance(p.value, Pose)]
+        for segment in state.segments:
+            if segment is not None and not segment.reason:
+                rows_of = segment.record.rows
+                places |= set(rows_of[(rows_of[:, KIND] == NORTH) | (rows_of[:, KIND] == VELOCITY), PLACE])
+    flags = {str(flag) for flag in poses[-1].flags}
+    assert {"left_out:implement_front", "heading_by_hitch:implement"} <= flags
+    assert poses[-1].receivers == 3 and poses[-1].implement.heading is not None
+    assert places == {0.0, 1.0, 3.0}
 
 
 def test_its_state_is_data() -> None:
