@@ -27,7 +27,7 @@ from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, 
 from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.verdict import TOLD, Verdict, verdict
+from tilth.estimator.calibration.verdict import TOLD, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
@@ -182,7 +182,7 @@ def _of_places(places: dict[str, Array], b: float, e: float) -> dict[str, float]
     }  # fmt: skip
 
 
-def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, Verdict, dict[str, tuple[float, float]]]:
+def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, dict[str, tuple[float, float]]]:
     """(found, judged, number -> (error, sd), of those that are told)."""
     right, _ = packaged()
     _, measurements, truth = log_of(plant, log)

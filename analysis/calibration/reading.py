@@ -18,7 +18,7 @@ LIKELY: Final = 0.6  # correlation of a word with the yaw rate, at all speeds to
 
 
 @dataclass(slots=True)
-class Heard:
+class LogHeard:
     """What logs hold for calibration."""
 
     measurements: list[Measurement] = field(default_factory=list)
@@ -33,9 +33,9 @@ class Heard:
 def read(
     paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say,
     progress: Callable[[int, int], None],
-) -> Heard:  # fmt: skip
+) -> LogHeard:  # fmt: skip
     """Raises LogError, OSError, MachineError."""
-    heard, decoder = Heard(), Decoder(machine)
+    heard, decoder = LogHeard(), Decoder(machine)
     whole, before = sum(path.stat().st_size for path in paths), 0
     for path in paths:
         log = open_log(path)
@@ -51,7 +51,7 @@ def read(
     return heard
 
 
-def _take(heard: Heard, decoder: Decoder, frame: Frame) -> None:
+def _take(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     heard.first_ns = heard.first_ns or frame.t_ns
     heard.last_ns = frame.t_ns
     heard.frames += 1
@@ -63,7 +63,7 @@ def _take(heard: Heard, decoder: Decoder, frame: Frame) -> None:
 
 
 def wheel_candidate(
-    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: Heard
+    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: LogHeard
 ) -> WheelCandidate | None:
     """Where in the message that the file names the wheel angle stands, by the tractor's turn rates; None
     where no word of it goes with them."""

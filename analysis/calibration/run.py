@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.analysis.calibration.machine_text import difference, rewritten
-from tilth.analysis.calibration.reading import Heard, read, reading_as, wheel_candidate
+from tilth.analysis.calibration.reading import LogHeard, read, reading_as, wheel_candidate
 from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.faults import Fault
+from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.told_file import told_machine
-from tilth.estimator.calibration.verdict import NOT_TOLD, Told, Verdict, verdict
+from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
@@ -31,8 +31,8 @@ class Calibrated:
 
     machine: Machine  # as it was read
     found: Calibration
-    verdict: Verdict
-    faults: tuple[Fault, ...]
+    verdict: RigVerdict
+    faults: tuple[RigFault, ...]
     notes: tuple[str, ...]
     before: str  # texts of the machine file
     after: str
@@ -101,7 +101,7 @@ def calibrate_logs(
     heard = read(
         paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1))
     )
-    faults: list[Fault] = []
+    faults: list[RigFault] = []
     described = machine
 
     def later(what: str, share: float) -> None:
@@ -127,7 +127,9 @@ def calibrate_logs(
     )
 
 
-def look_at_logs(paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say) -> list[Fault]:
+def look_at_logs(
+    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say
+) -> list[RigFault]:
     """What is structurally wrong, without the numbers. Raises as `calibrate_logs`."""
     heard = read(paths, machine, buses, say, lambda done, of: None)
     try:
@@ -142,8 +144,12 @@ def look_at_logs(paths: Sequence[Path], machine: Machine, buses: Mapping[str, st
 
 
 def _reread(
-    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: Heard, error: CannotCalibrate
-) -> tuple[Machine, Fault] | None:
+    paths: Sequence[Path],
+    machine: Machine,
+    buses: Mapping[str, str],
+    heard: LogHeard,
+    error: CannotCalibrate,
+) -> tuple[Machine, RigFault] | None:
     """The machine file with another word for the wheel angle, where one goes with the way."""
     if not any(fault.kind == finding.WHEEL_UNREAD for fault in error.faults):
         return None
@@ -157,7 +163,7 @@ def _reread(
         f"the wheel angle stands elsewhere in its message: byte {best.start_byte}, {best.byte_order} endian, "
         f"{'signed' if best.signed else 'unsigned'}; it is changed in the file"
     )
-    return other, Fault("wheel_byte_order", "wheel_angle", text)
+    return other, RigFault("wheel_byte_order", "wheel_angle", text)
 
 
 def _places(found: Calibration) -> dict[str, str]:
@@ -165,7 +171,7 @@ def _places(found: Calibration) -> dict[str, str]:
     return {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(found.changes.who)}
 
 
-def _notes(heard: Heard) -> list[str]:
+def _notes(heard: LogHeard) -> list[str]:
     many = sorted(name for name, count in heard.strangers.items() if count > MANY)
     if not many:
         return []

@@ -15,11 +15,11 @@ from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration import first_look, joint, priors
 from tilth.estimator.calibration.changes import BODY, Changes, applied, further_wheel
-from tilth.estimator.calibration.drive import MOUNTS, Drive
-from tilth.estimator.calibration.faults import Fault
-from tilth.estimator.calibration.first_look import Seen, Straightness
+from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
+from tilth.estimator.calibration.faults import RigFault
+from tilth.estimator.calibration.first_look import Pairs, Straightness
 from tilth.estimator.calibration.joint import JointFit
-from tilth.estimator.calibration.records import Followed, follow
+from tilth.estimator.calibration.records import FollowedRecords, follow
 from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -41,7 +41,7 @@ LEAST_TURNED_S: Final = 10.0
 class CannotCalibrate(Exception):
     """The drive tells nothing; one sentence that says why, and what to do. faults: found meanwhile."""
 
-    def __init__(self, text: str, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, text: str, faults: Sequence[RigFault] = ()) -> None:
         super().__init__(text)
         self.faults = tuple(faults)
 
@@ -52,7 +52,7 @@ class Calibration:
 
     changes: Changes
     machine: Machine  # after the changes, sds as before
-    faults: tuple[Fault, ...]
+    faults: tuple[RigFault, ...]
     rolls: Rolls
     roll_sd: Array  # rad, (4,)
     aside_sd: float  # m, of what stands aside on the tractor
@@ -99,7 +99,7 @@ def _of_fit(progress: Progress, k: int) -> joint.Progress:
     return lambda steps, size: progress(f"fit {k + 1}, step {steps}", 0.2 + 0.25 * k + 0.015 * steps)
 
 
-def look(machine: Machine, measurements: Sequence[Measurement]) -> list[Fault]:
+def look(machine: Machine, measurements: Sequence[Measurement]) -> list[RigFault]:
     """What is structurally wrong, without the numbers. Raises CannotCalibrate, too."""
     return _looked(machine, measurements, lambda what, share: None).faults
 
@@ -108,17 +108,17 @@ def look(machine: Machine, measurements: Sequence[Measurement]) -> list[Fault]:
 class _Looked:
     """What the first look gives."""
 
-    drive: Drive
+    drive: DriveGrid
     changes: Changes
-    faults: list[Fault]
-    view: Seen
+    faults: list[RigFault]
+    view: Pairs
     rolls: Rolls
-    followed: Followed
+    followed: FollowedRecords
 
 
 def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> _Looked:
     progress("looking at the drive", 0.0)
-    heard = drives.Heard()
+    heard = drives.MeasuredLists()
     for measurement in measurements:
         drives.take(heard, measurement)
     _check_heard(machine, heard)
@@ -139,7 +139,7 @@ ASIDE_FLOOR: Final = 0.004
 TYPICAL_SPEED: Final = 2.0  # m/s, in turns
 
 
-def _check_heard(machine: Machine, heard: drives.Heard) -> None:
+def _check_heard(machine: Machine, heard: drives.MeasuredLists) -> None:
     missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
     names = {r.mount for r in machine.receiver}
     if len(names) < 4:
@@ -157,7 +157,7 @@ def _check_heard(machine: Machine, heard: drives.Heard) -> None:
             "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
             "`tilth discover LOG` lists candidates"
         )
-        raise CannotCalibrate(text, [Fault(finding.WHEEL_UNREAD, "wheel_angle", text)])
+        raise CannotCalibrate(text, [RigFault(finding.WHEEL_UNREAD, "wheel_angle", text)])
     without = [
         mount.value for k, mount in enumerate(MOUNTS) if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
     ]
@@ -173,7 +173,7 @@ def _fixed_share(fixes: dict[FixType, int]) -> float:
     return good / max(sum(fixes.values()), 1)
 
 
-def _check_records(followed: Followed, faults: Sequence[Fault]) -> None:
+def _check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None:
     seconds = sum(len(record.ticks) for record in followed.records) * 0.02
     if seconds >= LEAST_RECORDS_S:
         return
@@ -186,7 +186,7 @@ def _check_records(followed: Followed, faults: Sequence[Fault]) -> None:
     )
 
 
-def _placed(drive: Drive, changes: Changes) -> Drive:
+def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
     """The same with the receivers in the order of where they stand, signs of turn rates and rolls turned."""
     who = list(changes.who)
     signs, turned = np.array(changes.roll_sign), np.array(changes.yaw_rate_sign)
@@ -197,7 +197,7 @@ def _placed(drive: Drive, changes: Changes) -> Drive:
     )  # fmt: skip
 
 
-def _view(now: Machine, placed: Drive, changes: Changes, found: Rolls | None) -> Seen:
+def _view(now: Machine, placed: DriveGrid, changes: Changes, found: Rolls | None) -> Pairs:
     """By a file after the changes. Its latencies are those of the changed file; the grid has the old ones."""
     roll = np.zeros((len(placed.t), 2))
     if found is not None:
@@ -208,7 +208,7 @@ def _view(now: Machine, placed: Drive, changes: Changes, found: Rolls | None) ->
     return first_look.seen(placed, now, roll, changes.late)
 
 
-def _first_look(machine: Machine, drive: Drive) -> tuple[Changes, list[Fault], Seen, Rolls]:
+def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFault], Pairs, Rolls]:
     stands = standing(drive, machine)
     changes = Changes(who=stands.who)
     faults = finding.standing_faults(stands.who) if stands.sure else []
@@ -270,7 +270,7 @@ def _middles(machine: Machine) -> Array:
     return np.array([np.mean([by_mount[MOUNTS[k]], by_mount[MOUNTS[k + 1]]], axis=0) for k in (0, 2)])
 
 
-def _geometry(machine: Machine, placed: Drive, changes: Changes, found: Rolls) -> Changes:
+def _geometry(machine: Machine, placed: DriveGrid, changes: Changes, found: Rolls) -> Changes:
     """Yaw and length of the pairs, levers, hitch and drawbar."""
     for _ in range(2):
         now = applied(machine, changes)
@@ -295,7 +295,7 @@ def _geometry(machine: Machine, placed: Drive, changes: Changes, found: Rolls) -
 
 
 def _with_aside(
-    machine: Machine, drive: Drive, changes: Changes, found: Rolls, *, placed: bool = False
+    machine: Machine, drive: DriveGrid, changes: Changes, found: Rolls, *, placed: bool = False
 ) -> Changes:
     """The tractor's receivers aside, by where the hitch is seen from either body: it is on the middle line.
 
@@ -359,7 +359,7 @@ def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
 
 
 def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
-    """Number -> by how much the changes move the file, SI."""
+    """Name of a number -> by how much the changes move the file, SI."""
     gain = changes.wheel_gain
     found = {
         "pair_t": changes.pair[0], "pair_i": changes.pair[1], "aside_t": changes.aside[0],

@@ -36,7 +36,7 @@ MEAN_S: Final = 0.2  # over which wheel angle, turn rates and rolls are averaged
 
 
 @dataclass(slots=True)
-class Heard:
+class MeasuredLists:
     """What was measured, in lists. Times s on the clock of Frame.rx_ns, since the first measurement."""
 
     first_ns: int | None = None
@@ -51,7 +51,7 @@ class Heard:
     position_pgns: list[int] = field(default_factory=lambda: [0] * len(MOUNTS))
 
 
-def take(heard: Heard, measurement: Measurement) -> None:
+def take(heard: MeasuredLists, measurement: Measurement) -> None:
     """Keep one measurement of a mounted receiver or of the wheel-angle sensor."""
     if heard.first_ns is None:
         heard.first_ns = measurement.rx_ns
@@ -79,7 +79,7 @@ def take(heard: Heard, measurement: Measurement) -> None:
             pass
 
 
-def _take_position(heard: Heard, k: int, t: float, position: Position) -> None:
+def _take_position(heard: MeasuredLists, k: int, t: float, position: Position) -> None:
     known = heard.position_pgns[k]
     if position.repeat or (known and position.pgn > known):
         return  # a receiver may send each position in two messages
@@ -91,7 +91,7 @@ def _take_position(heard: Heard, k: int, t: float, position: Position) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class DriveGrid:
     """n instants, STEP_S apart; receivers in the order of flow.Mount."""
 
     t: Array  # s, (n,)
@@ -107,7 +107,7 @@ class Drive:
         return np.asarray(np.isfinite(self.at).all((1, 2)) & np.isfinite(self.velocity).all((1, 2)))
 
 
-def drive_of(heard: Heard, machine: Machine) -> Drive:
+def drive_of(heard: MeasuredLists, machine: Machine) -> DriveGrid:
     """On the grid. Without a position at all it has no instant."""
     late = {r.mount: r.latency.value for r in machine.receiver}
     by_mount = {r.mount: r for r in machine.receiver}
@@ -128,7 +128,7 @@ def drive_of(heard: Heard, machine: Machine) -> Drive:
             zero = 0.0 if given.roll_zero is None else np.radians(given.roll_zero.value)
             yaw_rate[:, k] = given.yaw_rate_sign * _mean(heard.yaw_rates[k], then)
             roll[:, k] = given.roll_sign * _mean(heard.rolls[k], then) - zero
-    return Drive(t, at, velocity, yaw_rate, roll, _mean(heard.wheel, t + machine.wheel_angle.delay))
+    return DriveGrid(t, at, velocity, yaw_rate, roll, _mean(heard.wheel, t + machine.wheel_angle.delay))
 
 
 def _columns(rows: Sequence[tuple[float, ...]]) -> Array:

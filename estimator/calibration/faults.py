@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.changes import BODIES, BODY, Changes
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.first_look import Seen
+from tilth.estimator.calibration.first_look import Pairs
 from tilth.estimator.calibration.least_squares import Solved
 from tilth.schemas.flow import Flag, FlagKind
 
@@ -25,7 +25,7 @@ SHARE: Final = 0.5  # of the turn rate: less than minus this says that the sign 
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class RigFault:
     """One that was found, and that the changed file does not have any more unless it says so."""
 
     kind: str
@@ -33,13 +33,13 @@ class Fault:
     text: str  # what was found, and what to do or what was changed
 
 
-def standing_faults(who: tuple[int, ...]) -> list[Fault]:
+def standing_faults(who: tuple[int, ...]) -> list[RigFault]:
     """Of receivers that stand elsewhere than the file says. who: as Changes.who."""
     found = []
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         if (who[front], who[rear]) == (rear, front):
             found.append(
-                Fault(
+                RigFault(
                     REVERSED, BODIES[body],
                     f"the {BODIES[body]}'s receivers are exchanged: the one that the file calls front "
                     "drives behind; mount and position are exchanged in the file",
@@ -48,7 +48,7 @@ def standing_faults(who: tuple[int, ...]) -> list[Fault]:
     if {BODY[k] for k in who[:2]} != {0}:
         moved = [f"{MOUNTS[who[k]]} stands at {MOUNTS[k]}" for k in range(4) if who[k] != k]
         found.append(
-            Fault(
+            RigFault(
                 SWAPPED, "receiver",
                 f"receivers are not on the body that the file says: {', '.join(moved)}; mount and position "
                 "are exchanged in the file",
@@ -57,7 +57,7 @@ def standing_faults(who: tuple[int, ...]) -> list[Fault]:
     return found
 
 
-def yaw_rate_signs(view: Seen) -> tuple[tuple[int, ...], list[Fault]]:
+def yaw_rate_signs(view: Pairs) -> tuple[tuple[int, ...], list[RigFault]]:
     """Signs of the receivers' turn rates against those of the bodies' headings."""
     signs, found = [1, 1, 1, 1], []
     for k, body in enumerate(BODY):
@@ -69,14 +69,14 @@ def yaw_rate_signs(view: Seen) -> tuple[tuple[int, ...], list[Fault]]:
         if slope < -SHARE:
             signs[k] = -1
             text = f"the turn rate of {MOUNTS[k]} has the wrong sign; yaw_rate_sign is turned in the file"
-            found.append(Fault(YAW_SIGN, MOUNTS[k].value, text))
+            found.append(RigFault(YAW_SIGN, MOUNTS[k].value, text))
     return tuple(signs), found
 
 
-def roll_sign_faults(signs: tuple[int, ...]) -> list[Fault]:
+def roll_sign_faults(signs: tuple[int, ...]) -> list[RigFault]:
     """Of roll.Rolls.sign."""
     return [
-        Fault(
+        RigFault(
             ROLL_SIGN, MOUNTS[k].value,
             f"the roll of {MOUNTS[k]} has the wrong sign: on the same ground it leans the other way than the "
             "others; roll_sign is turned in the file",
@@ -85,7 +85,7 @@ def roll_sign_faults(signs: tuple[int, ...]) -> list[Fault]:
     ]  # fmt: skip
 
 
-def wheel_faults(found: Solved, explained: float) -> list[Fault]:
+def wheel_faults(found: Solved, explained: float) -> list[RigFault]:
     """Of first_look.wheel and first_look.explained."""
     gain = float(found.value[1])
     if explained < EXPLAINED:
@@ -93,21 +93,21 @@ def wheel_faults(found: Solved, explained: float) -> list[Fault]:
             "the wheel angle does not go with the way that is driven: another message, byte order, start "
             "byte or signedness is right ([wheel_angle])"
         )
-        return [Fault(WHEEL_UNREAD, "wheel_angle", text)]
+        return [RigFault(WHEEL_UNREAD, "wheel_angle", text)]
     faults = []
     if gain < 0.0:
         text = "the wheel angle has the wrong sign; wheel_angle.sign is turned in the file"
-        faults.append(Fault(WHEEL_SIGN, "wheel_angle.sign", text))
+        faults.append(RigFault(WHEEL_SIGN, "wheel_angle.sign", text))
     if not 1 / GROSS_GAIN < abs(gain) < GROSS_GAIN:
         text = f"the wheel angle reads {abs(gain):.3g} times the true one; scale is changed in the file"
-        faults.append(Fault(WHEEL_SCALE, "wheel_angle.scale", text))
+        faults.append(RigFault(WHEEL_SCALE, "wheel_angle.scale", text))
     return faults
 
 
 _CORRECTED: Final = {FlagKind.ROLL_CORRECTED_TWICE: True, FlagKind.NOT_ROLL_CORRECTED: False}
 
 
-def receiver_faults(flags: dict[Flag, int], poses: int) -> list[Fault]:
+def receiver_faults(flags: dict[Flag, int], poses: int) -> list[RigFault]:
     """Of the flags of a drive's poses; a flag of a few poses at the beginning counts not."""
     found = []
     for flag, count in sorted(flags.items()):
@@ -116,19 +116,19 @@ def receiver_faults(flags: dict[Flag, int], poses: int) -> list[Fault]:
         if flag.kind in _CORRECTED:
             right = str(_CORRECTED[flag.kind]).lower()
             text = f"roll_corrected of {flag.of} should be {right}; it is changed in the file"
-            found.append(Fault(ROLL_CORRECTED, flag.of, text))
+            found.append(RigFault(ROLL_CORRECTED, flag.of, text))
         elif flag.kind is FlagKind.ROLL_CORRECTION:
             text = (
                 "roll_corrected is wrong on one of the bodies; the drive does not tell on which, look it up"
             )
-            found.append(Fault(ROLL_CORRECTED, "receiver", text))
+            found.append(RigFault(ROLL_CORRECTED, "receiver", text))
         elif flag.kind is FlagKind.SMOOTHED_YAW_RATE:
             text = f"the turn rate of {flag.of} is smoothed and is not used; turn its smoothing off"
-            found.append(Fault(SMOOTHED, flag.of, text))
+            found.append(RigFault(SMOOTHED, flag.of, text))
     return found
 
 
-def corrected(changes: Changes, faults: list[Fault], flags: dict[Flag, int]) -> tuple[bool | None, ...]:
+def corrected(changes: Changes, faults: list[RigFault], flags: dict[Flag, int]) -> tuple[bool | None, ...]:
     """Changes.roll_corrected after these faults."""
     found = list(changes.roll_corrected)
     named = {fault.of for fault in faults if fault.kind == ROLL_CORRECTED}

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.drive import MOUNTS, STEP_S, Drive
+from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
 from tilth.schemas.machine import Machine
 
@@ -33,7 +33,7 @@ HITCH_BLOCK: Final = 400  # rows that may err together: 40 s of two coordinates
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class Pairs:
     """Both bodies by their pairs of receivers. Bodies tractor first."""
 
     t: Array  # s, (n,)
@@ -52,7 +52,7 @@ class Seen:
         return np.asarray(np.isfinite(self.heading).all(1) & np.isfinite(self.along).all(1))
 
 
-def seen(drive: Drive, machine: Machine, roll: Array, late: Array) -> Seen:
+def seen(drive: DriveGrid, machine: Machine, roll: Array, late: Array) -> Pairs:
     """roll: rad, (n, 2), of both bodies, 0 where unknown. late: s, (4,), beyond the file's latencies."""
     by_mount = {r.mount: r for r in machine.receiver}
     at = drive.at + drive.velocity * late[:, None]
@@ -75,10 +75,12 @@ def seen(drive: Drive, machine: Machine, roll: Array, late: Array) -> Seen:
         velocity = moving[:, [front, rear]].mean(axis=1)
         along[:, body] = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
         across[:, body] = (velocity * right).sum(axis=1)
-    return Seen(drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate)
+    return Pairs(
+        drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate
+    )
 
 
-def _later(drive: Drive, late: Array) -> Array:
+def _later(drive: DriveGrid, late: Array) -> Array:
     """Velocities of receivers that report so much later than the grid takes for granted, (n, 4, 2)."""
     found = drive.velocity.copy()
     for k, by in enumerate(late):
@@ -99,7 +101,7 @@ def _rate(heading: Array) -> Array:
     return found
 
 
-def latency_differences(drive: Drive, view: Seen) -> Array:
+def latency_differences(drive: DriveGrid, view: Pairs) -> Array:
     """By how much each receiver is later than the mean of its body's, s, (4,), on straight driving."""
     late = np.zeros(4)
     straight = view.known & (np.abs(view.rate) < STRAIGHT).all(1) & (np.abs(view.along[:, 0]) > 0.3)
@@ -113,7 +115,7 @@ def latency_differences(drive: Drive, view: Seen) -> Array:
     return late
 
 
-def hitch(view: Seen) -> Solved:
+def hitch(view: Pairs) -> Solved:
     """(forward, right) of the hitch from the tractor's middle and from the implement's, m, and by how much
     the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i."""
     rows = view.known
@@ -129,7 +131,7 @@ def hitch(view: Seen) -> Solved:
     return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
 
 
-def crab(view: Seen, body: int) -> Solved:
+def crab(view: Pairs, body: int) -> Solved:
     """(heading by the pair less direction of travel, rad; m that the middle is ahead of the axle; slip; what
     gravity does along a plane's two slopes): (5,)."""
     rows = view.known & (view.along[:, body] > MOVING) & np.isfinite(view.rate[:, body])
@@ -140,7 +142,7 @@ def crab(view: Seen, body: int) -> Solved:
     return solve(np.column_stack(columns), view.across[rows, body], prior, 0.02)
 
 
-def wheel(view: Seen, wheelbase: float, rate: Array) -> Solved:
+def wheel(view: Pairs, wheelbase: float, rate: Array) -> Solved:
     """(reading when straight, rad; reading over true angle; understeer, s^2/m times the gain): (3,).
 
     rate: rad/s, (n,), the tractor's. tan(true angle) = wheelbase r / u, and more where tyres slip.
@@ -151,7 +153,7 @@ def wheel(view: Seen, wheelbase: float, rate: Array) -> Solved:
     return solve(design, view.wheel[rows], np.array([0.5, 20.0, 0.05]), 0.002)
 
 
-def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float:
+def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> float:
     """Share of the wheel angle's variance that the way explains, in slow driving where there is some; 0
     without driving."""
     rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
@@ -165,7 +167,7 @@ def explained(view: Seen, wheelbase: float, rate: Array, found: Solved) -> float
     return 1.0 - float(np.var(left)) / max(float(np.var(view.wheel[rows])), 1e-12)
 
 
-def common_latency(view: Seen, wheelbase: float, found: Solved) -> float:
+def common_latency(view: Pairs, wheelbase: float, found: Solved) -> float:
     """By how much the yaw rate by positions is later than the wheel says, s: the best of WHEEL_DELAY_S. Tyres
     that build up their force over a way are tried with it: what is late grows less with speed."""
     rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.rate[:, 0]) & np.isfinite(view.wheel)
@@ -199,7 +201,7 @@ class Straightness:
     parked: float = 0.0
 
 
-def driven(view: Seen) -> Straightness:
+def driven(view: Pairs) -> Straightness:
     """Of a drive."""
     known, u = view.known, view.along[:, 0]
     rate = np.nan_to_num(view.rate[:, 0])

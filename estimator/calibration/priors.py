@@ -32,7 +32,7 @@ ROW, CIRCLE, FOLD, WEAVE, PARK = (
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
+class Sought:
     """One that a drive can tell."""
 
     name: str
@@ -50,19 +50,19 @@ _PIN: Final = "a tape, from rear axle to hitch pin"
 _AXLE: Final = "a tape, from hitch pin to the axle"
 _SIDE: Final = "a tape, from the middle of the body to the antenna"
 NUMBERS: Final = (
-    Number("pair_t", "yaw of the tractor's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
-    Number("pair_i", "yaw of the implement's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
-    Number("aside_t", "tractor's receivers to the right", "m", 1.0, 0.01, LEVER_SD, FOLD, _SIDE),
-    Number("aside_i", "implement's receivers to the right", "m", 1.0, 0.01, LEVER_SD, ROW, _SIDE),
-    Number("lever_t", "tractor's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
-    Number("lever_i", "implement's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
-    Number("c", "tractor.c, CG to hitch", "m", 1.0, 0.03, HITCH_SD, FOLD, _PIN),
-    Number("d", "implement.d, hitch to CG", "m", 1.0, 0.02, HITCH_SD, FOLD, _AXLE),
-    Number("wheel_zero", "wheel angle when straight", "°", 1 / DEG, math.radians(0.05), ZERO_SD, ROW, "none"),
-    Number("wheel_gain", "scale of the wheel angle", "%", 0.01, 0.01, GAIN_SD, CIRCLE, "none"),
-    Number("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
+    Sought("pair_t", "yaw of the tractor's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
+    Sought("pair_i", "yaw of the implement's pair", "°", 1 / DEG, math.radians(0.1), PAIR_SD, ROW, _SIDE),
+    Sought("aside_t", "tractor's receivers to the right", "m", 1.0, 0.01, LEVER_SD, FOLD, _SIDE),
+    Sought("aside_i", "implement's receivers to the right", "m", 1.0, 0.01, LEVER_SD, ROW, _SIDE),
+    Sought("lever_t", "tractor's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
+    Sought("lever_i", "implement's receivers forward", "m", 1.0, 0.03, LEVER_SD, CIRCLE, _LEVER),
+    Sought("c", "tractor.c, CG to hitch", "m", 1.0, 0.03, HITCH_SD, FOLD, _PIN),
+    Sought("d", "implement.d, hitch to CG", "m", 1.0, 0.02, HITCH_SD, FOLD, _AXLE),
+    Sought("wheel_zero", "wheel angle when straight", "°", 1 / DEG, math.radians(0.05), ZERO_SD, ROW, "none"),
+    Sought("wheel_gain", "scale of the wheel angle", "%", 0.01, 0.01, GAIN_SD, CIRCLE, "none"),
+    Sought("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
     *(
-        Number(
+        Sought(
             f"roll_zero_{place}", f"roll zero, {place.replace('_', ' ')} receiver", "°", 1 / DEG,
             math.radians(0.1), math.radians(3.0), ROW, "a level floor, each side once",
         )

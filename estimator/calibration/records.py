@@ -22,7 +22,7 @@ and the likelihood would then agree: on 150 s of driving tractor.c came out 6 cm
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class FollowedRecords:
     """Records, in the order of driving, and why there are not more."""
 
     records: tuple[Record, ...]
@@ -45,7 +45,7 @@ def loosened(machine: Machine) -> Machine:
     return machine.model_copy(update={"receiver": receivers})
 
 
-def follow(machine: Machine, measurements: Iterable[Measurement], changes: Changes) -> Followed:
+def follow(machine: Machine, measurements: Iterable[Measurement], changes: Changes) -> FollowedRecords:
     """Poses and records by a machine file that has the changes in it."""
     loose = loosened(machine)
     state, checks = aligner.initial(loose), receiver_checks.ReceiverChecks()
@@ -66,7 +66,7 @@ def follow(machine: Machine, measurements: Iterable[Measurement], changes: Chang
                 track.smoothed = mount not in usable
             flags.update((*pose.flags, *receiver_checks.flags(checks)))
             segments.append(record_builder.observe(record, state, pose))
-    return Followed(tuple(_records(segments)), dict(record.refused), flags, len(segments))
+    return FollowedRecords(tuple(_records(segments)), dict(record.refused), flags, len(segments))
 
 
 def _records(segments: Iterable[Segment | None]) -> list[Record]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.changes import BODY
-from tilth.estimator.calibration.drive import Drive
-from tilth.estimator.calibration.first_look import Seen
+from tilth.estimator.calibration.drive import DriveGrid
+from tilth.estimator.calibration.first_look import Pairs
 from tilth.estimator.calibration.least_squares import solve
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Rolls(NamedTuple):
     signs_told: bool  # whether ground or turns were enough to tell a sign
 
 
-def rolls(drive: Drive, view: Seen) -> Rolls:
+def rolls(drive: DriveGrid, view: Pairs) -> Rolls:
     """Of a drive."""
     heard = tuple(bool(np.isfinite(drive.roll[:, k]).any()) for k in range(4))
     cells, rows = _cells(view)
@@ -54,7 +54,7 @@ def rolls(drive: Drive, view: Seen) -> Rolls:
     return Rolls(best[0], best[1], signs, best[2], heard, told)
 
 
-def _cells(view: Seen) -> tuple[Array, NDArray[np.bool_]]:
+def _cells(view: Pairs) -> tuple[Array, NDArray[np.bool_]]:
     """(number of the cell under each body, (n, 2); rows that are used, (n,))."""
     rows = view.known & (np.abs(view.along[:, 0]) > 0.5) & np.isfinite(view.middle).all((1, 2))
     rows &= np.arange(len(rows)) % EVERY == 0
@@ -67,7 +67,7 @@ def _cells(view: Seen) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _fit(
-    drive: Drive, view: Seen, cells: Array, rows: NDArray[np.bool_], signs: tuple[int, ...]
+    drive: DriveGrid, view: Pairs, cells: Array, rows: NDArray[np.bool_], signs: tuple[int, ...]
 ) -> tuple[Array, Array, Array, float, float]:
     """(zeros (4,), sds (4,), leans (2,), mean square of what is left, mean square of rolls)."""
     count = int(cells.max()) + 1 if len(cells) else 1

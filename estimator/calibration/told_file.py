@@ -8,13 +8,13 @@ import numpy as np
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.changes import BODY, Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.verdict import NOT_TOLD, Verdict
+from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict
 from tilth.schemas.machine import Machine, Quantity, Receiver
 
 LEAST_SURVEY = 0.002  # m
 
 
-def told_changes(found: Calibration, verdict: Verdict) -> Changes:
+def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
     """The changes without those of numbers that the drive does not tell."""
     without = {one.number.name for one in verdict.told if one.status == NOT_TOLD}
     changes = found.changes
@@ -37,7 +37,7 @@ def told_changes(found: Calibration, verdict: Verdict) -> Changes:
     )
 
 
-def told_machine(machine: Machine, found: Calibration, verdict: Verdict) -> Machine:
+def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> Machine:
     """machine: as it was read."""
     sds = {one.number.name: one.sd for one in verdict.told if one.status != NOT_TOLD}
     after = applied(machine, told_changes(found, verdict))

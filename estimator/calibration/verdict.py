@@ -15,7 +15,7 @@ from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.first_look import Straightness
 from tilth.estimator.calibration.joint import Half
-from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Number
+from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Sought
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
@@ -37,7 +37,7 @@ DISAGREE: Final = 0.01  # p of the halves' difference, of one number
 class Told:
     """One number. SI; `moved` is on top of what the file said."""
 
-    number: Number
+    number: Sought
     moved: float
     sd: float
     halves: tuple[float, float] | None  # moved by each half of the drive
@@ -54,7 +54,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class RigVerdict:
     """Of a calibration."""
 
     told: tuple[Told, ...]
@@ -72,23 +72,23 @@ class Verdict:
         return all(one.status == TOLD for one in self.told) and self.p >= DISAGREE
 
 
-def verdict(machine: Machine, found: Calibration) -> Verdict:
+def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     """machine: as it was read."""
     told = tuple(_told(machine, found, number) for number in NUMBERS if _heard(found, number))
     zs = [_z(one, found) for one in told if one.halves is not None]
     chi2, dof = float(sum(z * z for z in zs)), len(zs)
     p = float(chdtrc(dof, chi2)) if dof else 1.0
     soil = _soil(found)
-    return Verdict(told, chi2, dof, p, soil, tuple(_sentences(told, p, found)))
+    return RigVerdict(told, chi2, dof, p, soil, tuple(_sentences(told, p, found)))
 
 
-def _heard(found: Calibration, number: Number) -> bool:
+def _heard(found: Calibration, number: Sought) -> bool:
     place = number.name.removeprefix("roll_zero_")
     names = [mount.value for mount in MOUNTS]
     return place not in names or found.rolls.heard[names.index(place)]
 
 
-def _told(machine: Machine, found: Calibration, number: Number) -> Told:
+def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
     name, fit = number.name, found.fit
     moved, halves, p = found.moved[name], None, None
     if name in BY_LIKELIHOOD:

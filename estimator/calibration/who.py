@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.drive import MOUNTS, Drive
+from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.least_squares import solve
 from tilth.schemas.machine import Machine
 
@@ -28,7 +28,7 @@ class Standing(NamedTuple):
     rigid_m: tuple[float, ...]  # sd of the distances in the pairs of the file, m
 
 
-def standing(drive: Drive, machine: Machine) -> Standing:
+def standing(drive: DriveGrid, machine: Machine) -> Standing:
     """By distances and by who goes ahead."""
     same = (0, 1, 2, 3)
     moving = drive.complete & (_speed(drive) > MOVING)
@@ -53,7 +53,7 @@ def standing(drive: Drive, machine: Machine) -> Standing:
     return Standing(tuple(who), True, "", rigid)
 
 
-def _speed(drive: Drive) -> Array:
+def _speed(drive: DriveGrid) -> Array:
     mean = drive.velocity.mean(axis=1)
     return np.asarray(np.nan_to_num(np.hypot(mean[:, 0], mean[:, 1])), np.float64)
 

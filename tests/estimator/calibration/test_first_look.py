@@ -24,14 +24,14 @@ def heard() -> list[Measurement]:
     return measurements(GUIDED)
 
 
-def _drive(machine: Machine, made: list[Measurement]) -> drives.Drive:
-    found = drives.Heard()
+def _drive(machine: Machine, made: list[Measurement]) -> drives.DriveGrid:
+    found = drives.MeasuredLists()
     for measurement in made:
         drives.take(found, measurement)
     return drives.drive_of(found, machine)
 
 
-def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.Fault]]:
+def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.RigFault]]:
     """The machine file after the first look, and the faults."""
     wrong = applied(MACHINE, bad)
     drive = _drive(wrong, [heard_after(m, bad) for m in made])
