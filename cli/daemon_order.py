@@ -39,7 +39,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
         if machine.zenoh.config is not None and args.config is None:
             raise WrongUse("this machine wants a key: give an operator's with --config")
     if args.config is not None:
-        prefix, name = _of_key(args.config)
+        prefix, name = of_key(args.config)
     try:
         session = zenoh.open(client_config(args.config, [args.endpoint] if args.endpoint else endpoints))
     except zenoh.ZError:
@@ -74,7 +74,7 @@ def _daemon(session: zenoh.Session, prefix: str, name: str, key: Path | None) ->
     raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `{command('run')}` running?")
 
 
-def _of_key(path: Path) -> tuple[str, str]:
+def of_key(path: Path) -> tuple[str, str]:
     """Prefix and machine that a key is for."""
     try:
         holder = holder_of(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse, duration
-from tilth.cli.daemon_order import client_config
+from tilth.cli.daemon_order import client_config, of_key
 from tilth.cli.experiment_learned import FitOfRuns
 from tilth.cli.experiment_screen import Screen
 from tilth.client.experiment.prompter import Course, course_of
@@ -109,6 +109,8 @@ def _read(path: Path) -> ExperimentPlan:
 
 def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
     """Raises WrongUse, ZError."""
+    if args.config is not None:
+        args.prefix, _ = of_key(args.config)
     try:
         session = zenoh.open(client_config(args.config, [args.connect]))
     except zenoh.ZError:

@@ -32,6 +32,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["FOREIGN"], "FOREIGN: not a TOML file"),
     (["WRONG"], 'run[1].spede: no such key; did you mean "speed"?'),
     (["EXAMPLE", "--connect", NOWHERE], f"no daemon can be reached at {NOWHERE}; is `"),
+    (["EXAMPLE", "--config", "none.json"], "none.json: no such file or directory"),
     (["EXAMPLE", "--out", "x.toml"], "--machine, --from and --out are for --propose"),
     (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
     (["EXAMPLE", *PROPOSE], "leave out the one to drive"),
