@@ -34,7 +34,7 @@ def solve(design: Array, observed: Array, prior_sd: Array, floor: float, block: 
         return Solved(np.zeros(len(prior_sd)), np.diag(prior_sd**2), floor)
     value: Array = np.zeros(len(prior_sd))
     weights: Array = np.ones(len(observed))
-    sd = max(float(np.std(observed)), floor)
+    sd, left = max(float(np.std(observed)), floor), observed
     for _ in range(ROUNDS):
         scaled = design.T * (weights / sd**2)
         normal = scaled @ design + information
