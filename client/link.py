@@ -33,11 +33,8 @@ def base_key(machine: str, prefix: str, replay: bool) -> str:
     return "/".join((prefix, machine, *(("replay",) if replay else ())))
 
 
-def open_session(
-    endpoint: str = ENDPOINT, config: Path | None = None, mode: str = "peer"
-) -> zenoh.Session:  # fmt: skip
+def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.Session:
     """config: a Zenoh configuration file instead (certificates, several routers); endpoint is not used then.
-    mode: "client" for who also speaks to others at that daemon, which passes nothing on between peers.
 
     A daemon that is not there yet is no error. Raises ValueError in a person's words.
     """
@@ -48,7 +45,7 @@ def open_session(
             return zenoh.open(zenoh.Config.from_file(str(config)))
         settings = zenoh.Config()
         for key, value in (
-            ("mode", mode),
+            ("mode", "peer"),
             ("scouting/multicast/enabled", False),
             ("scouting/gossip/enabled", False),
             ("listen/endpoints", []),
