@@ -32,6 +32,7 @@ METHODS: Final = tuple(WANTED)
 LEVEL: Final = 0.01  # of the test, for a whole table
 POOLED: Final = (0.92, 0.98)
 NAMES: Final = (*PARAMETERS[:2], "C_ai/m_i", *PARAMETERS[3:])
+OVER_BOUND: Final = 1.3  # largest median of a published sd over the least possible one
 LARGEST_MEAN: Final = 0.5  # of the errors, in sds
 TURNS: Final = 3  # after which a field must have given its numbers
 INFORMATIVE_S: Final = 8.0  # of driving after a change of soil
@@ -197,7 +198,22 @@ def _speed(made: list[Result]) -> Line:
 
 def plain(name: str, reach: Reach, bench: Bench) -> list[Line]:
     made = results(bench, name)
-    return [*judged(made, reach), *_held_out(made)]
+    return [*judged(made, reach), *_over_bound(made), *_held_out(made)]
+
+
+def _over_bound(made: list[Result]) -> list[Line]:
+    """Published sds of `pem` over what its own model allows at best; runs of older code have no bound."""
+    found = [run for run in made if np.all(np.isfinite(run.get("bound", [math.nan])))]
+    _, sd = errors(found, "pem")
+    if not len(found) or not np.isfinite(sd).any():
+        return []
+    ratio = np.nanmedian(sd / np.array([run["bound"] for run in found]), axis=0)
+    return [
+        Line(
+            f"pem: published sd over the bound, median of {len(found)}", figures(ratio), f"≤ {OVER_BOUND}",
+            bool(np.all(ratio <= OVER_BOUND)), ratio.tolist(),
+        )
+    ]  # fmt: skip
 
 
 def _held_out(made: list[Result]) -> list[Line]:

@@ -19,12 +19,14 @@ from spatial_logs import DROP, ROW, LogRow, Run
 
 from tilth.analysis.fit.rig import fitted_rig
 from tilth.estimator import fold
-from tilth.estimator.filters.unknowns import AT
-from tilth.estimator.methods import steady_state
+from tilth.estimator.filters import likelihood, unknowns
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.methods import pem, steady_state
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import Segment
+from tilth.estimator.record.record import Record, Segment
 from tilth.estimator.record.windows import WINDOW
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
@@ -68,6 +70,7 @@ class Heard:
         self.last: dict[str, Estimate] = {}
         self.events: list[tuple[float, str, str]] = []
         self.segments: list[Segment] = []
+        self.fitted: list[Record] = []  # what pem's fits were made of
         self.refused: dict[str, int] = {}
         self.learned: dict[str, Any] = {}  # method -> its state at the end
 
@@ -77,7 +80,7 @@ class Heard:
         for frame in frames(self.run.log):
             t_ns = frame.t_ns
             publications = fitted_at_once(state, t_ns) + fold.step(state, frame)
-            fold.request_fits(state, t_ns)
+            self._request(state, t_ns)
             for publication in publications:
                 self._take(publication)
                 if with_segments and isinstance(publication.value, Pose):
@@ -85,10 +88,16 @@ class Heard:
                     self.segments += [] if segment is None else [segment]
         last = fitted_at_once(state, t_ns + END_NS)
         fold.finish(state)
-        fold.request_fits(state, t_ns)
+        self._request(state, t_ns)
         for publication in last + fitted_at_once(state, t_ns + END_NS):
             self._take(publication)
         self.refused, self.learned = dict(state.record.refused), state.estimators
+
+    def _request(self, state: fold.State, t_ns: int) -> None:
+        before = {id(job) for _, job, _ in fold.pending(state)}
+        fold.request_fits(state, t_ns)
+        asked = [job for _, job, _ in fold.pending(state) if id(job) not in before]
+        self.fitted += [job.record for job in asked if isinstance(job, pem.Job)]
 
     def _take(self, publication: Publication) -> None:
         value = publication.value
@@ -106,6 +115,7 @@ class Heard:
         return {
             "logs": self.logs.tolist(), "methods": methods, "events": self.events, "refused": self.refused,
             "turn_ends_s": turn_ends(self.run),
+            "bound": self._bound(),
             "wheel_s": informative_times(self.run, row.informed_s) if row.informed_s else [],
         }  # fmt: skip
 
@@ -128,10 +138,40 @@ class Heard:
             "whole": whole_near(series, row.informed_s) if row.informed_s else [],
         }
 
+    def _bound(self) -> list[float]:
+        """Sds below which no estimator gets, (6,), by the product's own model: the expected information of
+        what `pem` fitted, at the true values as far as they are its unknowns, and the prior. C_ai is over
+        the mass."""
+        if "pem" not in self.learned:
+            return [math.nan] * 6
+        point = self.learned["pem"].mean.copy()
+        point[SIX] = self.logs
+        for name, value in true_nuisances(self.machine, self.run).items():
+            point[AT[name]] = value
+        return bound_at(self.machine, self.fitted, point).tolist()
+
     def _per_mass(self, name: str, error: float, sd: float) -> list[float]:
         if name not in self.learned:  # the recommended one is another's
             return [math.nan, math.nan]
         return per_mass(self.machine, self.run, self.learned[name], error, sd)
+
+
+def bound_at(machine: Machine, records: list[Record], point: Array) -> Array:
+    """Sds of the six, (6,), from the information of records at a point, (n,), and the prior. Noise levels
+    are those of the point; masses are known, but for what they add to C_af and C_ar."""
+    prior_mean, prior_sd = unknowns.prior(machine)
+    known = np.diag(prior_sd**2)
+    known[unknowns.MASSES, unknowns.MASSES] = 0.0
+    setup, total, active = rig_setup(machine), np.zeros_like(known), np.flatnonzero(np.diag(known))
+    for record in records:
+        search = likelihood.search_of(record, setup, prior_mean, known)
+        at = likelihood.with_noise_levels(search, likelihood.evaluate(search, point))
+        found = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))[1]
+        total[np.ix_(active, active)] += found - search.prior_information
+    whole = total[np.ix_(active, active)] + np.diag(prior_sd[active] ** -2.0)
+    least = np.diag(np.linalg.inv(whole))[SIX] + np.diag(pem.of_masses(np.diag(prior_sd**2)))[SIX]
+    least[2] -= prior_sd[AT["m_i"]] ** 2
+    return np.asarray(np.sqrt(least), np.float64)
 
 
 def thinned(series: Array) -> Array:

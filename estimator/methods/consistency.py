@@ -2,8 +2,8 @@
 
 Each check compares the data with one part of the file: positions of receivers, their roll correction, the
 wheel angle against the yaw rate; and, by the open tracker (open_tracker.py), lengths, wheel angle, latency
-and inertias. A failed check names the key of the file. Before the driving was such that a gross error would
-have shown, no estimate is published either: a wrong file must never lead to a number.
+and inertias. A failed check names the key of the file (findings.py). Before the driving was such that a gross
+error would have shown, no estimate is published either: a wrong file must never lead to a number.
 """
 
 import math
@@ -15,19 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods.findings import (
+    KEYS,
+    describe,
+    implausible_stiffness,
+    latencies,
+    misplaced_receivers,
+    parked_errors,
+)
 from tilth.estimator.methods.open_tracker import Misfit
 from tilth.estimator.methods.tracker import TrackerState
-from tilth.estimator.models.parameters import rig_of, static_loads
-from tilth.estimator.pose import latency, motion_check, receiver_checks, wheel_check
-from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
+from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import Segment
-from tilth.schemas.flow import WITHOUT_RTK, Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.plausible import COEFFICIENT
-from tilth.schemas.spread import interval, plus_minus
 
 Array = NDArray[np.float64]
 
@@ -46,23 +51,9 @@ RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi
 OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
 OUTLIER_SEGMENTS: Final = 100
 LEAST_SEGMENTS: Final = 40  # segments (8 s) with steering before the open tracker is used
-LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
-PARKED_LIMIT: Final = 0.2  # m, largest error of baselines and hitch while the rig stands or creeps
-PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
-
 NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
-_KEYS: Final = {
-    "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
-    "latency": "receiver.latency or wheel_angle.delay", "pair_t": "receiver.position on the tractor",
-    "pair_i": "receiver.position on the implement", "aside_i": "receiver.position (right)",
-    "a": "tractor.a", "b": "tractor.b", "c": "tractor.c", "d": "implement.d", "e": "implement.e",
-    "m_i": "implement.mass or tractor.mass", "I_t": "tractor.yaw_inertia or tractor.mass",
-    "I_i": "implement.yaw_inertia or implement.mass",
-}  # fmt: skip
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
-_PAIR: Final = "length of the {}'s pair"
-_OFFSETS: Final = (_PAIR.format("tractor"), _PAIR.format("implement"), "hitch, along", "hitch, across")
 
 
 @dataclass(slots=True)
@@ -130,12 +121,12 @@ def observe(
 
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
     """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
-    found = _implausible_stiffness(machine, estimate)
+    found = implausible_stiffness(machine, estimate)
     limits = dict(zip(open_tracker.NAMES, NUISANCE_SDS * open_tracker.allowed(machine), strict=True))
     for name, (value, _) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
-            found[_KEYS[name]] = (
-                f"{estimate.method} needs {name} = {value:+.3g}, far from the file: {_KEYS[name]}?"
+            found[KEYS[name]] = (
+                f"{estimate.method} needs {name} = {value:+.3g}, far from the file: {KEYS[name]}?"
             )
     state.methods[estimate.method] = found
 
@@ -183,7 +174,7 @@ def soil_changed(state: Consistency, machine: Machine) -> None:
 def discard_findings(state: Consistency, machine: Machine, confirmed: bool = False) -> None:
     """Discard what was found with wrong measurements. confirmed: whether the rest of the file is."""
     _begin_open_tracker(state, machine)
-    state.findings = {k: f for k, f in state.findings.items() if f.key not in _KEYS.values()}
+    state.findings = {k: f for k, f in state.findings.items() if f.key not in KEYS.values()}
     state.methods, state.confirmed = {}, confirmed
 
 
@@ -206,7 +197,7 @@ def clock_stepped(state: Consistency) -> None:
 def _findings_at_pose(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose
 ) -> dict[str, str]:
-    found = {**_misplaced_receivers(pose), **_parked_errors(aligner), **_latencies(machine, aligner)}
+    found = {**misplaced_receivers(pose), **parked_errors(aligner), **latencies(machine, aligner)}
     found |= {
         f"receiver.{flag.of}.roll_corrected": receiver_checks.describe(checks, flag)
         for flag in receiver_checks.flags(checks)
@@ -221,87 +212,22 @@ def _findings_at_pose(
     return found
 
 
-def _misplaced_receivers(pose: Pose) -> dict[str, str]:
-    """Findings from the flags of a pose: receivers that are misplaced, swapped or late, if all have RTK."""
-    if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
-        return {}
-    found = {}
-    for flag in pose.flags:
-        kind, mount = flag.kind, flag.of
-        if kind is FlagKind.MOVED:
-            text = f"{mount} is not where the machine file says: its position, or the lengths to the hitch?"
-            found[f"receiver.{mount}.position"] = text
-        elif kind is FlagKind.SWAPPED:
-            text = f"{mount} stands in another's place: are names or sources exchanged?"
-            found[f"receiver.{mount}.name"] = text
-        elif kind is FlagKind.LATENCY:
-            text = f"{mount} seems to report at another time than the file allows: its latency or position?"
-            found[f"receiver.{mount}.latency"] = text
-    return found
-
-
-def _parked_errors(aligner: Aligner) -> dict[str, str]:
-    """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
-    keys = ("receiver.position on the tractor", "receiver.position on the implement",
-            "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
-    return {
-        key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
-        for key, what, mean in zip(keys, _OFFSETS, aligner.long_term.parked, strict=True)
-        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED_LIMIT
-    }
-
-
-def _latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
-    """A finding if the latencies that would explain the distances are implausibly different."""
-    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
-    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
-    if len(present) < 2:
-        return {}
-    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
-    differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
-    off = differences @ aligner.latency.tau[present]
-    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
-    if float(off @ np.linalg.solve(covariance, off)) < LATENCY_CHI_SQUARE:
-        return {}
-    key = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
-    return {key: f"distances between the receivers fit no likely latency: {key}?"}
-
-
 def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, str]:
     """The finding of the open tracker, or none."""
     if len(state.rows) < LEAST_SEGMENTS:
         return {}
     misfit = open_tracker.misfit(state.open, machine)
-    decided = any(key in state.findings and state.findings[key].active for key in _KEYS.values())
+    decided = any(key in state.findings and state.findings[key].active for key in KEYS.values())
     share = ENDS if decided else 1.0
     best = float(misfit.by_name.max())
     if best < share * BEGINS and misfit.total < share * BEGINS_TOTAL:
         return {}
     if decided:  # it keeps its key for as long as it lasts
-        return {f.key: f.text for f in state.findings.values() if f.active and f.key in _KEYS.values()}
+        return {f.key: f.text for f in state.findings.values() if f.active and f.key in KEYS.values()}
     order = np.argsort(-misfit.by_name)
     names = [open_tracker.NAMES[k] for k in order if misfit.by_name[k] >= RIVAL_SHARE * best]
-    others = "".join(f", or {_KEYS[name]}" for name in names[1:3])
-    return {_KEYS[names[0]]: f"{_describe(machine, names[0], misfit)}: {_KEYS[names[0]]}{others}?"}
-
-
-def _describe(machine: Machine, name: str, misfit: Misfit) -> str:
-    k = open_tracker.NAMES.index(name)
-    off, sd = float(misfit.off[k]), float(misfit.sd[k])
-    if name in ("wheel_zero", "pair_t", "pair_i"):
-        what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
-        return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
-    if name == "latency":
-        return f"driving finds a latency of {plus_minus(off, sd, 's')} beyond the file's"
-    if name in ("aside_i", "e"):
-        what = "implement's receivers" if name == "aside_i" else "implement's axle"
-        return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
-    low, high = interval(math.exp(min(off, 5.0)), min(sd, 5.0))
-    what = "reading of the wheels' angle" if name == "wheel_gain" else _KEYS[name].partition(" or ")[0]
-    return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
-
-
-_BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}
+    others = "".join(f", or {KEYS[name]}" for name in names[1:3])
+    return {KEYS[names[0]]: f"{describe(machine, names[0], misfit)}: {KEYS[names[0]]}{others}?"}
 
 
 def _outliers(state: Consistency) -> dict[str, str]:
@@ -314,19 +240,6 @@ def _outliers(state: Consistency) -> dict[str, str]:
     share = f"{100 * refused / rows:.0f} %"
     text = f"{share} of what the receivers say fits no rig like this: receiver, tractor or implement?"
     return {"receiver": text}
-
-
-def _implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:
-    """A finding if an estimated stiffness is impossible for a tyre with that static load."""
-    loads = static_loads(rig_of(machine))
-    for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
-        if given.value is None or given.status is not Status.ESTIMATED:
-            continue
-        if not COEFFICIENT[0] <= given.value / load <= COEFFICIENT[1]:
-            key = "masses, lengths or wheel_angle"
-            size = f"a stiffness of {given.value / load:.2g} times its load per rad"
-            return {key: f"{size} is no tyre's ({name}): {key}?"}
-    return {}
 
 
 # The findings over time.
@@ -344,7 +257,7 @@ def _update_findings(
         finding.poses, finding.absent = finding.poses + 1, 0
         if not finding.active:
             finding.text = text
-        opened = key in _KEYS.values() and key not in by_method
+        opened = key in KEYS.values() and key not in by_method
         if opened and finding.poses == LEAST_POSES_OPEN and not state.open_restarted:
             _restart_open_tracker(state, machine, key)
             continue
@@ -363,7 +276,7 @@ def _update_findings(
                 events.append((CONTRADICTION, f"{key}: over; the data fit the machine file again"))
                 must_forget = finding.active_poses - POSES_TO_END >= POSES_TO_FORGET
                 state.must_forget |= must_forget
-                if must_forget and key not in _KEYS.values():
+                if must_forget and key not in KEYS.values():
                     _begin_open_tracker(state, machine)  # it has learned of it as well
     if not any(f.active for f in state.findings.values()):
         _update_confirmation(state, machine)
@@ -400,10 +313,10 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
     if not unconfirmed_names and not fits:
         state.missing = _doubt_reason(misfit)
         return
-    keys = ", ".join(_KEYS[name] for name in unconfirmed_names[:2]) or "turn rates and rolls"
+    keys = ", ".join(KEYS[name] for name in unconfirmed_names[:2]) or "turn rates and rolls"
     state.missing = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"
 
 
 def _doubt_reason(misfit: Misfit) -> str:
-    key = _KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]]
+    key = KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]]
     return f"driving does not agree well with the machine file ({key}?): drive on, steer to both sides"

@@ -1,0 +1,110 @@
+"""What is wrong with a machine file at one instant, in words: key of the file -> message.
+
+Whether it lasts long enough to withhold the estimates is decided in consistency.py.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods.open_tracker import Misfit
+from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.pose import latency
+from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
+from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import COEFFICIENT
+from tilth.schemas.spread import interval, plus_minus
+
+LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
+PARKED_LIMIT: Final = 0.2  # m, largest error of baselines and hitch while the rig stands or creeps
+PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
+
+KEYS: Final = {
+    "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
+    "latency": "receiver.latency or wheel_angle.delay", "pair_t": "receiver.position on the tractor",
+    "pair_i": "receiver.position on the implement", "aside_i": "receiver.position (right)",
+    "a": "tractor.a", "b": "tractor.b", "c": "tractor.c", "d": "implement.d", "e": "implement.e",
+    "m_i": "implement.mass or tractor.mass", "I_t": "tractor.yaw_inertia or tractor.mass",
+    "I_i": "implement.yaw_inertia or implement.mass",
+}  # fmt: skip
+_PAIR: Final = "length of the {}'s pair"
+_OFFSETS: Final = (_PAIR.format("tractor"), _PAIR.format("implement"), "hitch, along", "hitch, across")
+_BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}
+
+
+def misplaced_receivers(pose: Pose) -> dict[str, str]:
+    """Findings from the flags of a pose: receivers that are misplaced, swapped or late, if all have RTK."""
+    if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+        return {}
+    found = {}
+    for flag in pose.flags:
+        kind, mount = flag.kind, flag.of
+        if kind is FlagKind.MOVED:
+            text = f"{mount} is not where the machine file says: its position, or the lengths to the hitch?"
+            found[f"receiver.{mount}.position"] = text
+        elif kind is FlagKind.SWAPPED:
+            text = f"{mount} stands in another's place: are names or sources exchanged?"
+            found[f"receiver.{mount}.name"] = text
+        elif kind is FlagKind.LATENCY:
+            text = f"{mount} seems to report at another time than the file allows: its latency or position?"
+            found[f"receiver.{mount}.latency"] = text
+    return found
+
+
+def parked_errors(aligner: Aligner) -> dict[str, str]:
+    """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
+    keys = ("receiver.position on the tractor", "receiver.position on the implement",
+            "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
+    return {
+        key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
+        for key, what, mean in zip(keys, _OFFSETS, aligner.long_term.parked, strict=True)
+        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED_LIMIT
+    }
+
+
+def latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
+    """A finding if the latencies that would explain the distances are implausibly different."""
+    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
+    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
+    if len(present) < 2:
+        return {}
+    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
+    differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
+    off = differences @ aligner.latency.tau[present]
+    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
+    if float(off @ np.linalg.solve(covariance, off)) < LATENCY_CHI_SQUARE:
+        return {}
+    key = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
+    return {key: f"distances between the receivers fit no likely latency: {key}?"}
+
+
+def describe(machine: Machine, name: str, misfit: Misfit) -> str:
+    k = open_tracker.NAMES.index(name)
+    off, sd = float(misfit.off[k]), float(misfit.sd[k])
+    if name in ("wheel_zero", "pair_t", "pair_i"):
+        what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
+        return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
+    if name == "latency":
+        return f"driving finds a latency of {plus_minus(off, sd, 's')} beyond the file's"
+    if name in ("aside_i", "e"):
+        what = "implement's receivers" if name == "aside_i" else "implement's axle"
+        return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
+    low, high = interval(math.exp(min(off, 5.0)), min(sd, 5.0))
+    what = "reading of the wheels' angle" if name == "wheel_gain" else KEYS[name].partition(" or ")[0]
+    return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
+
+
+def implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:
+    """A finding if an estimated stiffness is impossible for a tyre with that static load."""
+    loads = static_loads(rig_of(machine))
+    for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
+        if given.value is None or given.status is not Status.ESTIMATED:
+            continue
+        if not COEFFICIENT[0] <= given.value / load <= COEFFICIENT[1]:
+            key = "masses, lengths or wheel_angle"
+            size = f"a stiffness of {given.value / load:.2g} times its load per rad"
+            return {key: f"{size} is no tyre's ({name}): {key}?"}
+    return {}
