@@ -2,30 +2,25 @@
 
 import queue
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import zenoh
 from google.protobuf.message import DecodeError
 
 from tilth.client.received import Refused, text
+from tilth.schemas.proto import tilth_pb2 as pb
 
 WAITING: Final = 64
 LARGEST_ORDER: Final = 1024  # bytes
 
 
-class OrderMessage(Protocol):
-    """A message of tilth.proto with a `kind`."""
-
-    kind: str
-
-    @classmethod
-    def FromString(cls, data: bytes) -> "OrderMessage": ...  # noqa: N802
+OrderMessage = type[pb.ExperimentOrder] | type[pb.CalibrationOrder]
 
 
 class OrderQueue:
     """`take` it as the handler of a queryable's queries."""
 
-    def __init__(self, message: type[OrderMessage], kinds: Sequence[str]) -> None:
+    def __init__(self, message: OrderMessage, kinds: Sequence[str]) -> None:
         self._message, self._kinds = message, tuple(kinds)
         self._waiting: queue.Queue[str] = queue.Queue(WAITING)
 

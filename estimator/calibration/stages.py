@@ -1,9 +1,9 @@
 """How far a calibration drive is, stage by stage: a fold over measurements, with nothing of the rig trusted.
 
-It takes what a wrong machine file cannot spoil: courses over ground, the line through the two receivers of a
-body (without its direction), RTK. So receivers that are exchanged on a body, a pair that is turned and a wheel
-angle that reads wrongly count like others. What it counts is added up: any order of driving gives the same,
-and a gap costs only what was under way.
+It takes what a wrong machine file cannot spoil: courses over ground, the line through the two receivers of
+a body (without its direction), RTK. So receivers that are exchanged on a body, a pair that is turned and a
+wheel angle that reads wrongly count like others. What it counts is added up: any order of driving gives the
+same, and a gap costs only what was under way.
 """
 
 import math
