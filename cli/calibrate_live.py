@@ -18,7 +18,7 @@ from tilth.cli.daemon_order import client_config, daemon_of, of_key
 from tilth.cli.live_screen import Screen
 from tilth.client.calibration.shown import DRIVING, FINISHING, STOPPED, shown
 from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires
-from tilth.client.link import living, open_session
+from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused, parse
 from tilth.estimator.calibration import stages
 from tilth.logger.machine_file import read_machine
@@ -63,35 +63,36 @@ def run_live(args: argparse.Namespace) -> int:
 
 
 def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWires:
-    """To the daemon that is meant. Raises WrongUse."""
+    """To the daemon that is meant. As a client: what a peer shows is not passed on to the page. Raises
+    WrongUse."""
     name = machine.name if machine is not None else ""
     if args.config is not None:
         args.prefix, name = of_key(args.config)
-    try:
-        with zenoh.open(client_config(args.config, [args.connect])) as session:
-            if machine is not None and args.config is None:
-                _check_name(args, session, machine)
-            base = daemon_of(session, args.prefix, name, args.config).base(args.prefix)
-            found = _status(session, base)
-    except zenoh.ZError:
-        where = args.config or args.connect
-        raise WrongUse(
-            f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
-        ) from None
-    if found is not None and found.log_file and not Path(found.log_file).exists():
-        raise WrongUse(
-            f"{found.log_file}: the daemon writes this log, and it is not here; start this on the daemon's "
-            "computer, and in the folder where it was started"
-        )
-    try:
-        return CalibrationWires(open_session(args.connect, args.config), base)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
+    with ExitStack() as stack:
+        try:
+            session = stack.enter_context(zenoh.open(client_config(args.config, [args.connect])))
+        except zenoh.ZError:
+            where = args.config or args.connect
+            raise WrongUse(
+                f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
+            ) from None
+        if machine is not None:
+            _check_name(args, session, machine)
+        base = daemon_of(session, args.prefix, name, args.config).base(args.prefix)
+        found = _status(session, base)
+        if found is not None and found.log_file and not Path(found.log_file).exists():
+            raise WrongUse(
+                f"{found.log_file}: the daemon writes this log, and it is not here; start this on the daemon's "
+                "computer, and in the folder where it was started"
+            )
+        stack.pop_all()
+    return CalibrationWires(session, base)
 
 
 def _check_name(args: argparse.Namespace, session: zenoh.Session, machine: Machine) -> None:
     """Raises WrongUse where daemons run, but none of that machine."""
-    names = [one.machine for one in living(session, args.prefix)]
+    known = "" if args.config is None else of_key(args.config)[1]
+    names = [known] if known else [one.machine for one in living(session, args.prefix)]
     if names and machine.name not in names:
         raise WrongUse(f"{args.machine} is of {machine.name}; the daemon here is of {', '.join(names)}")
 
@@ -211,15 +212,19 @@ def _first_log(wires: CalibrationWires) -> Path:
 
 
 def _say_how_to_go_on(args: argparse.Namespace, logs: list[Path]) -> None:
-    options = []
-    for name in ("machine", "out", "report", "config"):
-        if (value := getattr(args, name)) is not None:
-            options += [f"--{name}", str(value)]
+    def written(*names: str) -> list[str]:
+        given = [(name, getattr(args, name)) for name in names]
+        return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
+
+    desk = written("machine", "out", "report")
+    options = [*desk, *written("config")]
+    if args.config is None:
+        options += ["--connect", args.connect] if args.connect != ENDPOINT else []
+        options += ["--prefix", args.prefix] if args.prefix != "tilth" else []
     given = [str(path) for path in args.logs]
     _say("stopped; nothing was changed, and what was driven is in the logs")
     _say(f"go on: {command('calibrate', *given, '--live', *options)}")
     if logs:
-        desk = [word for word in options if word not in ("--config", str(args.config))]
         _say(f"or compute with what there is: {command('calibrate', *map(str, logs), *desk)}")
 
 

@@ -18,7 +18,7 @@ SIGNS: Final = {"told": "✔", "rough": "~", "not told": "✘"}
 def line(state: pb.CalibrationState) -> str:
     """What is new, for who reads lines: it changes with each step, not with each second."""
     steps = [f"[{'x' if one.complete else ' '}] {one.title}" for one in state.stages]
-    told = [" ".join(steps), _without_counts(state.text), *(f"FOUND {text}" for text in state.found)]
+    told = [" ".join(steps), _next(state), *(f"FOUND {text}" for text in state.found)]
     if state.numbers:
         good = sum(one.status == "told" for one in state.numbers)
         told.append(f"{good} of {len(state.numbers)} numbers are known as well as is wanted")
@@ -26,9 +26,12 @@ def line(state: pb.CalibrationState) -> str:
     return "\n  ".join([*told, *state.notes])
 
 
-def _without_counts(text: str) -> str:
-    """A sentence without what is still missing of it, which changes all the time."""
-    return text.partition(":")[0] if " more" in text else text
+def _next(state: pb.CalibrationState) -> str:
+    """What to do, without how much of it is missing: that changes all the time."""
+    for one in state.stages:
+        if not one.complete:
+            return f"next: {one.title}: {one.what}"
+    return state.text
 
 
 def panel(state: pb.CalibrationState) -> Panel:

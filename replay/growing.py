@@ -56,8 +56,10 @@ class GrowingLog:
 
     def frames(self) -> Iterator[Frame]:
         """Those that have been written since the last call."""
+        if self.finished:
+            return
         size = os.fstat(self._file.fileno()).st_size
-        for place in walk(self._file, size, self._at) if not self.finished and size > self._at else ():
+        for place in walk(self._file, size, self._at) if size > self._at else ():
             self._at = place.end
             if place.opcode == Opcode.FOOTER:
                 self.finished = True

@@ -14,6 +14,11 @@ from tilth.schemas.spread import WITHIN, plus_minus
 DRIVING, FINISHING, STOPPED = "driving", "finishing", "stopped"
 ALL_DRIVEN: Final = "All stages are driven."
 ENOUGH: Final = f"{ALL_DRIVEN} Every number is known as well as is wanted: finish when you like."
+PHASE_TEXT: Final = {
+    FINISHING: "Finished. The last estimate is made now, where this was started; there it asks before a file "
+    "is changed.",
+    STOPPED: "Stopped. What was driven is kept: start it again to go on.",
+}
 LONGEST: Final = 500  # characters of a sentence
 MOST: Final = 12  # sentences
 
@@ -34,7 +39,8 @@ def shown(
     far = progress(fold)
     answer = computed.answer
     state = pb.CalibrationState(
-        machine=machine, phase=phase, text=_text(far, computed), happening=trouble or happening(fold),
+        machine=machine, phase=phase, text=PHASE_TEXT.get(phase) or _text(fold, far, computed),
+        happening="" if phase in PHASE_TEXT else trouble or happening(fold),
         stages=[_stage(one) for one in far], computing=computed.busy, computed=computed.text[:LONGEST],
         found=[str(fault["text"])[:LONGEST] for fault in answer.get("faults", ())][:MOST],
         told=[str(line)[:LONGEST] for line in answer.get("sentences", ())][:MOST],
@@ -46,9 +52,9 @@ def shown(
     return state
 
 
-def _text(far: Sequence[StageProgress], computed: ComputedSoFar) -> str:
+def _text(fold: StageFold, far: Sequence[StageProgress], computed: ComputedSoFar) -> str:
     """What to do next, first what stages ask for, then what the numbers do."""
-    todo = next_step(far)
+    todo = next_step(fold, far)
     if todo:
         return todo
     if computed.answer.get("good"):

@@ -4,6 +4,7 @@ The stages are rows; each says from the sums of stages.py how far it is. They co
 are asked for, but may be driven in any.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
@@ -15,6 +16,9 @@ ROUND: Final = 0.8  # of a circle, to each side at each angle: a driver who driv
 SWINGS: Final = 6
 WEAVE_S: Final = 45.0  # slowly, and quickly
 LONG_S: Final = 60.0  # of standing without need
+RECENT_TICKS: Final = (
+    25  # 5 s: a driver who goes over to something else for longer is asked for what is missing
+)
 ABOUT: Final = ("a little (about 10°)", "half (about 18°)", "far (about 28°)")
 PACES: Final = ("slowly (8 km/h)", "quickly (16 km/h)")
 
@@ -48,11 +52,16 @@ class StageProgress(NamedTuple):
         return not self.far.todo
 
 
+def _whole(left: float) -> int:
+    """Of what is missing: never 0."""
+    return math.ceil(left)
+
+
 def _parked(tally: StageTally) -> HowFar:
     stood = tally.parked * TICK_S
     left = PARK_S - stood
-    todo = f"Stand still for {left:.0f} s more, with all receivers on." if left > 0.0 else ""
-    return HowFar(min(stood / PARK_S, 1.0), f"{min(stood, PARK_S):.0f} of {PARK_S:.0f} s", todo)
+    todo = f"Stand still for {_whole(left)} s more, with all receivers on." if left > 0.0 else ""
+    return HowFar(min(stood / PARK_S, 1.0), f"{min(int(stood), PARK_S):.0f} of {PARK_S:.0f} s", todo)
 
 
 def _straight(tally: StageTally) -> HowFar:
@@ -60,9 +69,9 @@ def _straight(tally: StageTally) -> HowFar:
     share = (min(there, STRAIGHT_M) + min(back, STRAIGHT_M)) / (2 * STRAIGHT_M)
     done = f"there {there:.0f}, back {back:.0f} of {STRAIGHT_M:.0f} m"
     if there < STRAIGHT_M:
-        todo = f"Drive straight, {STRAIGHT_M - there:.0f} m more, at about 10 km/h."
+        todo = f"Drive straight, {_whole(STRAIGHT_M - there)} m more, at about 10 km/h."
     elif back < STRAIGHT_M:
-        todo = f"Turn round and drive back on the same line, {STRAIGHT_M - back:.0f} m more."
+        todo = f"Turn round and drive back on the same line, {_whole(STRAIGHT_M - back)} m more."
     else:
         todo = ""
     return HowFar(share, done, todo)
@@ -75,7 +84,7 @@ def _circles(tally: StageTally) -> HowFar:
         f"{side} {', '.join(f'{one:.1f}' for one in row)}"
         for side, row in zip(SIDES, rounds.tolist(), strict=True)
     ]
-    done = f"rounds with the wheels turned a little, half, far: {'; '.join(sides)}"
+    done = f"rounds (wheels a little, half, far): {'; '.join(sides)}"
     for k, about in enumerate(ABOUT):
         for side, row in zip(SIDES, rounds.tolist(), strict=True):
             if row[k] < ROUND:
@@ -104,7 +113,9 @@ def _weaving(tally: StageTally) -> HowFar:
     for one, pace in zip(seconds, PACES, strict=True):
         if one < WEAVE_S:
             return HowFar(
-                share, done, f"Weave from side to side {pace}, never straight, {WEAVE_S - one:.0f} s more."
+                share,
+                done,
+                f"Weave from side to side {pace}, never straight, {_whole(WEAVE_S - one)} s more.",
             )
     return HowFar(share, done, "")
 
@@ -130,8 +141,13 @@ def progress(state: StageFold) -> tuple[StageProgress, ...]:
     return tuple(StageProgress(stage, stage.how_far(state.tally)) for stage in STAGES)
 
 
-def next_step(far: Sequence[StageProgress]) -> str:
-    """What to drive now; "" when all stages are complete."""
+def next_step(state: StageFold, far: Sequence[StageProgress]) -> str:
+    """What to drive now: what is being driven, where it is not complete, else the first that is not; "" when
+    all are."""
+    recent = state.tick is not None and state.tick - state.lately_tick <= RECENT_TICKS
+    for one in far:
+        if recent and one.stage.name == state.lately and not one.complete:
+            return one.far.todo
     return next((one.far.todo for one in far if not one.complete), "")
 
 

@@ -79,6 +79,8 @@ class StageFold:
     turn_tick: int = 0  # when it followed one to the other side
     stood: int = 0  # instants, since it stands
     doing: str = ""  # the stage that the last instant counts for
+    lately: str = ""  # the one that an instant counted for last
+    lately_tick: int = 0  # and when
     trouble: str = ""  # why it does not count, in words
     tally: StageTally = field(default_factory=StageTally)
 
@@ -137,13 +139,19 @@ def _interrupt(state: StageFold) -> None:
 
 def _count(state: StageFold) -> None:
     """The instant that has ended."""
+    assert state.tick is not None
     state.doing, state.trouble = "", _trouble(state)
     if state.trouble:
         refused = state.tally.refused
         refused[state.trouble] = refused.get(state.trouble, 0) + 1
         _interrupt(state)
         return
-    now = _seen(state)
+    _count_seen(state, _seen(state))
+    if state.doing:
+        state.lately, state.lately_tick = state.doing, state.tick
+
+
+def _count_seen(state: StageFold, now: SeenNow) -> None:
     state.window.append(now)
     speed = math.hypot(*now.velocity)
     state.stood = state.stood + 1 if speed < STANDING else 0
