@@ -1,29 +1,10 @@
-"""`tilth calibrate`: what a guided drive tells of a rig, into its machine file."""
+"""`tilth calibrate`: what a drive tells of a rig, into its machine file; from logs, or while driving."""
 
 import argparse
-import json
-import sys
-from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table as RichTable
-
-from tilth.analysis.calibration.machine_text import unfilled
-from tilth.analysis.calibration.page import report_of
-from tilth.analysis.calibration.run import Calibrated, calibrate_logs
-from tilth.analysis.report.page import page
 from tilth.cli import WrongUse, add_bus_names
-from tilth.estimator.calibration.calibrate import CannotCalibrate
-from tilth.estimator.calibration.verdict import NOT_TOLD
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
-from tilth.replay.readers.rig import bus_names, machine_in
-from tilth.schemas.machine import Machine, MachineError
-
-WIDTH = 120  # of what goes into a file
+from tilth.client.link import ENDPOINT
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -31,157 +12,35 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "calibrate",
         help="find what a drive tells of a rig, and write it into its machine file",
         description="Levers, yaw of the antenna pairs, hitch, drawbar, wheel angle, latency and roll zeros "
-        "by a drive of a quarter of an hour; docs/calibrate.md says what to drive. The old file is kept.",
+        "by a drive of a quarter of an hour; docs/calibrate.md says what to drive. With --live it tells the "
+        "driver what to drive and how far it is, here and on the page. The old file is kept.",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="of one rig, in their order")
+    parser.add_argument(
+        "logs", nargs="*", type=Path, metavar="LOG", help="of one rig, in their order; with --live: of before"
+    )
+    parser.add_argument("--live", action="store_true", help="beside a running daemon, stage by stage")
     parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
     parser.add_argument("--out", type=Path, metavar="CALIBRATED.toml", help="the machine file to write")
     parser.add_argument("--report", type=Path, metavar="FILE.html", help="the report, one file")
     parser.add_argument("--yes", action="store_true", help="change a file that exists without asking")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    live = parser.add_argument_group("with --live")
+    live.add_argument("--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"the daemon ({ENDPOINT})")
+    live.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key, of `tilth keys`")
+    live.add_argument("--prefix", default="tilth", metavar="P", help="of [zenoh] in the machine file (tilth)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """1 where the drive tells nothing, or nothing was written that was to be."""
-    machine, text = _machine(args)
-    try:
-        buses = bus_names(args.bus, machine)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
-    try:
-        with ExitStack() as stack:
-            found = calibrate_logs(args.logs, machine, text, buses, _say, _progress(stack, args.json))
-    except CannotCalibrate as error:
-        return _refused(args, error)
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except OSError as error:
-        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
-        return 1
-    if not args.json:
-        _show(found)
-    status = 0
-    try:
-        if args.report is not None:
-            args.report.write_text(page(report_of(found)), encoding="utf-8")
-            _say(f"report: {args.report}")
-        written = _write(args, found) if args.out is not None else None
-        status = 0 if written is not False else 1
-    except OSError as error:
-        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}")
-        status, written = 1, False
-    if args.json:
-        print(json.dumps({**found.as_json(), "written": str(args.out) if written else None}))
-    return status
+    """1 where the drive tells nothing, or nothing was written that was to be, or a live drive was ended."""
+    if args.live:
+        from tilth.cli.calibrate_live import run_live  # with Zenoh, without the desk
 
+        return run_live(args)
+    if not args.logs:
+        raise WrongUse("give the LOG of a drive, or --live beside a running daemon")
+    if args.config is not None or args.connect != ENDPOINT or args.prefix != "tilth":
+        raise WrongUse("--connect, --config and --prefix are for --live")
+    from tilth.cli.calibrate_logs import run_logs
 
-def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
-    """Raises WrongUse, MachineError."""
-    if args.machine is None:
-        try:
-            return machine_in(args.logs)
-        except LogError as error:
-            raise WrongUse(str(error)) from None
-        except OSError as error:
-            raise WrongUse(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
-    try:
-        return read_machine(args.machine)
-    except MachineError:
-        lines = unfilled(args.machine.read_text(encoding="utf-8")) if args.machine.is_file() else []
-        if not lines:
-            raise
-        keys = ", ".join(f"{key} (line {number})" for number, key in lines)
-        raise WrongUse(
-            f"{args.machine}: fill in {keys}. Lengths by a tape to 20 cm are good enough, masses by a scale "
-            "or the papers; calibrate finds the rest"
-        ) from None
-
-
-def _refused(args: argparse.Namespace, error: CannotCalibrate) -> int:
-    _say(str(error))
-    others = [fault.text for fault in error.faults if fault.text not in str(error)]
-    for text in others:
-        _say(f"found meanwhile: {text}")
-    if args.json:
-        faults = [{"kind": fault.kind, "of": fault.of, "text": fault.text} for fault in error.faults]
-        print(json.dumps({"refused": str(error), "faults": faults, "written": None}))
-    if args.out is not None and args.out.exists():
-        _say(f"{args.out} stays as it was")
-    return 1
-
-
-def _write(args: argparse.Namespace, found: Calibrated) -> bool:
-    """Whether the file stands as found. A file that exists is changed only with a yes and kept."""
-    there = args.out.read_text(encoding="utf-8") if args.out.exists() else None
-    change = found.difference(args.out.name if there is None or there == found.before else str(args.out))
-    if not args.json and change:
-        Console().print(change, highlight=False, markup=False, soft_wrap=True)
-    if there == found.after:
-        _say(f"{args.out} says all that already")
-        return True
-    if there is not None and not args.yes and not _asked(args.out, there != found.before):
-        return False
-    if there is not None:
-        kept = _backup(args.out)
-        kept.write_text(there, encoding="utf-8")
-        _say(f"the old file is kept as {kept}")
-    part = args.out.with_name(f".{args.out.name}.part")
-    part.write_text(found.after, encoding="utf-8")
-    part.replace(args.out)
-    _say(f"written: {args.out}")
-    return True
-
-
-def _asked(out: Path, other: bool) -> bool:
-    what = f"{out} exists" + (" and is not the machine file of this drive" if other else "")
-    if not sys.stdin.isatty():
-        _say(f"{what}; nothing was written. Give --yes to change it, or another name")
-        return False
-    sys.stderr.write(f"tilth calibrate: {what}. Change it as shown? The old one is kept. [y/N] ")
-    sys.stderr.flush()
-    if sys.stdin.readline().strip().lower() in ("y", "yes"):
-        return True
-    _say("nothing was written")
-    return False
-
-
-def _backup(out: Path) -> Path:
-    """A name that is free."""
-    number = 1
-    while (kept := out.with_name(f"{out.name}.before-{number}")).exists():
-        number += 1
-    return kept
-
-
-def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, float], None]:
-    if as_json or not sys.stderr.isatty():
-        return lambda what, share: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    task = bar.add_task("reading", total=1.0)
-    return lambda what, share: bar.update(task, description=what, completed=share)
-
-
-def _show(found: Calibrated) -> None:
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
-    for fault in found.faults:
-        console.print(f"FOUND {fault.text}", highlight=False, markup=False, soft_wrap=True)
-    table = RichTable(title=found.title, title_justify="left")
-    for heading in ("", "change ± 95 %", "sd before", "sd now", "sd wanted", "halves", ""):
-        table.add_column(heading, overflow="fold")
-    for row in found.rows():
-        table.add_row(*row)
-    console.print(table)
-    for sentence in found.sentences():
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    for one in found.verdict.told:
-        if one.why_not:
-            verb = "not told" if one.status == NOT_TOLD else "better told"
-            console.print(f"{one.number.words}: {verb} by: {one.why_not}", highlight=False, soft_wrap=True)
-
-
-def _say(text: str) -> None:
-    print(f"tilth calibrate: {text}", file=sys.stderr)
+    return run_logs(args)

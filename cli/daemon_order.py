@@ -51,7 +51,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
             f"An endpoint looks like {ENDPOINT}"
         ) from None
     with session:
-        base = _daemon(session, prefix, name, args.config).base(prefix)
+        base = daemon_of(session, prefix, name, args.config).base(prefix)
         replies = list(session.get(f"{base}/{key}", payload=payload, encoding="text/plain", timeout=WAIT_S))
     for reply in replies:
         if reply.ok:
@@ -60,7 +60,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before asking again")
 
 
-def _daemon(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
+def daemon_of(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
     """The one daemon that is meant: on a tractor, or else in a simulation. Raises WrongUse."""
     found = living(session, prefix, name)
     meant = [one for one in found if one.replay == found[0].replay]

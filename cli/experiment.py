@@ -13,7 +13,8 @@ import zenoh
 from tilth.cli import WrongUse, duration
 from tilth.cli.daemon_order import client_config, of_key
 from tilth.cli.experiment_learned import FitOfRuns
-from tilth.cli.experiment_screen import Screen
+from tilth.cli.experiment_screen import KEYS, line, panel
+from tilth.cli.live_screen import Screen
 from tilth.client.experiment.prompter import Course, course_of
 from tilth.client.experiment.runner import TURN_S, PlanRunner
 from tilth.client.experiment.wires import PrompterWires
@@ -150,7 +151,7 @@ def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> in
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     runner = PlanRunner(wires, course)
     learning: FitOfRuns | None = None
-    with Screen() as screen, suppress(KeyboardInterrupt):
+    with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
             state = runner.turn()

@@ -1,17 +1,9 @@
 """The prompter in a terminal: what to do, a bar to follow, keys to arm, stop and skip."""
 
-import contextlib
 import math
-import os
-import select
-import sys
-import termios
-import tty
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -25,47 +17,7 @@ HELP: Final = "Space: arm   s: stop   k: skip this run   q: quit"
 SHOWN: Final = 6  # attempts
 
 
-class Screen:
-    """A live panel and keys where there is a terminal; else lines for what is new."""
-
-    def __init__(self) -> None:
-        self.asks = sys.stdin.isatty() and sys.stdout.isatty()
-        self._live: Live | None = None
-        self._before: Any = None
-        self._told: str = ""
-
-    def __enter__(self) -> Self:
-        if self.asks:
-            self._before = termios.tcgetattr(sys.stdin)
-            tty.setcbreak(sys.stdin)
-            self._live = Live(console=Console(), auto_refresh=False, screen=False)
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-            with contextlib.suppress(termios.error):
-                termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
-
-    def show(self, state: pb.ExperimentState) -> str:
-        """Draw it; which order was pressed, or "quit", or ""."""
-        if self._live is None:
-            line = _line(state)
-            if line != self._told:
-                self._told = line
-                print(line, flush=True)
-            return ""
-        self._live.update(panel(state), refresh=True)
-        if not select.select([sys.stdin], [], [], 0.0)[0]:
-            return ""
-        pressed = os.read(sys.stdin.fileno(), 64).decode(errors="replace")
-        return next((KEYS[key] for key in pressed if key in KEYS), "")
-
-
-def _line(state: pb.ExperimentState) -> str:
+def line(state: pb.ExperimentState) -> str:
     """What is new, for who reads lines."""
     told = [f"{state.done} of {state.of}", state.drive, state.text, *state.learned, *state.commands]
     return "\n  ".join(text for text in told if text)

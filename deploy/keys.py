@@ -22,8 +22,9 @@ ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
 DAYS: Final = 3 * 365
 # Keys that change something, not for readers.
-ORDERS: Final = ("mark", "accept", "report/make", "experiment/order")
-PROMPTED: Final = ("experiment", "experiment/order")  # of who prompts a driver, beside the daemon
+ORDERS: Final = ("mark", "accept", "report/make", "experiment/order", "calibration/order")
+# Of who prompts a driver, beside the daemon.
+PROMPTED: Final = ("experiment", "experiment/order", "calibration", "calibration/order")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _LARGEST: Final = 1_048_576  # bytes of one message that the daemon takes in; a mark has a few hundred
 
@@ -156,7 +157,8 @@ def access_control(register: Register) -> dict[str, Any]:
         _rule("no orders", "deny", ("query",), "ingress", [f"{register.base}/{key}" for key in ORDERS]),
         _rule("prompt", "allow", ("put", "reply", "declare_queryable"), "ingress",
               [f"{register.base}/{key}" for key in PROMPTED]),
-        _rule("pass on", "allow", ("query",), "egress", [f"{register.base}/experiment/order"]),
+        _rule("pass on", "allow", ("query",), "egress",
+              [f"{register.base}/{key}" for key in PROMPTED if key in ORDERS]),
     ]  # fmt: skip
     may = {"operator": ["ask", "tell", "prompt", "pass on"], "reader": ["ask", "tell", "no orders"]}
     subjects, policies = [], []

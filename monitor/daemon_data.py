@@ -27,6 +27,7 @@ MESSAGES: Final[dict[str, type[Message]]] = {
     "player": pb.PlayerState,
     "report": pb.ReportState,
     "experiment": pb.ExperimentState,
+    "calibration": pb.CalibrationState,
 }
 MANY: Final = frozenset({"pose", "soil_tire"})  # kinds of which a single one may be missed
 WAITING: Final = 2000  # messages that may wait to be taken; a player sends a thousand a second at most
@@ -193,12 +194,20 @@ class DaemonData:
     def experiment(self, kind: str) -> str:
         """Tell who prompts a driver what the driver orders: "", or why it is not done. Not in the loop's own
         thread."""
+        return self._driver_orders("experiment", pb.ExperimentOrder(kind=kind[:40]), command("experiment"))
+
+    def calibration(self, kind: str) -> str:
+        """The same to who calibrates live."""
+        words = command("calibrate", "--live")
+        return self._driver_orders("calibration", pb.CalibrationOrder(kind=kind[:40]), words)
+
+    def _driver_orders(self, key: str, order: Message, to: str) -> str:
         if not self.base:
             return "no daemon has been heard yet"
-        data = pb.ExperimentOrder(kind=kind[:40]).SerializeToString()
-        for reply in self._session.get(f"{self.base}/experiment/order", payload=data, timeout=ORDER_S):
+        data = order.SerializeToString()
+        for reply in self._session.get(f"{self.base}/{key}/order", payload=data, timeout=ORDER_S):
             return "" if reply.ok is not None else _refusal(reply)
-        return f"`{command('experiment')}` does not answer: was it ended?"
+        return f"`{to}` does not answer: was it ended?"
 
     def ask_player(self, what: str, message: type[M]) -> M:
         """What a player says of its runs, on a key below `player`. Not in the loop's own thread. Raises

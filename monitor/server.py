@@ -58,6 +58,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
     ("/experiment.js", "experiment.js", "text/javascript"),
+    ("/calibration.js", "calibration.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
     ("/player.js", "player.js", "text/javascript"),
     ("/report.js", "report.js", "text/javascript"),
@@ -185,13 +186,16 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         refused = await run_in_threadpool(daemon_data.order, wanted)
         return JSONResponse({"done": not refused, "text": refused})
 
-    async def experiment(request: Request) -> Response:
-        try:
-            kind = str((await _json(request, "an order")).get("kind", ""))
-        except ValueError as error:
-            return JSONResponse({"done": False, "text": str(error)}, 400)
-        refused = await run_in_threadpool(daemon_data.experiment, kind)
-        return JSONResponse({"done": not refused, "text": refused})
+    def ordered(ask: Callable[[str], str]) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            try:
+                kind = str((await _json(request, "an order")).get("kind", ""))
+            except ValueError as error:
+                return JSONResponse({"done": False, "text": str(error)}, 400)
+            refused = await run_in_threadpool(ask, kind)
+            return JSONResponse({"done": not refused, "text": refused})
+
+        return answer
 
     async def make_report(request: Request) -> Response:
         try:
@@ -212,7 +216,8 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
     for path, ask in (("/mark", daemon_data.mark), ("/accept", daemon_data.accept)):
         routes.append(Route(path, logged(ask), methods=["POST"]))
     routes.append(Route("/player", order, methods=["POST"]))
-    routes.append(Route("/experiment", experiment, methods=["POST"]))
+    for path, tell in (("/experiment", daemon_data.experiment), ("/calibration", daemon_data.calibration)):
+        routes.append(Route(path, ordered(tell), methods=["POST"]))
     routes += [Route("/report", make_report, methods=["POST"]), Route("/report.html", report_file)]
     for name, asked in (("runs", runs_of), ("places", places_of)):
         routes.append(Route(f"/player/{name}", _told(daemon_data, asked)))

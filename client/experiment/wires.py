@@ -7,18 +7,17 @@ from collections.abc import Iterable
 from typing import Final
 
 import zenoh
-from google.protobuf.message import DecodeError
 
 from tilth.client.experiment.prompter import ORDERS, Marked, Order
 from tilth.client.experiment.sight import Seen, seen_of
 from tilth.client.link import Link
+from tilth.client.orders import OrderQueue
 from tilth.client.received import HeardRig, Refused, parse, pose_of, rig_of_message, text
 from tilth.schemas.proto import tilth_pb2 as pb
 
-WAITING: Final = 64  # poses or orders that may wait for the loop; older ones are dropped
+WAITING: Final = 64  # poses that may wait for the loop; older ones are dropped
 MARK_S: Final = 10.0  # a disk may stall for some seconds before it takes a mark
 ASK_S: Final = 5.0
-LARGEST_ORDER: Final = 1024  # bytes
 ENCODING: Final = f"application/protobuf;{pb.ExperimentState.DESCRIPTOR.full_name}"
 SILENT: Final = "the daemon does not answer; is this key an operator's?"
 
@@ -29,13 +28,13 @@ class PrompterWires:
     def __init__(self, session: zenoh.Session, base: str) -> None:
         self._session, self._base, self._link = session, base, Link(session)
         self._poses: queue.Queue[tuple[float, Seen]] = queue.Queue(WAITING)
-        self._orders: queue.Queue[Order] = queue.Queue(WAITING)
+        self._orders = OrderQueue(pb.ExperimentOrder, ORDERS)
         self._marked: queue.Queue[Marked] = queue.Queue()
         self._refused: Counter[str] = Counter()
         self._logs: dict[str, None] = {}
         self._link.hear(session.declare_subscriber(f"{base}/pose"), self._take_pose)
         self._link.hear(session.declare_subscriber(f"{base}/status"), self._take_status)
-        self._link.hear(session.declare_queryable(f"{base}/experiment/order"), self._take_order)
+        self._link.hear(session.declare_queryable(f"{base}/experiment/order"), self._orders.take)
 
     @property
     def logs(self) -> tuple[str, ...]:
@@ -63,10 +62,7 @@ class PrompterWires:
 
     def orders(self) -> list[Order]:
         """Those since the last call."""
-        found = []
-        while not self._orders.empty():
-            found.append(self._orders.get())
-        return found
+        return [Order(kind) for kind in self._orders.new()]
 
     def answers(self) -> list[Marked]:
         """What became of marks, since the last call."""
@@ -110,32 +106,6 @@ class PrompterWires:
             return
         if status.log_file:
             self._logs[status.log_file] = None
-
-    def _take_order(self, query: zenoh.Query) -> None:
-        try:
-            order = _order_of(query)
-            if self._orders.full():
-                raise Refused("too many orders at a time")
-        except Refused as refusal:
-            query.reply_err(str(refusal))
-        else:
-            self._orders.put(order)
-            query.reply(query.key_expr, b"")
-        query.drop()
-
-
-def _order_of(query: zenoh.Query) -> Order:
-    """Raises Refused."""
-    payload = query.payload
-    if payload is None or len(payload) > LARGEST_ORDER or "*" in str(query.key_expr):
-        raise Refused("an order is an ExperimentOrder")
-    try:
-        kind = pb.ExperimentOrder.FromString(payload.to_bytes()).kind
-    except DecodeError:
-        raise Refused("not an ExperimentOrder") from None
-    if kind not in ORDERS:
-        raise Refused(f"{text(kind)[:40]!r}: no order; there are {', '.join(ORDERS)}")
-    return Order(kind)
 
 
 def _answered(note: str, replies: Iterable[zenoh.Reply]) -> Marked:

@@ -1,5 +1,6 @@
 // Hears this computer's page server and shows what it says. Whatever comes is text, never markup.
 
+import { Calibration } from "./calibration.js";
 import { Experiment } from "./experiment.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
@@ -23,6 +24,7 @@ const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
 const steering = new Steering(byId("steering"), () => traces.times);
 const bar = new PlayerBar(), runs = new Runs(), report = new RunReport(), experiment = new Experiment();
+const calibration = new Calibration();
 const moved = new Moved(byId("moved"));
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
@@ -64,8 +66,11 @@ function take(message) {
   else if (whole) forgetKnown();
   if (said.pose) showPose(said.pose);
   if (said.experiment) experiment.show(heard.experiment, live("experiment"));
+  if (said.calibration) showCalibration();
   if (whole || said.status || said.player || said.report) show(); // else soon enough by the clock
 }
+
+const showCalibration = () => calibration.show(heard.calibration, live("calibration"), age("calibration"));
 
 function show() {
   const status = heard.status ?? {};
@@ -81,6 +86,7 @@ function show() {
   tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
   map.setOld(!live("pose"));
   experiment.show(heard.experiment, live("experiment"));
+  showCalibration();
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;

@@ -10,7 +10,7 @@ export const PARAMETERS = [
 ];
 export const STATUSES = ["no estimate", "estimated", "stale", "invalid"];
 const STATUS_STATES = ["unknown", "good", "warn", "bad"];
-export const OLD_S = { pose: 2, status: 3, soil_tire: 3, experiment: 2 }; // status and estimate come each second
+export const OLD_S = { pose: 2, status: 3, soil_tire: 3, experiment: 2, calibration: 3 }; // status and estimate come each second
 
 export const known = (value) => value !== undefined && value !== null;
 export const spaced = (word) => String(word ?? "").replaceAll("_", " ");

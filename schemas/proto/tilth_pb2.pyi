@@ -625,3 +625,71 @@ class ExperimentOrder(_message.Message):
     KIND_FIELD_NUMBER: _ClassVar[int]
     kind: str
     def __init__(self, kind: _Optional[str] = ...) -> None: ...
+
+class CalibrationState(_message.Message):
+    __slots__ = ("machine", "phase", "text", "happening", "stages", "numbers", "found", "computing", "computed", "told", "notes")
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    HAPPENING_FIELD_NUMBER: _ClassVar[int]
+    STAGES_FIELD_NUMBER: _ClassVar[int]
+    NUMBERS_FIELD_NUMBER: _ClassVar[int]
+    FOUND_FIELD_NUMBER: _ClassVar[int]
+    COMPUTING_FIELD_NUMBER: _ClassVar[int]
+    COMPUTED_FIELD_NUMBER: _ClassVar[int]
+    TOLD_FIELD_NUMBER: _ClassVar[int]
+    NOTES_FIELD_NUMBER: _ClassVar[int]
+    machine: str
+    phase: str
+    text: str
+    happening: str
+    stages: _containers.RepeatedCompositeFieldContainer[CalibrationStage]
+    numbers: _containers.RepeatedCompositeFieldContainer[CalibrationNumber]
+    found: _containers.RepeatedScalarFieldContainer[str]
+    computing: bool
+    computed: str
+    told: _containers.RepeatedScalarFieldContainer[str]
+    notes: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, machine: _Optional[str] = ..., phase: _Optional[str] = ..., text: _Optional[str] = ..., happening: _Optional[str] = ..., stages: _Optional[_Iterable[_Union[CalibrationStage, _Mapping]]] = ..., numbers: _Optional[_Iterable[_Union[CalibrationNumber, _Mapping]]] = ..., found: _Optional[_Iterable[str]] = ..., computing: _Optional[bool] = ..., computed: _Optional[str] = ..., told: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class CalibrationStage(_message.Message):
+    __slots__ = ("name", "title", "what", "why", "share", "done", "complete")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    TITLE_FIELD_NUMBER: _ClassVar[int]
+    WHAT_FIELD_NUMBER: _ClassVar[int]
+    WHY_FIELD_NUMBER: _ClassVar[int]
+    SHARE_FIELD_NUMBER: _ClassVar[int]
+    DONE_FIELD_NUMBER: _ClassVar[int]
+    COMPLETE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    title: str
+    what: str
+    why: str
+    share: float
+    done: str
+    complete: bool
+    def __init__(self, name: _Optional[str] = ..., title: _Optional[str] = ..., what: _Optional[str] = ..., why: _Optional[str] = ..., share: _Optional[float] = ..., done: _Optional[str] = ..., complete: _Optional[bool] = ...) -> None: ...
+
+class CalibrationNumber(_message.Message):
+    __slots__ = ("words", "change", "before", "now", "wanted", "status", "tell")
+    WORDS_FIELD_NUMBER: _ClassVar[int]
+    CHANGE_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_FIELD_NUMBER: _ClassVar[int]
+    NOW_FIELD_NUMBER: _ClassVar[int]
+    WANTED_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    TELL_FIELD_NUMBER: _ClassVar[int]
+    words: str
+    change: str
+    before: str
+    now: str
+    wanted: str
+    status: str
+    tell: str
+    def __init__(self, words: _Optional[str] = ..., change: _Optional[str] = ..., before: _Optional[str] = ..., now: _Optional[str] = ..., wanted: _Optional[str] = ..., status: _Optional[str] = ..., tell: _Optional[str] = ...) -> None: ...
+
+class CalibrationOrder(_message.Message):
+    __slots__ = ("kind",)
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    def __init__(self, kind: _Optional[str] = ...) -> None: ...

@@ -1,0 +1,110 @@
+"""Estimates of a live calibration: `tilth calibrate LOG… --json` in a process of its own, behind all else.
+
+So what watches live imports no desk, and an estimate that takes a minute costs neither the daemon nor the
+driver anything.
+"""
+
+import json
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Final
+
+from tilth.client.calibration.shown import ComputedSoFar
+from tilth.estimator.calibration.stage_words import progress
+from tilth.estimator.calibration.stages import TICK_S, StageFold
+from tilth.schemas.invocation import in_background
+
+LONGEST: Final = 4_000_000  # bytes of an answer
+LEAST_S: Final = 60.0  # of driving, before the first estimate
+EVERY_S: Final = 120.0  # of driving, between two
+ENDING_S: Final = 10.0
+
+
+class BackgroundEstimates:
+    """At most one at a time. `turn` it; `so_far` says how it stands."""
+
+    def __init__(self, options: Sequence[str]) -> None:
+        """options: of `tilth calibrate`, such as --machine M.toml."""
+        self.so_far = ComputedSoFar()
+        self._options = list(options)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._files: tuple[IO[bytes], IO[bytes]] | None = None
+        self._began_s = 0.0
+        self._used_s = 0.0  # of driving, when the last one began
+        self._complete = 0  # stages then
+        self._asked = False
+
+    def ask(self) -> None:
+        """One begins as soon as it can."""
+        self._asked = True
+
+    def turn(self, fold: StageFold, logs: Sequence[Path]) -> None:
+        """Take what is ready; begin what is due."""
+        driven_s = fold.tally.moving * TICK_S
+        if self._process is not None:
+            if self._process.poll() is None:
+                took = time.monotonic() - self._began_s
+                self.so_far.text = f"Computing with {self._used_s:.0f} s of driving, for {took:.0f} s now."
+                return
+            self._take()
+        complete = sum(one.complete for one in progress(fold))
+        new_s = driven_s - self._used_s
+        due = driven_s >= LEAST_S and (new_s >= EVERY_S or (complete > self._complete and new_s > 0.0))
+        if self._asked or due:
+            self._begin(logs, driven_s, complete)
+        elif not self._used_s and driven_s < LEAST_S:
+            self.so_far.text = (
+                f"Computing begins after {LEAST_S:.0f} s of driving; {driven_s:.0f} s are driven."
+            )
+
+    def close(self) -> None:
+        """Ends it."""
+        if self._process is not None:
+            self._process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(ENDING_S)
+            self._process = None
+        for file in self._files or ():
+            file.close()
+        self._files = None
+
+    def _begin(self, logs: Sequence[Path], driven_s: float, complete: int) -> None:
+        self._asked = False
+        words = in_background("calibrate", *map(str, logs), *self._options, "--json")
+        if not words:
+            self.so_far.text = "This program cannot compute beside itself; finish, and it is computed then."
+            return
+        self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(
+            words, stdin=subprocess.DEVNULL, stdout=self._files[0], stderr=self._files[1]
+        )
+        self._began_s, self._used_s, self._complete = time.monotonic(), driven_s, complete
+        self.so_far.busy = True
+
+    def _take(self) -> None:
+        assert self._files is not None
+        answer, said = (_text(file) for file in self._files)
+        self.close()
+        self.so_far.busy = False
+        took = time.monotonic() - self._began_s
+        try:
+            found: dict[str, Any] = json.loads(answer)
+        except ValueError:
+            lines = [line for line in said.splitlines() if line.strip()]
+            why = lines[-1].removeprefix("tilth calibrate: ")[:300] if lines else "it ended without a word"
+            self.so_far.text = f"The estimate failed: {why}"
+            return
+        self.so_far.answer = found
+        what = "Nothing could be told yet" if found.get("refused") else "Computed"
+        self.so_far.text = (
+            f"{what} by {self._used_s:.0f} s of driving; it took {took:.0f} s. The next comes by itself."
+        )
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read(LONGEST).decode(errors="replace")

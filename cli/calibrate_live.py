@@ -1,0 +1,232 @@
+"""`tilth calibrate --live`: beside a running daemon, tells a driver what to drive and what it has told."""
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Final
+
+import zenoh
+
+from tilth.cli import WrongUse
+from tilth.cli.calibrate_computing import BackgroundEstimates
+from tilth.cli.calibrate_screen import KEYS, line, panel
+from tilth.cli.daemon_order import client_config, daemon_of, of_key
+from tilth.cli.live_screen import Screen
+from tilth.client.calibration.shown import DRIVING, FINISHING, STOPPED, shown
+from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires
+from tilth.client.link import ENDPOINT, living
+from tilth.client.received import Refused, parse
+from tilth.estimator.calibration import stages
+from tilth.logger.machine_file import read_machine
+from tilth.replay.growing import FollowedLogs, opening_machine
+from tilth.replay.readers.log import LogError
+from tilth.replay.readers.rig import bus_names, machine_in
+from tilth.schemas.flow import Measurement
+from tilth.schemas.invocation import command
+from tilth.schemas.machine import Machine
+from tilth.schemas.proto import tilth_pb2 as pb
+
+TURN_S: Final = 0.5
+READING_S: Final = 0.4  # longest time of a turn that goes into reading
+RESCAN_S: Final = 2.0  # a daemon begins a new part, or gives a file another name
+QUIET_S: Final = 5.0  # without a measurement
+QUIT: Final = "quit"
+
+
+def run_live(args: argparse.Namespace) -> int:
+    """0 where what was driven has been computed and written as wanted, else 1."""
+    if args.json:
+        raise WrongUse("--json is for logs; --live shows what it finds here and on the page")
+    machine = read_machine(args.machine)[0] if args.machine is not None else None
+    if missing := next((path for path in args.logs if not path.is_file()), None):
+        raise WrongUse(f"{missing}: there is no such log")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with ExitStack() as stack:
+        wires = _wires(args, machine)
+        stack.callback(wires.close)
+        try:
+            finished, logs = _watch(args, machine, wires, stack)
+        except KeyboardInterrupt:
+            _say("stopped before anything was recorded")
+            return 1
+    if not finished:
+        _say_how_to_go_on(args, logs)
+        return 1
+    from tilth.cli.calibrate_logs import run_logs  # the desk: only now
+
+    args.logs = logs
+    return run_logs(args)
+
+
+def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWires:
+    """To the daemon that is meant. As a client: what a peer shows is not passed on to the page. Raises
+    WrongUse."""
+    name = machine.name if machine is not None else ""
+    if args.config is not None:
+        args.prefix, name = of_key(args.config)
+    with ExitStack() as stack:
+        try:
+            session = stack.enter_context(zenoh.open(client_config(args.config, [args.connect])))
+        except zenoh.ZError:
+            where = args.config or args.connect
+            raise WrongUse(
+                f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
+            ) from None
+        if machine is not None:
+            _check_name(args, session, machine)
+        base = daemon_of(session, args.prefix, name, args.config).base(args.prefix)
+        found = _status(session, base)
+        if found is not None and found.log_file and not Path(found.log_file).exists():
+            raise WrongUse(
+                f"{found.log_file}: the daemon writes this log, and it is not here; start this on the daemon's "
+                "computer, and in the folder where it was started"
+            )
+        stack.pop_all()
+    return CalibrationWires(session, base)
+
+
+def _check_name(args: argparse.Namespace, session: zenoh.Session, machine: Machine) -> None:
+    """Raises WrongUse where daemons run, but none of that machine."""
+    known = "" if args.config is None else of_key(args.config)[1]
+    names = [known] if known else [one.machine for one in living(session, args.prefix)]
+    if names and machine.name not in names:
+        raise WrongUse(f"{args.machine} is of {machine.name}; the daemon here is of {', '.join(names)}")
+
+
+def _status(session: zenoh.Session, base: str) -> pb.Status | None:
+    for reply in session.get(f"{base}/status", timeout=2.0):
+        if reply.ok is not None:
+            with suppress(Refused):
+                return parse(pb.Status, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+    return None
+
+
+class LiveCalibration:
+    """`turn` it twice a second."""
+
+    def __init__(
+        self, wires: CalibrationWires, logs: FollowedLogs, machine: Machine, estimates: BackgroundEstimates
+    ) -> None:
+        self._wires, self._logs, self._machine, self._estimates = wires, logs, machine, estimates
+        self.fold = stages.initial(machine)
+        self._stream: Iterator[Measurement] | None = None
+        self._rescan_s = self._measured_s = time.monotonic()
+        self.phase = DRIVING
+
+    def turn(self) -> pb.CalibrationState:
+        """Take what has been written; say how it stands. Raises LogError, of logs of before."""
+        now_s = time.monotonic()
+        if now_s - self._rescan_s > RESCAN_S:
+            self._rescan_s = now_s
+            self._logs.rescan()
+        for name in self._wires.logs:
+            self._logs.writes(Path(name))
+        behind = self._read(now_s + READING_S)
+        if not behind:
+            self._estimates.turn(self.fold, self._logs.paths)
+        state = shown(
+            self._machine.name, self.fold, self._estimates.so_far, self._logs.notes,
+            self._trouble(now_s, behind), self.phase,
+        )  # fmt: skip
+        self._wires.show(state)
+        return state
+
+    def _read(self, until_s: float) -> bool:
+        """Whether there is more."""
+        if self._stream is None:
+            self._stream = self._logs.measurements()
+        for count, measurement in enumerate(self._stream):
+            stages.take(self.fold, measurement)
+            self._measured_s = time.monotonic()
+            if not count % 64 and self._measured_s > until_s:
+                return True
+        self._stream = None
+        return False
+
+    def _trouble(self, now_s: float, behind: bool) -> str:
+        if behind:
+            return "Reading what was driven so far …"
+        quiet_s = now_s - self._measured_s
+        if quiet_s > QUIET_S:
+            return self._wires.trouble or (
+                f"Nothing of the rig has been heard for {quiet_s:.0f} s: is the bus silent? The page's tiles "
+                "show who is."
+            )
+        return ""
+
+
+def _watch(
+    args: argparse.Namespace, machine: Machine | None, wires: CalibrationWires, stack: ExitStack
+) -> tuple[bool, list[Path]]:
+    """(whether the driver has finished, the logs that count). Raises WrongUse."""
+    begun = _first_log(wires)
+    try:
+        if machine is None:
+            machine, _ = machine_in([begun])
+        logs = FollowedLogs(machine, args.logs, bus_names(args.bus, machine), begun)
+    except (LogError, ValueError) as error:
+        raise WrongUse(str(error)) from None
+    stack.callback(logs.close)
+    options = ["--machine", str(args.machine)] if args.machine is not None else []
+    for pair in args.bus:
+        options += ["--bus", pair]
+    estimates = BackgroundEstimates(options)
+    stack.callback(estimates.close)
+    live, finished = LiveCalibration(wires, logs, machine, estimates), False
+    with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
+        while True:
+            began_s = time.monotonic()
+            try:
+                state = live.turn()
+            except LogError as error:
+                raise WrongUse(str(error)) from None
+            orders = [screen.show(state), *wires.orders()]
+            if COMPUTE in orders:
+                estimates.ask()
+            if FINISH in orders or QUIT in orders:
+                finished = FINISH in orders
+                break
+            time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
+    live.phase = FINISHING if finished else STOPPED
+    live.turn()
+    return finished, logs.paths
+
+
+def _first_log(wires: CalibrationWires) -> Path:
+    """The file that the daemon writes, once something is in it."""
+    told = ""
+    while True:
+        path = Path(wires.logs[-1]) if wires.logs else None
+        if path is not None and path.exists() and opening_machine(path) is not None:
+            return path
+        why = wires.trouble or "The daemon has not recorded anything yet."
+        words = why.partition(" for ")[0]  # without the seconds
+        if words != told:
+            told = words
+            _say(f"{why} Waiting; Ctrl-C ends it")
+        time.sleep(TURN_S)
+
+
+def _say_how_to_go_on(args: argparse.Namespace, logs: list[Path]) -> None:
+    def written(*names: str) -> list[str]:
+        given = [(name, getattr(args, name)) for name in names]
+        return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
+
+    desk = written("machine", "out", "report")
+    options = [*desk, *written("config")]
+    if args.config is None:
+        options += ["--connect", args.connect] if args.connect != ENDPOINT else []
+        options += ["--prefix", args.prefix] if args.prefix != "tilth" else []
+    given = [str(path) for path in args.logs]
+    _say("stopped; nothing was changed, and what was driven is in the logs")
+    _say(f"go on: {command('calibrate', *given, '--live', *options)}")
+    if logs:
+        _say(f"or compute with what there is: {command('calibrate', *map(str, logs), *desk)}")
+
+
+def _say(text: str) -> None:
+    print(f"tilth calibrate: {text}", file=sys.stderr, flush=True)

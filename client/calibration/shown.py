@@ -1,0 +1,94 @@
+"""What a driver is shown of a live calibration, as the message that goes to the page and the terminal."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from tilth.estimator.calibration.priors import NUMBER, Sought
+from tilth.estimator.calibration.stage_words import StageProgress, happening, next_step, progress
+from tilth.estimator.calibration.stages import StageFold
+from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.spread import WITHIN, plus_minus
+
+DRIVING, FINISHING, STOPPED = "driving", "finishing", "stopped"
+ALL_DRIVEN: Final = "All stages are driven."
+ENOUGH: Final = f"{ALL_DRIVEN} Every number is known as well as is wanted: finish when you like."
+PHASE_TEXT: Final = {
+    FINISHING: "Finished. The last estimate is made now, where this was started; there it asks before a file "
+    "is changed.",
+    STOPPED: "Stopped. What was driven is kept: start it again to go on.",
+}
+LONGEST: Final = 500  # characters of a sentence
+MOST: Final = 12  # sentences
+
+
+@dataclass(slots=True)
+class ComputedSoFar:
+    """What the estimates in the background have told. answer: of `tilth calibrate --json`, {} before."""
+
+    answer: Mapping[str, Any] = field(default_factory=dict)
+    busy: bool = False
+    text: str = "Nothing has been computed yet; that begins by itself after some driving."
+
+
+def shown(
+    machine: str, fold: StageFold, computed: ComputedSoFar, notes: Sequence[str], trouble: str, phase: str
+) -> pb.CalibrationState:
+    """trouble: why nothing comes, in a sentence; "" where it does."""
+    far = progress(fold)
+    answer = computed.answer
+    state = pb.CalibrationState(
+        machine=machine, phase=phase, text=PHASE_TEXT.get(phase) or _text(fold, far, computed),
+        happening="" if phase in PHASE_TEXT else trouble or happening(fold),
+        stages=[_stage(one) for one in far], computing=computed.busy, computed=computed.text[:LONGEST],
+        found=[str(fault["text"])[:LONGEST] for fault in answer.get("faults", ())][:MOST],
+        told=[str(line)[:LONGEST] for line in answer.get("sentences", ())][:MOST],
+        notes=[note[:LONGEST] for note in notes][:MOST],
+    )  # fmt: skip
+    if answer.get("refused"):
+        state.told.append(f"No numbers yet: {answer['refused']}"[:LONGEST])
+    state.numbers.extend(_number(row) for row in answer.get("numbers", ()))
+    return state
+
+
+def _text(fold: StageFold, far: Sequence[StageProgress], computed: ComputedSoFar) -> str:
+    """What to do next, first what stages ask for, then what the numbers do."""
+    todo = next_step(fold, far)
+    if todo:
+        return todo
+    if computed.answer.get("good"):
+        return ENOUGH
+    if not computed.answer.get("numbers"):
+        return f"{ALL_DRIVEN} Wait for the numbers, or go on driving: that makes them better."
+    open_rows = [row for row in computed.answer["numbers"] if row["status"] != TOLD]
+    if not open_rows:
+        return f"{ALL_DRIVEN} Look at what the estimate says, and finish when you like."
+    first = NUMBER[open_rows[0]["name"]]
+    return f"{ALL_DRIVEN} For the {first.words}: {first.drive}. Or finish; it is listed what is not known."
+
+
+def _stage(one: StageProgress) -> pb.CalibrationStage:
+    stage = one.stage
+    return pb.CalibrationStage(
+        name=stage.name, title=stage.title, what=stage.what, why=stage.why, share=one.far.share,
+        done=one.far.done, complete=one.complete,
+    )  # fmt: skip
+
+
+def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:
+    number = NUMBER[row["name"]]
+    change = "stays as it is"
+    if row["status"] != NOT_TOLD:
+        sd = row["sd"] / number.per_unit
+        change = plus_minus(row["moved"] / number.per_unit, sd, number.unit).removesuffix(" (95 %)")
+    return pb.CalibrationNumber(
+        words=number.words, change=change, before=_half_width(number, row["prior_sd"]),
+        now=_half_width(number, row["sd"]), wanted=_half_width(number, row["wanted_sd"]),
+        status=row["status"], tell=row["tell"],
+    )  # fmt: skip
+
+
+def _half_width(number: Sought, sd: float) -> str:
+    half = WITHIN * sd / number.per_unit
+    return f"±{half:.0f} {number.unit}" if half >= 9.5 else f"±{half:.2g} {number.unit}"

@@ -1,0 +1,274 @@
+"""How far a calibration drive is, stage by stage: a fold over measurements, with nothing of the rig trusted.
+
+It takes what a wrong machine file cannot spoil: courses over ground, the line through the two receivers of
+a body (without its direction), RTK. So receivers that are exchanged on a body, a pair that is turned and a
+wheel angle that reads wrongly count like others. What it counts is added up: any order of driving gives the
+same, and a gap costs only what was under way.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.calibration.first_look import CRUISE, MOVING, SLOW, STRAIGHT
+from tilth.estimator.pose.geometry import to_plane
+from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
+from tilth.schemas.machine import Machine
+
+Array = NDArray[np.float64]
+
+MOUNTS: Final = tuple(Mount)
+TICK_NS: Final = 200_000_000  # one instant of what follows
+TICK_S: Final = TICK_NS * 1e-9
+OLD_TICKS: Final = 6  # a value that is older counts as not heard
+GAP_TICKS: Final = 10  # after this, what was under way is forgotten
+WINDOW: Final = 10  # instants: 2 s, over which courses are compared
+STANDING: Final = 0.1  # m/s
+DIRECTIONS: Final = 72  # of straight driving
+ALIKE: Final = 2  # directions to either side that belong to one line: 25 degrees together
+SIDES: Final = ("left", "right")
+ANGLES_DEG: Final = (6.0, 14.0, 22.0)  # from here on the wheels are turned a little, half, far
+STEADY: Final = math.radians(5.0)  # by which the wheels of a circle may differ within the window
+FOLDED: Final = math.radians(10.0)
+TURNING: Final = 0.03  # rad/s: a turn to a side, in weaving
+WEAVE_TICKS: Final = 40  # the next turn to the other side follows within 8 s
+WEAVE_SPEEDS: Final = (1.9, 3.3)  # m/s: slowly from the first on, quickly from the second on
+
+
+@dataclass(slots=True)
+class StageTally:
+    """What was driven, in sums."""
+
+    parked: int = 0  # instants of TICK_S
+    straight: Array = field(default_factory=lambda: np.zeros(DIRECTIONS))  # m, by course from north
+    rounds: Array = field(default_factory=lambda: np.zeros((2, 3)))  # by SIDES and ANGLES_DEG
+    swings: int = 0  # of the implement from one side to the other
+    weaved: list[int] = field(default_factory=lambda: [0, 0])  # instants, slowly and quickly
+    moving: int = 0  # instants of driving with everything heard
+    refused: dict[str, int] = field(default_factory=dict)  # why instants did not count -> how many
+
+
+class SeenNow(NamedTuple):
+    """One instant."""
+
+    tick: int
+    velocity: tuple[float, float]  # m/s north and east, of the tractor
+    turned: float  # rad, of the tractor's line against the implement's, in ±pi/2
+
+
+@dataclass(slots=True)
+class StageFold:
+    """Between measurements. Of each mount: what was heard last, and in which instant."""
+
+    wheelbase: float  # m
+    origin_deg: tuple[float, float] | None = None  # of the plane in which lines are seen
+    tick: int | None = None
+    places: dict[Mount, tuple[int, float, float]] = field(default_factory=dict)  # degrees, north and east
+    velocities: dict[Mount, tuple[int, float, float]] = field(default_factory=dict)  # m/s north and east
+    fixes: dict[Mount, tuple[int, FixType]] = field(default_factory=dict)
+    wheel_tick: int | None = None
+    window: deque[SeenNow] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    angles: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))  # rad
+    folded: int = 0  # the side on which the implement was folded last
+    turn: int = 0  # the side of the last turn
+    turn_tick: int = 0  # when it followed one to the other side
+    stood: int = 0  # instants, since it stands
+    doing: str = ""  # the stage that the last instant counts for
+    lately: str = ""  # the one that an instant counted for last
+    lately_tick: int = 0  # and when
+    trouble: str = ""  # why it does not count, in words
+    tally: StageTally = field(default_factory=StageTally)
+
+
+def initial(machine: Machine) -> StageFold:
+    """Of the file only the wheelbase is used."""
+    return StageFold(machine.tractor.a.value + machine.tractor.b.value)
+
+
+def take_all(state: StageFold, measurements: Iterable[Measurement]) -> StageFold:
+    """The same state, after these."""
+    for measurement in measurements:
+        take(state, measurement)
+    return state
+
+
+def take(state: StageFold, measurement: Measurement) -> None:
+    """Count what an instant has shown once the next one begins."""
+    tick = measurement.rx_ns // TICK_NS
+    if state.tick is None or abs(tick - state.tick) > GAP_TICKS:
+        _forget(state)
+        state.tick = tick
+    elif tick > state.tick:
+        _count(state)
+        state.tick = tick
+    if isinstance(measurement, WheelAngle):
+        state.wheel_tick = tick
+        return
+    mount = measurement.origin.mount
+    if mount is None:
+        return
+    match measurement:
+        case Position(latitude_deg=latitude, longitude_deg=longitude):
+            state.places[mount] = (tick, latitude, longitude)
+        case Velocity(course=course, speed=speed):
+            state.velocities[mount] = (tick, speed * math.cos(course), speed * math.sin(course))
+        case Fix(fix=fix):
+            state.fixes[mount] = (tick, fix)
+        case _:
+            pass
+
+
+def _forget(state: StageFold) -> None:
+    """What was under way."""
+    for heard in (state.places, state.velocities, state.fixes):
+        heard.clear()
+    state.wheel_tick = None
+    _interrupt(state)
+
+
+def _interrupt(state: StageFold) -> None:
+    state.window.clear()
+    state.angles.clear()
+    state.folded = state.turn = state.stood = 0
+
+
+def _count(state: StageFold) -> None:
+    """The instant that has ended."""
+    assert state.tick is not None
+    state.doing, state.trouble = "", _trouble(state)
+    if state.trouble:
+        refused = state.tally.refused
+        refused[state.trouble] = refused.get(state.trouble, 0) + 1
+        _interrupt(state)
+        return
+    _count_seen(state, _seen(state))
+    if state.doing:
+        state.lately, state.lately_tick = state.doing, state.tick
+
+
+def _count_seen(state: StageFold, now: SeenNow) -> None:
+    state.window.append(now)
+    speed = math.hypot(*now.velocity)
+    state.stood = state.stood + 1 if speed < STANDING else 0
+    if speed < STANDING:
+        state.tally.parked += 1
+        state.doing = "park"
+    if speed < MOVING:
+        state.angles.clear()
+        return
+    state.tally.moving += 1
+    _count_swing(state, now)
+    if len(state.window) < WINDOW:
+        return
+    rate, course = _turning(state.window)
+    state.angles.append(math.atan2(state.wheelbase * rate, speed))
+    if speed > CRUISE and abs(rate) < STRAIGHT:
+        state.tally.straight[int(course / math.tau * DIRECTIONS) % DIRECTIONS] += speed * TICK_S
+        state.doing = "straight"
+    _count_circle(state, rate, speed)
+    _count_weaving(state, rate, speed)
+
+
+def _trouble(state: StageFold) -> str:
+    """Why nothing can be learned now, "" where it can."""
+    assert state.tick is not None
+    heard = (state.places, state.velocities)
+    fresh = [all(_is_fresh(state.tick, table.get(mount)) for table in heard) for mount in MOUNTS]
+    silent = [mount.value for mount, is_fresh in zip(MOUNTS, fresh, strict=True) if not is_fresh]
+    if silent:
+        return f"not heard: {_listed(silent)}"
+    without = [
+        mount.value
+        for mount in MOUNTS
+        if mount in state.fixes and state.fixes[mount][1] is not FixType.RTK_FIXED
+    ]
+    if without:
+        return f"without RTK fix: {_listed(without)}"
+    if state.wheel_tick is None or state.tick - state.wheel_tick > OLD_TICKS:
+        return "not heard: the wheel angle"
+    return ""
+
+
+def _is_fresh(tick: int, row: tuple[int, float, float] | None) -> bool:
+    return row is not None and tick - row[0] <= OLD_TICKS
+
+
+def _listed(mounts: Iterable[str]) -> str:
+    return ", ".join(mounts).replace("_", " ")
+
+
+def _seen(state: StageFold) -> SeenNow:
+    assert state.tick is not None
+    if state.origin_deg is None:
+        state.origin_deg = state.places[MOUNTS[0]][1:]
+    at = [to_plane(state.origin_deg, *state.places[mount][1:]) for mount in MOUNTS]
+    front, rear = (state.velocities[mount][1:] for mount in MOUNTS[:2])
+    velocity = ((front[0] + rear[0]) / 2, (front[1] + rear[1]) / 2)
+    lines = [math.atan2(at[k][1] - at[k + 1][1], at[k][0] - at[k + 1][0]) for k in (0, 2)]
+    turned = (lines[0] - lines[1] + math.pi / 2) % math.pi - math.pi / 2  # whichever is in front
+    return SeenNow(state.tick, velocity, turned)
+
+
+def _turning(window: Iterable[SeenNow]) -> tuple[float, float]:
+    """(rad/s, course in rad) from the mean velocities of both halves of a full window."""
+    rows = list(window)
+    half = WINDOW // 2
+    courses, middles = [], []
+    for part in (rows[:half], rows[half:]):
+        courses.append(math.atan2(sum(row.velocity[1] for row in part), sum(row.velocity[0] for row in part)))
+        middles.append(sum(row.tick for row in part) / half)
+    apart = (courses[1] - courses[0] + math.pi) % math.tau - math.pi
+    return apart / ((middles[1] - middles[0]) * TICK_S), courses[1] % math.tau
+
+
+def _count_swing(state: StageFold, now: SeenNow) -> None:
+    if abs(now.turned) < FOLDED:
+        return
+    side = 1 if now.turned > 0 else -1
+    if state.folded == -side:
+        state.tally.swings += 1
+        state.doing = "fold"
+    state.folded = side
+
+
+def _count_circle(state: StageFold, rate: float, speed: float) -> None:
+    angles = state.angles
+    if len(angles) < WINDOW or speed > SLOW or max(angles) - min(angles) > STEADY:
+        return
+    size = math.degrees(abs(sum(angles) / WINDOW))
+    bands = [k for k, least in enumerate(ANGLES_DEG) if size >= least]
+    if bands:
+        state.tally.rounds[1 if rate > 0 else 0, bands[-1]] += abs(rate) * TICK_S / math.tau
+        state.doing = "circles"
+
+
+def _count_weaving(state: StageFold, rate: float, speed: float) -> None:
+    assert state.tick is not None
+    if abs(rate) > TURNING:
+        side = 1 if rate > 0 else -1
+        if state.turn == -side:
+            state.turn_tick = state.tick
+        elif not state.turn:
+            state.turn_tick = state.tick - WEAVE_TICKS - 1
+        state.turn = side
+    weaves = state.turn != 0 and state.tick - state.turn_tick <= WEAVE_TICKS
+    if weaves and speed >= WEAVE_SPEEDS[0]:
+        state.tally.weaved[1 if speed >= WEAVE_SPEEDS[1] else 0] += 1
+        state.doing = "weave"
+
+
+def there_and_back(tally: StageTally, wanted: float) -> tuple[float, float]:
+    """m driven straight there and back, the longer way first, on the line where most of `wanted` each way is
+    driven."""
+    there = np.zeros(DIRECTIONS)
+    for k in range(-ALIKE, ALIKE + 1):
+        there += np.roll(tally.straight, k)
+    back = np.roll(there, DIRECTIONS // 2)
+    best = int(np.argmax(np.minimum(there, wanted) + np.minimum(back, wanted)))
+    ways = float(there[best]), float(back[best])
+    return max(ways), min(ways)

@@ -1,0 +1,217 @@
+"""The logs of one rig while a daemon writes the last of them: frames as soon as they are on the disk.
+
+What calibration needs is not on Zenoh: there are poses, which are made with the very file that is to be found
+wrong. The log holds each frame, also those of before somebody began to watch, and outlives whoever watches.
+"""
+
+import io
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Metadata
+
+from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, body_of, unpacked, walk
+from tilth.logger.log.runs import stored_runs
+from tilth.replay.readers.any_log import open_log
+from tilth.replay.readers.log import EmptyLog, OpenLog
+from tilth.replay.readers.mcap_reader import MACHINE, Channels
+from tilth.replay.readers.rig import on_buses_of
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Frame, Measurement
+from tilth.schemas.machine import Machine
+
+RECENT_NS: Final = 12 * 3600 * 1_000_000_000  # a run that began so long before the present one counts
+_FRAMES: Final = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+
+
+@dataclass(slots=True)
+class _Followed:
+    """A file that counts, and what it is called now."""
+
+    path: Path
+    log: "GrowingLog"
+
+
+class GrowingLog:
+    """One of Tilth's own files. It may be given another name meanwhile; it stays open."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError."""
+        self._file = path.open("rb")
+        self._log = OpenLog(path, "MCAP", self._file, 0)
+        self._channels = Channels(self._log)
+        self._at = len(MAGIC)
+        self.finished = False
+
+    @property
+    def skipped(self) -> dict[str, int]:
+        """What could not be read, and how often."""
+        return dict(self._log.skipped)
+
+    def frames(self) -> Iterator[Frame]:
+        """Those that have been written since the last call."""
+        if self.finished:
+            return
+        size = os.fstat(self._file.fileno()).st_size
+        for place in walk(self._file, size, self._at) if size > self._at else ():
+            self._at = place.end
+            if place.opcode == Opcode.FOOTER:
+                self.finished = True
+                self._file.close()
+                return
+            if place.opcode not in _FRAMES:
+                continue
+            body = body_of(self._file, place)
+            try:
+                data = (
+                    unpacked(body)
+                    if place.opcode == Opcode.CHUNK
+                    else HEAD.pack(place.opcode, len(body)) + body
+                )
+                found = self._channels.records(data)
+            except DAMAGE:
+                self._log.skip("damaged_chunk")
+                continue
+            yield from (record for record in found if isinstance(record, Frame))
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def opening_machine(path: Path) -> str | None:
+    """The text of the machine file at the beginning of a log of Tilth's; None where it is not there, or not
+    yet. Raises OSError."""
+    with path.open("rb") as file:
+        for place in walk(file, path.stat().st_size):
+            if place.opcode == Opcode.CHUNK:
+                return None
+            if place.opcode == Opcode.METADATA:
+                record = Metadata.read(ReadDataStream(io.BytesIO(body_of(file, place))))
+                if record.name == MACHINE:
+                    text: str | None = record.metadata.get("toml")
+                    return text
+    return None
+
+
+class FollowedLogs:
+    """Which logs count, and what is measured in them, each file once and in order.
+
+    Those of the run that the daemon writes, of later ones, and of runs that began up to RECENT_NS before it;
+    all with the daemon's machine file. `notes` says in sentences what does not count.
+    """
+
+    def __init__(
+        self, machine: Machine, given: Sequence[Path], buses: Mapping[str, str], begun: Path
+    ) -> None:
+        """given: logs of earlier driving, of any kind. begun: the file that the daemon writes.
+
+        Raises LogError where it holds no machine file yet, OSError.
+        """
+        text = opening_machine(begun)
+        if text is None:
+            raise EmptyLog(f"{begun}: nothing is in it yet; begin once the daemon records")
+        self.notes: list[str] = []
+        self._machine, self._text, self._buses = machine, text, buses
+        self._decoder = Decoder(machine)
+        self._begun_ns: dict[Path, int] = {}  # by folder
+        self._files: dict[tuple[int, int], _Followed] = {}  # by device and inode: names change
+        self._looked: set[tuple[int, int]] = set()
+        self._names: set[Path] = set()
+        self._given: list[Path] = []
+        self.writes(begun)
+        self._given = [path for path in given if _key(path) not in self._files]
+        self._earlier = list(self._given)  # not read yet
+
+    @property
+    def paths(self) -> list[Path]:
+        """Of the logs that count, as they are called now."""
+        return [*self._given, *(one.path for one in self._files.values())]
+
+    def writes(self, path: Path) -> None:
+        """The daemon has named a file that it writes: its folder is looked through again."""
+        if path in self._names or not path.exists():
+            return
+        self._names.add(path)
+        folder = path.parent
+        runs = stored_runs(folder)
+        begun = next((run for run in runs if path in run.files), None)
+        if begun is None:  # somebody gave it another name
+            self._look(path)
+            return
+        first_ns = self._begun_ns.setdefault(folder, begun.started_ns)
+        for run in runs:
+            if run.started_ns >= first_ns - RECENT_NS or run is begun:
+                for one in run.files:
+                    self._look(one)
+
+    def rescan(self) -> None:
+        """Take up parts that have been begun, and new names, in folders that are known."""
+        for folder, first_ns in self._begun_ns.items():
+            for run in stored_runs(folder):
+                if run.started_ns >= first_ns - RECENT_NS:
+                    for one in run.files:
+                        self._look(one)
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Those that have come since the last call. Raises LogError, of logs that were given."""
+        while self._earlier:
+            yield from self._of_given(self._earlier.pop(0))
+        for one in list(self._files.values()):
+            for frame in one.log.frames():
+                yield from self._decoder.measurements(frame)
+
+    def close(self) -> None:
+        for one in self._files.values():
+            one.log.close()
+
+    def _of_given(self, path: Path) -> Iterator[Measurement]:
+        log = open_log(path)
+        with log.file:
+            for record in on_buses_of(self._machine, log, self._buses, self.notes.append):
+                if isinstance(record, Frame):
+                    yield from self._decoder.measurements(record)
+
+    def _look(self, path: Path) -> None:
+        """Whether a file counts; said once where it does not."""
+        try:
+            key = _key(path)
+            if key in self._files:
+                self._files[key].path = path
+                return
+            if key in self._looked or any(path.samefile(one) for one in self._given):
+                return
+            text = opening_machine(path)
+            if text is None:
+                return  # not yet
+            self._looked.add(key)
+            if text == self._text:
+                self._files[key] = _Followed(path, GrowingLog(path))
+            else:
+                self.notes.append(_other(path, text, self._machine))
+        except OSError:
+            return  # removed or renamed meanwhile: it is found again by its new name
+
+
+def _key(path: Path) -> tuple[int, int]:
+    """Raises OSError."""
+    found = path.stat()
+    return found.st_dev, found.st_ino
+
+
+def _other(path: Path, text: str, machine: Machine) -> str:
+    try:
+        name = str(tomllib.loads(text)["machine"]["name"])
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        name = ""
+    if name and name != machine.name:
+        return f"{path.name} does not count: it is of another rig, {name}."
+    return (
+        f"{path.name} does not count: it was written with another machine file. To go on with that one, "
+        "start this command anew."
+    )
