@@ -15,8 +15,9 @@ _RECEIVER: Final = (
 )  # fmt: skip
 _WHEEL: Final = (
     "byte_order", "start_byte", "bits", "signed", "scale", "offset", "sign", "lookup", "zero", "gain",
+    "kingpin", "curve",
 )  # fmt: skip
-_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd")
+_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd", "kingpin_distance")
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 
