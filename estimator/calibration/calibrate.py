@@ -34,6 +34,8 @@ Progress = Callable[[str, float], None]  # what is done, share of all
 
 LOOKS: Final = 3  # rounds of the first look
 MOST_FITS: Final = 3  # each about the file that the one before gives
+STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
+"""At most, of each fit: with noise levels, and with these held."""
 STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
 LEAST_DRIVEN_S: Final = 60.0
 
@@ -72,7 +74,9 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         moved = _moved(machine, changes)
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
-        fit = joint.fit(followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k))
+        fit = joint.fit(
+            followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k), *STEPS[k]
+        )
         changes = _taken(machine, changes, fit)
         changes = _with_aside(machine, drive, changes, found_rolls)
         size = _largest(fit)
