@@ -21,7 +21,7 @@ from tilth.estimator.calibration.first_look import Pairs, Straightness
 from tilth.estimator.calibration.joint import JointFit
 from tilth.estimator.calibration.records import FollowedRecords, follow
 from tilth.estimator.calibration.refusals import CannotCalibrate as CannotCalibrate
-from tilth.estimator.calibration.refusals import check_heard, check_records, check_turned
+from tilth.estimator.calibration.refusals import check_receivers, check_records, check_turned, check_wheel
 from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -103,6 +103,30 @@ def look(machine: Machine, measurements: Sequence[Measurement]) -> list[RigFault
 
 
 @dataclass(frozen=True, slots=True)
+class TractorMotion:
+    """How the tractor moves, by its receivers alone: n instants, drive.STEP_S apart."""
+
+    t_ns: NDArray[np.int64]  # on the clock of Frame.rx_ns, as far as the file's latencies are right
+    speed: Array  # m/s, of the middle of its receivers, not a number where it is not known
+    yaw_rate: Array  # rad/s
+    wheelbase: float  # m
+
+
+def tractor_motion(machine: Machine, measurements: Sequence[Measurement]) -> TractorMotion:
+    """For who looks for the wheel angle. Raises CannotCalibrate."""
+    heard = drives.MeasuredLists()
+    for measurement in measurements:
+        drives.take(heard, measurement)
+    check_receivers(machine, heard)
+    drive = drives.drive_of(heard, machine)
+    changes = Changes(who=standing(drive, machine).who)
+    view = _view(applied(machine, changes), _placed(drive, changes), changes, None)
+    t_ns = (heard.first_ns or 0) + np.round(drive.t * 1e9).astype(np.int64)
+    base = machine.tractor.a.value + machine.tractor.b.value
+    return TractorMotion(t_ns, view.along[:, 0], view.rate[:, 0], base)
+
+
+@dataclass(frozen=True, slots=True)
 class _Looked:
     """What the first look gives."""
 
@@ -120,7 +144,8 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
     heard = drives.MeasuredLists()
     for measurement in measurements:
         drives.take(heard, measurement)
-    check_heard(machine, heard)
+    check_receivers(machine, heard)
+    check_wheel(heard)
     drive = drives.drive_of(heard, machine)
     changes, faults, view, found_rolls = _first_look(machine, drive)
     changes, curve_sd = _with_linkage(machine, drive, changes, view, found_rolls)

@@ -24,7 +24,7 @@ class CannotCalibrate(Exception):
         self.faults = tuple(faults)
 
 
-def check_heard(machine: Machine, heard: drives.MeasuredLists) -> None:
+def check_receivers(machine: Machine, heard: drives.MeasuredLists) -> None:
     missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
     names = {r.mount for r in machine.receiver}
     if len(names) < 4:
@@ -37,12 +37,6 @@ def check_heard(machine: Machine, heard: drives.MeasuredLists) -> None:
             f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine "
             "file names other devices; `tilth discover LOG` lists who is there"
         )
-    if len(heard.wheel) < 2:
-        text = (
-            "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
-            "`tilth discover LOG` lists candidates"
-        )
-        raise CannotCalibrate(text, [RigFault(finding.WHEEL_UNREAD, "wheel_angle", text)])
     without = [
         mount.value for k, mount in enumerate(MOUNTS) if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
     ]
@@ -51,6 +45,16 @@ def check_heard(machine: Machine, heard: drives.MeasuredLists) -> None:
             f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: "
             "check the correction service and drive again"
         )
+
+
+def check_wheel(heard: drives.MeasuredLists) -> None:
+    """Raises CannotCalibrate."""
+    if len(heard.wheel) < 2:
+        text = (
+            "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
+            "`tilth discover LOG` lists candidates"
+        )
+        raise CannotCalibrate(text, [RigFault(finding.WHEEL_UNREAD, "wheel_angle", text)])
 
 
 def _fixed_share(fixes: dict[FixType, int]) -> float:
