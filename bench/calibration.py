@@ -1,13 +1,18 @@
 """How well `tilth calibrate` does on wrong rigs: numbers within their sds, sds, structural faults, soil.
 
-    python bench/calibration.py [--plant planar spatial] [--logs 4] [--rigs 10] [--faults 10] [--first 0]
+    python bench/calibration.py [--plant planar spatial] [--logs 7] [--rigs 10] [--faults 10] [--first 0]
+        [--keep DONE.jsonl] [--minutes 600]
+    python bench/calibration.py soil --keep DONE.jsonl
 
 Logs of examples/scenarios/calibration_drive.toml, of rigs that differ, are made once and kept in
 ~/.cache/tilth/calibration. A wrong rig is a wrong machine file: the log is of the right one. Each is
-printed as soon as it is there; the table of the issue comes at the end.
+printed as soon as it is there; the table of the issue comes at the end. What is done is kept in DONE.jsonl,
+a line each, and not done again. soil: what `pem` finds on another drive of these rigs by the calibrated files
+of DONE.jsonl, against what it finds by a file that is right.
 """
 
 import argparse
+import itertools
 import json
 import math
 import pickle
@@ -24,9 +29,11 @@ from numpy.typing import NDArray
 
 from tilth.analysis.calibration.run import look_at_logs
 from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
-from tilth.estimator.calibration.changes import Changes, applied, heard_after
+from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.linkage import KINGPIN
 from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import TOLD, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder
@@ -42,12 +49,13 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 JITTER_S: Final = 0.0015  # mean, of the simulated receivers' link
 STRUCTURE: Final = (
     "none", "reversed_tractor", "reversed_implement", "bodies", "wheel_sign", "yaw_rate_sign", "roll_sign",
-    "roll_corrected", "byte_order", "scale",
+    "roll_corrected", "byte_order", "scale", "kingpin",
 )  # fmt: skip
 FOUND_AS: Final = {
     "reversed_tractor": "reversed_pair", "reversed_implement": "reversed_pair", "bodies": "swapped",
     "wheel_sign": "wheel_sign", "yaw_rate_sign": "yaw_rate_sign", "roll_sign": "roll_sign",
     "roll_corrected": "roll_corrected", "byte_order": "wheel_byte_order", "scale": "wheel_scale",
+    "kingpin": KINGPIN,
 }  # fmt: skip
 
 
@@ -101,6 +109,7 @@ def wrong_rig(rng: np.random.Generator) -> Changes:
         wheel_zero=math.radians(rng.uniform(-5.0, 5.0)),
         wheel_gain=math.exp(rng.uniform(-0.15, 0.15)),
         roll_zero=np.radians(rng.uniform(-3.0, 3.0, 4)),
+        linkage=Linkage(curve=rng.uniform(-0.1, 0.1)),
     )
 
 
@@ -115,6 +124,9 @@ def structural(kind: str, rng: np.random.Generator) -> Changes:
         return replace(changes, who=(0, 1, 3, 2))
     if kind == "bodies":
         return replace(changes, who=[(2, 1, 0, 3), (2, 3, 0, 1), (0, 3, 2, 1), (3, 1, 2, 0)][one])
+    if kind == "kingpin":
+        place = ("left", "right")[one % 2]
+        return replace(changes, linkage=linkage_of(packaged()[0], place))
     if kind == "wheel_sign":
         return replace(changes, wheel_sign=-1)
     if kind == "yaw_rate_sign":
@@ -147,6 +159,7 @@ def true_numbers(truth: dict[str, Any], machine: Machine) -> dict[str, float]:
         "d": rig["d"] + rig["e"],
         "wheel_zero": told["wheel_zero"],
         "wheel_gain": math.log(told["wheel_gain"]),
+        "wheel_curve": 0.0,
         "latency": float(np.mean(late)) + JITTER_S,
         **{f"roll_zero_{mount.value}": told[f"roll_zero_{mount.value}"] for mount in MOUNTS},
     }
@@ -164,6 +177,7 @@ def file_numbers(machine: Machine, right: Machine) -> dict[str, float]:
         "d": machine.implement.d.value + machine.implement.e.value,
         "wheel_zero": math.radians(wheel.zero.value) / ratio,
         "wheel_gain": -math.log(abs(ratio)),
+        "wheel_curve": wheel.curve.value,
         "latency": float(np.mean([r.latency.value for r in machine.receiver])),
         **{
             f"roll_zero_{r.mount.value}": math.radians(r.roll_zero.value if r.roll_zero else 0.0)
@@ -196,28 +210,61 @@ def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, di
     return found, judged, errors
 
 
-def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int]) -> None:
+class KeptLines:
+    """What is done, in a file of JSON lines, so that it can be interrupted and gone on with."""
+
+    def __init__(self, path: Path, minutes: float) -> None:
+        self._path, self._end = path, time.monotonic() + 60.0 * minutes
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        self.lines: dict[tuple[Any, ...], dict[str, Any]] = {}
+        for key, value in map(json.loads, lines):
+            self.lines[tuple(key)] = value
+
+    def of(self, *key: Any) -> dict[str, Any] | None:
+        return self.lines.get(key)
+
+    def late(self) -> bool:
+        """Whether nothing new is to be begun."""
+        return time.monotonic() > self._end
+
+    def add(self, what: str, plant: str, log: int, rig: int | str, value: dict[str, Any]) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps([[what, plant, log, rig], value]) + "\n")
+        self.lines[what, plant, log, rig] = value
+
+
+def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLines) -> None:
     """Shares within 2 published sds and median sds; each rig on a log of its own as far as there are."""
     errors: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for rig in rigs:
-        for plant in plants:
-            began = time.perf_counter()
+    for rig, plant in itertools.product(rigs, plants):
+        line = kept.of("numbers", plant, rig % logs + 1, rig)
+        if line is None and kept.late():
+            break
+        if line is None:
+            began = time.process_time()
             try:
                 found, judged, mine = one_rig(plant, rig % logs + 1, rig)
             except CannotCalibrate as error:
                 print(f"{plant} rig {rig}: refused: {error}", flush=True)
                 continue
-            off = {name: f"{error / sd:.1f}" for name, (error, sd) in mine.items()}
-            kinds = [fault.kind for fault in found.faults]
-            print(
-                f"{plant} log {rig % logs + 1} rig {rig}: {time.perf_counter() - began:.0f} s, "
-                f"{sum(one.status == TOLD for one in judged.told)} told, halves p {judged.p:.2g}, "
-                f"innovations {found.fit.residual:.2f}, settled {found.fit.settled}, {kinds}, off {off}",
-                flush=True,
-            )
-            for name, pair in mine.items():
-                errors[name].append(pair)
-                errors[f"{plant} {name}"].append(pair)
+            line = {
+                "seconds": time.process_time() - began, "p": judged.p, "errors": mine,
+                "told": sum(one.status == TOLD for one in judged.told), "innovations": found.fit.residual,
+                "settled": found.fit.settled, "faults": [fault.kind for fault in found.faults],
+                "machine": told_machine(found.machine, found, judged).model_dump(mode="json"),
+            }  # fmt: skip
+            kept.add("numbers", plant, rig % logs + 1, rig, line)
+        off = {name: f"{error / sd:.1f}" for name, (error, sd) in line["errors"].items()}
+        print(
+            f"{plant} log {rig % logs + 1} rig {rig}: {line['seconds']:.0f} s, {line['told']} told, halves p "
+            f"{line['p']:.2g}, innovations {line['innovations']:.2f}, settled {line['settled']}, "
+            f"{line['faults']}, off {off}",
+            flush=True,
+        )
+        for name, pair in line["errors"].items():
+            errors[name].append(pair)
+            errors[f"{plant} {name}"].append(pair)
     _table(errors)
 
 
@@ -243,15 +290,21 @@ def _table(errors: dict[str, list[tuple[float, float]]]) -> None:
         print(f"pooled: {np.mean(np.abs(every) <= 2):.1%} of {len(every)}")
 
 
-def faults(plants: Sequence[str], logs: int, count: int) -> None:
+def faults(plants: Sequence[str], logs: int, count: int, kept: KeptLines) -> None:
     """How often each structural fault is found, and what is found beside it."""
     right, _ = packaged()
     for kind in STRUCTURE:
         hits, other, of = 0, list[str](), 0
         for plant in plants:
             for k in range(count):
-                path, measurements, _ = log_of(plant, k % logs + 1)
-                kinds = set(_kinds(kind, k, right, path, measurements))
+                line = kept.of(kind, plant, k % logs + 1, k)
+                if line is None and kept.late():
+                    continue
+                if line is None:
+                    path, measurements, _ = log_of(plant, k % logs + 1)
+                    line = {"kinds": sorted(set(_kinds(kind, k, right, path, measurements)))}
+                    kept.add(kind, plant, k % logs + 1, k, line)
+                kinds = set(line["kinds"])
                 wanted = FOUND_AS.get(kind)
                 of += 1
                 hits += wanted in kinds if wanted else not kinds
@@ -281,16 +334,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("what", nargs="?", choices=("numbers", "soil"), default="numbers")
     parser.add_argument("--plant", nargs="+", default=["planar", "spatial"])
-    parser.add_argument("--logs", type=int, default=4)
+    parser.add_argument("--logs", type=int, default=7)
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the rig to begin with")
     parser.add_argument("--faults", type=int, default=10)
+    parser.add_argument("--keep", type=Path, default=CACHE / "done.jsonl", help="file of what is done")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="after which nothing new is begun")
     args = parser.parse_args()
+    kept = KeptLines(args.keep, args.minutes)
     if args.faults:
-        faults(args.plant, args.logs, args.faults)
+        faults(args.plant, args.logs, args.faults, kept)
     if args.rigs:
-        numbers(args.plant, args.logs, range(args.first, args.first + args.rigs))
+        numbers(args.plant, args.logs, range(args.first, args.first + args.rigs), kept)
 
 
 if __name__ == "__main__":

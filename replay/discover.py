@@ -10,7 +10,7 @@ from typing import Final
 from tilth.logger.can.buses import Buses, Report
 from tilth.logger.clock import Clock
 from tilth.replay.turn_rates import TurnRates
-from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates
+from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates, may_hold_it
 from tilth.schemas.can_id import NULL_ADDRESS, split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import name_parts, name_words
@@ -18,11 +18,9 @@ from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Bus
 from tilth.schemas.messages import PGNS
 from tilth.schemas.pgn_titles import title_of
-from tilth.schemas.wheel_angle import RUDDER
 
 CLAIM: Final = 60928
 MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
-_TABLE: Final = frozenset(known.pgn for known in PGNS)
 _SELECTED: Final = frozenset(known.pgn for known in PGNS if known.selector is not None)
 _FAST: Final = frozenset(known.pgn for known in PGNS if known.fast)
 _POSITIONS: Final = frozenset(known.pgn for known in PGNS if "latitude_deg" in known.words)
@@ -178,7 +176,7 @@ class BusSurvey:
                 )
                 times.count += 1
                 times.last_ns = frame.rx_ns
-        if pgn in _TABLE and pgn not in _SELECTED and pgn != RUDDER:
+        if not may_hold_it(frame.can_id, frame.extended):
             return
         key = (frame.bus, frame.can_id, frame.extended)
         identifier = self._identifiers.setdefault(key, _Identifier())

@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.schemas.can_id import split
-from tilth.schemas.messages import row
+from tilth.schemas.messages import PGNS, row
 from tilth.schemas.wheel_angle import RUDDER
 
+HAND_WHEEL: Final = 61469  # SAE J1939: the angle of the driver's wheel
+_TABLE: Final = frozenset(known.pgn for known in PGNS) | {HAND_WHEEL}
+_SELECTED: Final = frozenset(known.pgn for known in PGNS if known.selector is not None)
 PROPRIETARY: Final = frozenset((61184, 126720, *range(65280, 65536)))
 FEWEST_SAMPLES: Final = 40
 SLOWEST_HZ: Final = 5.0
@@ -24,6 +27,12 @@ NO_DATA: Final = (0x7FFF, 0xFFFF)
 Words = NDArray[np.int64]
 Series = Sequence[tuple[int, float]]
 """(ns, value), ascending"""
+
+
+def may_hold_it(can_id: int, extended: bool) -> bool:
+    """Whether a message may hold the wheel angle: it is not known to hold something else."""
+    pgn = split(can_id).pgn if extended else None
+    return pgn not in _TABLE or pgn in _SELECTED or pgn == RUDDER
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +77,11 @@ def candidates(
     if len(data) < FEWEST_SAMPLES or len({len(d) for d in data}) != 1:
         return
     times = np.array(times_ns, np.int64)
-    for start_byte, byte_order, words in _words(data, extended and split(can_id).pgn == RUDDER):
+    for start_byte, byte_order, words in words_of(data, extended and split(can_id).pgn == RUDDER):
         good = ~np.isin(words, NO_DATA)
         if np.count_nonzero(good) < 0.9 * len(words):
             continue
-        signed, values = _with_sign(words[good])
+        signed, values = with_sign(words[good])
         smoothness = _smoothness(values)
         if smoothness is not None:
             yield WheelCandidate(
@@ -81,7 +90,7 @@ def candidates(
             )  # fmt: skip
 
 
-def _words(data: Sequence[bytes], rudder: bool) -> Iterator[tuple[int, str, Words]]:
+def words_of(data: Sequence[bytes], rudder: bool) -> Iterator[tuple[int, str, Words]]:
     """(first byte, byte order, words): at every place, of a rudder message at its own."""
     octets = np.frombuffer(b"".join(data), np.uint8).reshape(len(data), -1).astype(np.int64)
     if rudder:
@@ -96,10 +105,11 @@ def _words(data: Sequence[bytes], rudder: bool) -> Iterator[tuple[int, str, Word
             yield place, "big", first << 8 | second
 
 
-def _with_sign(words: Words) -> tuple[bool, Words]:
+def with_sign(words: Words, bits: int = 16) -> tuple[bool, Words]:
     """Signed where the word steps across the top: (whether, values)."""
-    signed = bool(np.any(np.abs(np.diff(words)) > 0x8000))
-    return signed, np.where(words >= 0x8000, words - 0x10000, words) if signed else words
+    half = 1 << bits - 1
+    signed = bool(np.any(np.abs(np.diff(words)) > half))
+    return signed, np.where(words >= half, words - 2 * half, words) if signed else words
 
 
 def _smoothness(values: Words) -> float | None:

@@ -81,6 +81,8 @@ LIMITS: Final[Mapping[str, KeyLimits]] = {
     "wheel_angle.zero": KeyLimits(-360.0, 360.0, (-15.0, 15.0), "deg"),
     "wheel_angle.zero.sd": _spread(20.0, "deg"),
     "wheel_angle.gain": KeyLimits(0.5, 2.0, (0.7, 1.4), "1"),
+    "wheel_angle.curve": KeyLimits(-0.3, 0.3, (-0.15, 0.15), "1"),  # up to 0.3 it is one to one within 90 deg
+    "wheel_angle.curve.sd": _spread(0.3, "1"),
     "wheel_angle.sd": KeyLimits(5e-4, 3.0, (0.003, 2.0), "deg"),
     "wheel_angle.delay": KeyLimits(0.0, 2.0, (0.0, 0.3), "s"),
 }

@@ -207,6 +207,10 @@ class WheelAngle(_Section):
     kingpin: Literal["mean", "left", "right"] = Field(
         default="mean", description="which wheel carries the sensor"
     )
+    curve: Annotated[Quantity, _quantity()] = Field(
+        default=Quantity(value=0.0),
+        description="curvature of its linkage, 1/rad: of a reading x less zero the wheel has x + curve x^2",
+    )
     zero: Annotated[Quantity, _quantity(0.5)] = Field(
         default=Quantity(value=0.0, sd=0.5), description="the reading when straight, after sign, deg"
     )

@@ -1,7 +1,8 @@
 """The wheel-angle sensor that the machine file describes: a row, a signal of a DBC file, or PGN 127245.
 
     reading = raw * scale + offset          degrees
-    angle   = sign * lookup(reading) - zero, turned to the mean of the axle
+    x       = sign * lookup(reading) - zero
+    angle   = x + curve * x^2, turned to the mean of the axle
 
 The mean is the wheel in the middle of an Ackermann axle (kingpin distance w, wheelbase L), from its turning
 circle: cot(mean) = cot(left) - w / 2L = cot(right) + w / 2L, right turns positive.
@@ -71,6 +72,7 @@ class WheelAngleSensor:
     ackermann: (
         float  # w / 2L, positive for a sensor on the left kingpin, negative on the right, 0 for the mean
     )
+    curve: float  # 1/rad, of the linkage
     sd: float  # rad
     instance: int | None = None  # byte 0 of PGN 127245
 
@@ -102,14 +104,15 @@ class WheelAngleSensor:
         angle = (self.sign * reading - self.zero) * DEG
         if not -math.pi / 2 < angle < math.pi / 2:
             return "out_of_range"
-        return _to_mean(angle, self.ackermann)
+        return linkage_angle(angle, self.curve, self.ackermann)
 
     def data(self, angle: float) -> bytes:
         """Data of a frame that says this mean road-wheel angle (rad), at least eight bytes long.
 
         Raises ValueError where it does not fit.
         """
-        reading: float | None = (_to_mean(angle, -self.ackermann) / DEG + self.zero) * self.sign
+        turned = linkage_reading(angle, self.curve, self.ackermann)
+        reading: float | None = (turned / DEG + self.zero) * self.sign
         if self.lookup and reading is not None:
             reading = _between(tuple(sorted((there, here) for here, there in self.lookup)), reading)
         raw = None if reading is None else round((reading - self.offset) / self.scale)
@@ -153,7 +156,8 @@ def _sensor(
         tuple(given.lookup or ()),
         given.sign,
         given.zero.value,
-        _ackermann(machine),
+        ackermann_of(machine),
+        given.curve.value,
         given.sd * DEG,
     )
 
@@ -170,7 +174,8 @@ def _no_data(given: int | Sequence[int] | None) -> tuple[int, int]:
     return given[0], given[1]
 
 
-def _ackermann(machine: Machine) -> float:
+def ackermann_of(machine: Machine) -> float:
+    """w / 2L of the kingpin that carries the sensor, as WheelAngleSensor.ackermann."""
     side = {"mean": 0, "left": 1, "right": -1}[machine.wheel_angle.kingpin]
     distance = machine.tractor.kingpin_distance or 0.0
     return side * distance / (2.0 * (machine.tractor.a.value + machine.tractor.b.value))
@@ -246,6 +251,18 @@ def _between(points: Points, x: float) -> float | None:
         if x0 <= x <= x1:
             return y0 + (y1 - y0) * (x - x0) / (x1 - x0)
     return None
+
+
+def linkage_angle(x: float, curve: float, ackermann: float) -> float:
+    """Mean road-wheel angle, rad, where the sensor reads x, rad, more than when straight."""
+    return _to_mean(x + curve * x * x, ackermann)
+
+
+def linkage_reading(angle: float, curve: float, ackermann: float) -> float:
+    """The inverse of linkage_angle."""
+    turned = _to_mean(angle, -ackermann)
+    # The root next to 0, written so that no curvature is no special case.
+    return 2.0 * turned / (1.0 + math.sqrt(max(1.0 + 4.0 * curve * turned, 0.0)))
 
 
 def _to_mean(angle: float, ackermann: float) -> float:

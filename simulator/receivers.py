@@ -18,7 +18,7 @@ from tilth.schemas.flow import FixType, Mount
 from tilth.schemas.machine import Machine, Receiver
 from tilth.simulator import noise as streams
 from tilth.simulator.noise import Array, gauss_markov, generator
-from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.scenario import STEP_S, Scenario, Wheel
 from tilth.simulator.tractor import BodyTrack, Setting, Truth, leaning, rate
 
 ORIGIN_DEG: Final = (42.0267, -93.6465)
@@ -158,13 +158,33 @@ class WheelSensor:
             0.0, WHEEL, len(run.time)
         )
         self._passed: float | None = None
+        self._wheel, self._base = run.scenario.wheel, run.rig.a + run.rig.b
 
     def readings(self, angle: Array, first: int) -> Array:
         """At the samples from `first` on, in the order of time: rad, shape (m,). angle: the wheels', (m,)."""
         moved = _with_play(angle, self._play, angle[0] if self._passed is None else self._passed)
         self._passed = float(moved[-1])
         noise = self._noise[first : first + len(angle)]
-        return np.asarray(self._told["wheel_gain"] * moved + self._told["wheel_zero"] + noise)
+        shown = _by_the_linkage(_of_the_kingpin(moved, self._wheel, self._base), self._wheel.curve)
+        return np.asarray(self._told["wheel_gain"] * shown + self._told["wheel_zero"] + noise)
+
+
+def _of_the_kingpin(mean: Array, wheel: Wheel, base: float) -> Array:
+    """Angle of the wheel that carries the sensor: both turn about one point beside the rear axle."""
+    if wheel.kingpin == "mean":
+        return mean
+    further = (0.5 if wheel.kingpin == "left" else -0.5) * wheel.kingpin_distance
+    bent = np.abs(mean) > 1e-9
+    radius = base / np.tan(np.where(bent, mean, 1.0))  # m, to the right, from the middle
+    return np.asarray(np.where(bent, np.arctan(base / (radius + further)), mean))
+
+
+def _by_the_linkage(angle: Array, curve: float) -> Array:
+    """Reading x of a wheel at x + curve x^2, by Newton's steps."""
+    x: Array = angle.copy()
+    for _ in range(12 if curve else 0):
+        x = x - (x + curve * x**2 - angle) / (1.0 + 2.0 * curve * x)
+    return x
 
 
 def wheel_readings(truth: Truth) -> Array:

@@ -263,6 +263,9 @@ class Wheel:
     gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     dead_band_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # play: from the right to the left flank
     delay: Annotated[float, Field(ge=0, le=1)] = 0.0  # s, beyond the machine file's
+    kingpin: Literal["mean", "left", "right"] = "mean"  # wheel that carries it, where the file says mean
+    kingpin_distance: Track = 1.7  # m
+    curve: Annotated[float, Field(ge=-0.3, le=0.3)] = 0.0  # 1/rad: wheel angle = reading + curve reading^2
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

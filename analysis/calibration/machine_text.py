@@ -14,9 +14,12 @@ _RECEIVER: Final = (
     "mount", "position", "survey_sd", "latency", "roll_zero", "roll_sign", "yaw_rate_sign", "roll_corrected",
 )  # fmt: skip
 _WHEEL: Final = (
+    "bus", "id", "mask", "extended", "dbc", "signal", "pgn", "source", "instance", "not_available",
     "byte_order", "start_byte", "bits", "signed", "scale", "offset", "sign", "lookup", "zero", "gain",
+    "kingpin", "curve",
 )  # fmt: skip
-_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd")
+_HEXADECIMAL: Final = ("id", "mask", "not_available")
+_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd", "kingpin_distance")
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 
@@ -33,8 +36,10 @@ def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, s
         there = by_mount[places[receiver.mount.value]]
         _section(block, receiver, there, _RECEIVER, note)
     wheel: Any = document["wheel_angle"]
-    if "start_bit" in wheel and before.wheel_angle.start_bit != after.wheel_angle.start_bit:
-        wheel.remove("start_bit")
+    for key in ("start_bit", *_WHEEL):
+        was = getattr(before.wheel_angle, key)
+        if key in wheel and was is not None and getattr(after.wheel_angle, key) is None:
+            wheel.remove(key)
     _section(wheel, before.wheel_angle, after.wheel_angle, _WHEEL, note)
     return tomlkit.dumps(document)
 
@@ -42,16 +47,17 @@ def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, s
 def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: str) -> None:
     for key in keys:
         old, new = getattr(before, key), getattr(after, key)
-        if _plain(old, key) == _plain(new, key):
+        if _plain(old, key) == _plain(new, key) or new is None:
             continue
-        said = f"{note}; was {_words(_plain(old, key))}" if key in table else note
+        was = f"0x{old:X}" if key in _HEXADECIMAL and old is not None else _words(_plain(old, key))
+        said = f"{note}; was {was}" if key in table else note
         _put(table, key, _plain(new, key), said)
 
 
 def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
     known = table.get(key)
     comment = known.trivia.comment.lstrip("# ") if isinstance(known, Item) and known.trivia.comment else ""
-    table[key] = _item(value)
+    table[key] = _hexadecimal(value) if key in _HEXADECIMAL else _item(value)
     item: Any = table[key]
     item.comment(f"{said}; {comment}" if comment else said)
 
@@ -63,6 +69,11 @@ def _item(value: Any) -> Item:
         return inline
     made: Item = tomlkit.item(value)
     return made
+
+
+def _hexadecimal(value: int) -> Item:
+    item: Item = tomlkit.value(f"0x{value:X}")
+    return item
 
 
 def _plain(value: Any, key: str) -> Any:

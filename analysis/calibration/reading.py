@@ -1,4 +1,4 @@
-"""The measurements of a drive from logs, by a machine file; its wheel angle where that is read wrongly."""
+"""The measurements of a drive from logs by a machine file, and the messages that may hold the wheel angle."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,13 +8,12 @@ from typing import Final
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog
 from tilth.replay.readers.rig import Say, on_buses_of
-from tilth.replay.wheel_search import WheelCandidate, candidates
+from tilth.replay.wheel_by_way import WheelMessages
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Frame, Measurement, Mount, Position, YawRate
-from tilth.schemas.machine import Machine, WheelAngle
+from tilth.schemas.flow import Frame, Measurement, Position
+from tilth.schemas.machine import Machine
 
 SHOWN_EVERY: Final = 8192  # frames
-LIKELY: Final = 0.6  # correlation of a word with the yaw rate, at all speeds together
 
 
 @dataclass(slots=True)
@@ -25,6 +24,7 @@ class LogHeard:
     first_ns: int = 0
     last_ns: int = 0
     frames: int = 0
+    messages: WheelMessages = field(default_factory=WheelMessages)
     strangers: dict[str, int] = field(
         default_factory=dict
     )  # senders of positions that the file does not name
@@ -55,50 +55,9 @@ def _take(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     heard.first_ns = heard.first_ns or frame.t_ns
     heard.last_ns = frame.t_ns
     heard.frames += 1
+    heard.messages.take(frame)
     for measurement in decoder.measurements(frame):
         heard.measurements.append(measurement)
         if isinstance(measurement, Position) and measurement.origin.mount is None:
             name = f"address {measurement.origin.source} on {measurement.origin.bus}"
             heard.strangers[name] = heard.strangers.get(name, 0) + 1
-
-
-def wheel_candidate(
-    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], heard: LogHeard
-) -> WheelCandidate | None:
-    """Where in the message that the file names the wheel angle stands, by the tractor's turn rates; None
-    where no word of it goes with them."""
-    given = machine.wheel_angle
-    if given.id is None:
-        return None
-    yaw = [
-        (m.rx_ns, m.yaw_rate)
-        for m in heard.measurements
-        if isinstance(m, YawRate) and m.origin.mount in (Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR)
-    ]
-    times, data = [], []
-    for path in paths:
-        log = open_log(path)
-        with log.file:
-            for record in on_buses_of(machine, log, buses, lambda text: None):
-                if isinstance(record, Frame) and _is_of(record, given):
-                    times.append(record.rx_ns)
-                    data.append(record.data)
-    if not times:
-        return None
-    found = list(candidates(given.bus, given.id, given.extended, times, data, yaw))
-    best = max(found, key=lambda one: abs(one.yaw_correlation or 0.0), default=None)
-    return best if best is not None and abs(best.yaw_correlation or 0.0) >= LIKELY else None
-
-
-def _is_of(frame: Frame, given: WheelAngle) -> bool:
-    same = frame.bus == given.bus and frame.extended == given.extended
-    return same and given.id is not None and (frame.can_id ^ given.id) & given.mask == 0
-
-
-def reading_as(machine: Machine, candidate: WheelCandidate) -> Machine:
-    """The machine file with the word of the candidate for its wheel angle."""
-    update = {
-        "byte_order": candidate.byte_order, "start_byte": candidate.start_byte, "start_bit": None, "bits": 16,
-        "signed": candidate.signed,
-    }  # fmt: skip
-    return machine.model_copy(update={"wheel_angle": machine.wheel_angle.model_copy(update=update)})

@@ -7,15 +7,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.analysis.calibration.machine_text import difference, rewritten
-from tilth.analysis.calibration.reading import LogHeard, read, reading_as, wheel_candidate
+from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
+from tilth.estimator.calibration.calibrate import (
+    Calibration,
+    CannotCalibrate,
+    calibrate,
+    look,
+    tractor_motion,
+)
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
+from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
 
@@ -101,7 +108,7 @@ def calibrate_logs(
     heard = read(
         paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1))
     )
-    faults: list[RigFault] = []
+    faults, others = list[RigFault](), list[str]()
     described = machine
 
     def later(what: str, share: float) -> None:
@@ -110,10 +117,10 @@ def calibrate_logs(
     try:
         found = calibrate(described, heard.measurements, later)
     except CannotCalibrate as error:
-        better = _reread(paths, machine, buses, heard, error)
+        better = _reread(machine, heard, error)
         if better is None:
             raise CannotCalibrate(" ".join([f"{error}.", *_notes(heard)]), error.faults) from None
-        described, fault = better
+        described, fault, others = better
         faults.append(fault)
         heard = read(paths, described, buses, lambda text: None, lambda done, of: None)
         found = calibrate(described, heard.measurements, later)
@@ -123,7 +130,16 @@ def calibrate_logs(
     after = rewritten(text, machine, told, _places(found), when)
     names = tuple(path.name for path in paths)
     return Calibrated(
-        machine, found, judged, (*faults, *found.faults), tuple(_notes(heard)), text, after, when, names, told
+        machine,
+        found,
+        judged,
+        (*faults, *found.faults),
+        (*others, *_notes(heard)),
+        text,
+        after,
+        when,
+        names,
+        told,
     )
 
 
@@ -135,35 +151,38 @@ def look_at_logs(
     try:
         return look(machine, heard.measurements)
     except CannotCalibrate as error:
-        better = _reread(paths, machine, buses, heard, error)
+        better = _reread(machine, heard, error)
         if better is None:
             raise
-        described, fault = better
+        described, fault, _ = better
         again = read(paths, described, buses, say, lambda done, of: None)
         return [fault, *look(described, again.measurements)]
 
 
 def _reread(
-    paths: Sequence[Path],
-    machine: Machine,
-    buses: Mapping[str, str],
-    heard: LogHeard,
-    error: CannotCalibrate,
-) -> tuple[Machine, RigFault] | None:
-    """The machine file with another word for the wheel angle, where one goes with the way."""
+    machine: Machine, heard: LogHeard, error: CannotCalibrate
+) -> tuple[Machine, RigFault, list[str]] | None:
+    """The machine file with the message or word that is the wheel angle, what was wrong, and runners-up.
+
+    None where no message is. Raises CannotCalibrate, which then says what was looked at.
+    """
     if not any(fault.kind == finding.WHEEL_UNREAD for fault in error.faults):
         return None
-    best = wheel_candidate(paths, machine, buses, heard)
-    if best is None:
+    try:
+        found = find(heard.messages, tractor_motion(machine, heard.measurements), machine.wheel_angle)
+    except CannotCalibrate:
         return None
-    other = reading_as(machine, best)
+    if found.best is None:
+        said = "; ".join(found.sentences)
+        raise CannotCalibrate(f"{error}; no message goes with the way. {said}".strip(), error.faults)
+    other = reading_as(machine, found.best)
     if other.wheel_angle == machine.wheel_angle:
         return None
-    text = (
-        f"the wheel angle stands elsewhere in its message: byte {best.start_byte}, {best.byte_order} endian, "
-        f"{'signed' if best.signed else 'unsigned'}; it is changed in the file"
-    )
-    return other, RigFault("wheel_byte_order", "wheel_angle", text)
+    same = other.wheel_angle.id is not None and other.wheel_angle.id == machine.wheel_angle.id
+    where = "stands elsewhere in its message" if same else "is in another message"
+    text = f"the wheel angle {where}: {found.best.words}; it is changed in the file"
+    kind = "wheel_byte_order" if same else "wheel_message"
+    return other, RigFault(kind, "wheel_angle", text), [f"Wheel angle: {one}." for one in found.sentences]
 
 
 def _places(found: Calibration) -> dict[str, str]:

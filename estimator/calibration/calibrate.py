@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration import first_look, joint, priors
-from tilth.estimator.calibration.changes import BODY, Changes, applied, further_wheel
+from tilth.estimator.calibration import first_look, joint, linkage, priors
+from tilth.estimator.calibration.changes import BODY, Changes, applied, further_wheel, linkage_of, wheel_after
 from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.first_look import Pairs, Straightness
 from tilth.estimator.calibration.joint import JointFit
 from tilth.estimator.calibration.records import FollowedRecords, follow
+from tilth.estimator.calibration.refusals import CannotCalibrate as CannotCalibrate
+from tilth.estimator.calibration.refusals import check_receivers, check_records, check_turned, check_wheel
 from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
-from tilth.schemas.flow import FixType, Measurement
+from tilth.schemas.flow import Measurement
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -32,18 +34,10 @@ Progress = Callable[[str, float], None]  # what is done, share of all
 
 LOOKS: Final = 3  # rounds of the first look
 MOST_FITS: Final = 3  # each about the file that the one before gives
+STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
+"""At most, of each fit: with noise levels, and with these held."""
 STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
 LEAST_DRIVEN_S: Final = 60.0
-LEAST_RECORDS_S: Final = 40.0
-LEAST_TURNED_S: Final = 10.0
-
-
-class CannotCalibrate(Exception):
-    """The drive tells nothing; one sentence that says why, and what to do. faults: found meanwhile."""
-
-    def __init__(self, text: str, faults: Sequence[RigFault] = ()) -> None:
-        super().__init__(text)
-        self.faults = tuple(faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +57,7 @@ class Calibration:
     records_s: float
     refused: dict[str, int]
     hitch_gap: float  # m, sd of the distance between the hitch as seen from either body
+    curve_sd: float  # 1/rad, of wheel_angle.curve
 
 
 def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> Calibration:
@@ -71,7 +66,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     looked = _looked(machine, measurements, progress)
     drive, changes, faults = looked.drive, looked.changes, looked.faults
     view, found_rolls, followed = looked.view, looked.rolls, looked.followed
-    _check_records(followed, faults)
+    check_records(followed, faults)
     fit: JointFit | None = None
     for k in range(MOST_FITS):
         now = applied(machine, changes)
@@ -79,7 +74,9 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         moved = _moved(machine, changes)
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
-        fit = joint.fit(followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k))
+        fit = joint.fit(
+            followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k), *STEPS[k]
+        )
         changes = _taken(machine, changes, fit)
         changes = _with_aside(machine, drive, changes, found_rolls)
         size = _largest(fit)
@@ -92,6 +89,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         changes, applied(machine, changes), tuple(faults), found_rolls,
         np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine), _hitch_sd(gap.sds), fit,
         _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
+        looked.curve_sd,
     )  # fmt: skip
 
 
@@ -105,6 +103,30 @@ def look(machine: Machine, measurements: Sequence[Measurement]) -> list[RigFault
 
 
 @dataclass(frozen=True, slots=True)
+class TractorMotion:
+    """How the tractor moves, by its receivers alone: n instants, drive.STEP_S apart."""
+
+    t_ns: NDArray[np.int64]  # on the clock of Frame.rx_ns, as far as the file's latencies are right
+    speed: Array  # m/s, of the middle of its receivers, not a number where it is not known
+    yaw_rate: Array  # rad/s
+    wheelbase: float  # m
+
+
+def tractor_motion(machine: Machine, measurements: Sequence[Measurement]) -> TractorMotion:
+    """For who looks for the wheel angle. Raises CannotCalibrate."""
+    heard = drives.MeasuredLists()
+    for measurement in measurements:
+        drives.take(heard, measurement)
+    check_receivers(machine, heard)
+    drive = drives.drive_of(heard, machine)
+    changes = Changes(who=standing(drive, machine).who)
+    view = _view(applied(machine, changes), _placed(drive, changes), changes, None)
+    t_ns = (heard.first_ns or 0) + np.round(drive.t * 1e9).astype(np.int64)
+    base = machine.tractor.a.value + machine.tractor.b.value
+    return TractorMotion(t_ns, view.along[:, 0], view.rate[:, 0], base)
+
+
+@dataclass(frozen=True, slots=True)
 class _Looked:
     """What the first look gives."""
 
@@ -114,6 +136,7 @@ class _Looked:
     view: Pairs
     rolls: Rolls
     followed: FollowedRecords
+    curve_sd: float
 
 
 def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Progress) -> _Looked:
@@ -121,16 +144,19 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
     heard = drives.MeasuredLists()
     for measurement in measurements:
         drives.take(heard, measurement)
-    _check_heard(machine, heard)
+    check_receivers(machine, heard)
+    check_wheel(heard)
     drive = drives.drive_of(heard, machine)
     changes, faults, view, found_rolls = _first_look(machine, drive)
+    changes, curve_sd = _with_linkage(machine, drive, changes, view, found_rolls)
+    faults += linkage.kingpin_faults(changes.linkage_before, changes.linkage)
     progress("poses by the first values", 0.15)
     followed = follow(applied(machine, changes), measurements, changes)
     more = finding.receiver_faults(followed.flags, followed.poses)
     if any(fault.kind == finding.ROLL_CORRECTED for fault in more):
         changes = replace(changes, roll_corrected=finding.corrected(changes, more, followed.flags))
         followed = follow(applied(machine, changes), measurements, changes)
-    return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed)
+    return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed, curve_sd)
 
 
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
@@ -139,58 +165,11 @@ ASIDE_FLOOR: Final = 0.004
 TYPICAL_SPEED: Final = 2.0  # m/s, in turns
 
 
-def _check_heard(machine: Machine, heard: drives.MeasuredLists) -> None:
-    missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
-    names = {r.mount for r in machine.receiver}
-    if len(names) < 4:
-        raise CannotCalibrate(
-            f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on "
-            "the implement"
-        )
-    if missing:
-        raise CannotCalibrate(
-            f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine "
-            "file names other devices; `tilth discover LOG` lists who is there"
-        )
-    if len(heard.wheel) < 2:
-        text = (
-            "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
-            "`tilth discover LOG` lists candidates"
-        )
-        raise CannotCalibrate(text, [RigFault(finding.WHEEL_UNREAD, "wheel_angle", text)])
-    without = [
-        mount.value for k, mount in enumerate(MOUNTS) if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
-    ]
-    if without:
-        raise CannotCalibrate(
-            f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: "
-            "check the correction service and drive again"
-        )
-
-
-def _fixed_share(fixes: dict[FixType, int]) -> float:
-    good = fixes.get(FixType.RTK_FIXED, 0)
-    return good / max(sum(fixes.values()), 1)
-
-
-def _check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None:
-    seconds = sum(len(record.ticks) for record in followed.records) * 0.02
-    if seconds >= LEAST_RECORDS_S:
-        return
-    said = [fault.text for fault in faults]
-    most = max(followed.refused.items(), key=lambda item: item[1], default=("nothing was driven", 0))[0]
-    raise CannotCalibrate(
-        f"only {seconds:.0f} s of the drive can be learned from; most of it is refused: {most}"
-        + (f". Found meanwhile: {'; '.join(said)}" if said else ""),
-        faults,
-    )
-
-
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
     """The same with the receivers in the order of where they stand, signs of turn rates and rolls turned."""
     who = list(changes.who)
     signs, turned = np.array(changes.roll_sign), np.array(changes.yaw_rate_sign)
-    wheel = changes.wheel_sign * (drive.wheel - changes.wheel_zero) / changes.wheel_gain
+    wheel = np.array([wheel_after(angle, changes) for angle in drive.wheel.tolist()])
     return replace(
         drive, at=drive.at[:, who], velocity=drive.velocity[:, who], roll=drive.roll[:, who] * signs,
         yaw_rate=drive.yaw_rate[:, who] * turned, wheel=wheel,
@@ -210,7 +189,8 @@ def _view(now: Machine, placed: DriveGrid, changes: Changes, found: Rolls | None
 
 def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFault], Pairs, Rolls]:
     stands = standing(drive, machine)
-    changes = Changes(who=stands.who)
+    own = linkage_of(machine)
+    changes = Changes(who=stands.who, linkage_before=own, linkage=own)
     faults = finding.standing_faults(stands.who) if stands.sure else []
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)
@@ -242,7 +222,7 @@ def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFa
     wheel_faults = finding.wheel_faults(told, first_look.explained(view, base, view.rate[:, 0], told))
     faults += wheel_faults
     if any(fault.kind == finding.WHEEL_UNREAD for fault in wheel_faults):
-        _check_turned(first_look.driven(view))
+        check_turned(first_look.driven(view))
         raise CannotCalibrate(wheel_faults[0].text, faults)
     gain = float(told.value[1])
     changes = replace(
@@ -252,12 +232,17 @@ def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFa
     return changes, faults, view, found_rolls
 
 
-def _check_turned(driven: Straightness) -> None:
-    if driven.left + driven.right < LEAST_TURNED_S:
-        raise CannotCalibrate(
-            "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
-            "drive slow circles to both sides"
-        )
+def _with_linkage(
+    machine: Machine, drive: DriveGrid, changes: Changes, view: Pairs, found: Rolls
+) -> tuple[Changes, float]:
+    """With the kingpin and the curvature of the wheel sensor's linkage, and the sd of that."""
+    now = applied(machine, changes)
+    seen = first_look.hitch(_view(now, _placed(drive, changes), changes, found))
+    told = linkage.find(machine, changes, view, (float(_middles(now)[0, 1]), float(seen.sds[1])))
+    if told.wheel is not None:
+        zero, gain = told.wheel
+        changes = replace(changes, wheel_zero=zero, wheel_gain=gain)
+    return replace(changes, linkage=told.linkage), told.curve_sd
 
 
 def _between_bodies(changes: Changes, late: float) -> Changes:
@@ -366,6 +351,7 @@ def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
         "aside_i": changes.aside[1] - changes.aside[0], "lever_t": changes.forward[0],
         "lever_i": changes.forward[1], "c": changes.hitch[0], "d": changes.hitch[1],
         "wheel_zero": changes.wheel_sign * changes.wheel_zero / gain, "wheel_gain": math.log(gain),
+        "wheel_curve": changes.linkage.curve - changes.linkage_before.curve,
         "latency": float(np.mean(changes.late)),
     }  # fmt: skip
     found |= {f"roll_zero_{mount.value}": changes.roll_zero[k] for k, mount in enumerate(MOUNTS)}

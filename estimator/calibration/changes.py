@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,43 @@ from tilth.estimator.calibration.drive import MOUNTS
 from tilth.schemas.flow import Measurement, WheelAngle
 from tilth.schemas.machine import Machine, Quantity, Receiver
 from tilth.schemas.machine import WheelAngle as WheelFile
+from tilth.schemas.wheel_angle import ackermann_of, linkage_angle, linkage_reading
 
 Array = NDArray[np.float64]
 
 BODIES: Final = ("tractor", "implement")
 BODY: Final = (0, 0, 1, 1)  # of each mount
 SHORTEST_LATENCY_S: Final = 0.0
+KINGPIN_DISTANCE_M: Final = 1.7  # where the file has none; a kingpin needs it
+
+
+class Linkage(NamedTuple):
+    """Which wheel carries the sensor, and how its linkage is curved."""
+
+    kingpin: str = "mean"  # as in the machine file
+    ackermann: float = 0.0  # as WheelAngleSensor.ackermann
+    curve: float = 0.0  # 1/rad
+
+
+PLAIN: Final = Linkage()
+
+
+def linkage_of(machine: Machine, kingpin: str | None = None) -> Linkage:
+    """Of a machine file; with a kingpin, of a straight linkage on that one."""
+    wheel = machine.wheel_angle
+    if kingpin is None:
+        return Linkage(wheel.kingpin, ackermann_of(machine), wheel.curve.value)
+    tractor = machine.tractor.model_copy(update=_kingpin_keys(machine, kingpin))
+    there = wheel.model_copy(update={"kingpin": kingpin})
+    return Linkage(
+        kingpin, ackermann_of(machine.model_copy(update={"tractor": tractor, "wheel_angle": there}))
+    )
+
+
+def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, Any]:
+    if kingpin == "mean" or machine.tractor.kingpin_distance is not None:
+        return {}
+    return {"kingpin_distance": KINGPIN_DISTANCE_M}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +64,8 @@ class Changes:
     wheel_sign: int = 1
     wheel_zero: float = 0.0  # rad, of what the file's own angle reads when straight
     wheel_gain: float = 1.0  # of the file's own angle over the true one
+    linkage_before: Linkage = PLAIN  # of the file as it was read; zero and gain are of what it turns
+    linkage: Linkage = PLAIN
     roll_zero: Array = field(default_factory=lambda: np.zeros(4))  # rad
     roll_sign: tuple[int, ...] = (1, 1, 1, 1)
     yaw_rate_sign: tuple[int, ...] = (1, 1, 1, 1)
@@ -42,10 +75,7 @@ class Changes:
 def heard_after(measurement: Measurement, changes: Changes) -> Measurement:
     """A measurement that the file as it was read made, as the changed file makes it."""
     if isinstance(measurement, WheelAngle):
-        if changes.wheel_sign == 1 and changes.wheel_zero == 0.0 and changes.wheel_gain == 1.0:
-            return measurement
-        angle = changes.wheel_sign * (measurement.angle - changes.wheel_zero) / changes.wheel_gain
-        return replace(measurement, angle=angle)
+        return replace(measurement, angle=wheel_after(measurement.angle, changes))
     mount = measurement.origin.mount
     if mount is None or changes.who == (0, 1, 2, 3):
         return measurement
@@ -53,8 +83,19 @@ def heard_after(measurement: Measurement, changes: Changes) -> Measurement:
     return replace(measurement, origin=replace(measurement.origin, mount=stands))
 
 
+def wheel_after(angle: float, changes: Changes) -> float:
+    """A wheel angle of the file as it was read, rad, as the changed file reads it."""
+    before, after = changes.linkage_before, changes.linkage
+    x = linkage_reading(angle, before.curve, before.ackermann)
+    x = changes.wheel_sign * (x - changes.wheel_zero) / changes.wheel_gain
+    return linkage_angle(x, after.curve, after.ackermann)
+
+
 def further_wheel(changes: Changes, zero: float, log_gain: float) -> Changes:
-    """After these, what is left: reading when straight, rad, and logarithm of reading over true angle."""
+    """After these, what is left: reading when straight, rad, and logarithm of reading over true angle.
+
+    Of a linkage that is curved it is right as far as these are small.
+    """
     gain = changes.wheel_gain * math.exp(log_gain)
     at_zero = changes.wheel_zero + changes.wheel_sign * zero * changes.wheel_gain
     return replace(changes, wheel_zero=at_zero, wheel_gain=gain)
@@ -72,7 +113,15 @@ def applied(machine: Machine, changes: Changes) -> Machine:
     c, d = tractor.c, implement.d
     return machine.model_copy(
         update={
-            "tractor": tractor.model_copy(update={"c": _moved(c, changes.hitch[0])}),
+            "tractor": tractor.model_copy(
+                update={
+                    "c": _moved(c, changes.hitch[0]),
+                    **_kingpin_keys(
+                        machine,
+                        "mean" if changes.linkage == changes.linkage_before else changes.linkage.kingpin,
+                    ),
+                }
+            ),
             "implement": implement.model_copy(update={"d": _moved(d, changes.hitch[1])}),
             "receiver": receivers,
             "wheel_angle": machine.wheel_angle.model_copy(update=wheel_keys(machine.wheel_angle, changes)),
@@ -115,10 +164,13 @@ def _receiver(machine: Machine, changes: Changes, k: int, there: Receiver, devic
 
 
 def wheel_keys(wheel: WheelFile, changes: Changes) -> dict[str, Any]:
-    """Keys of [wheel_angle] that change: angle = sign (raw scale + offset) - zero, degrees."""
+    """Keys of [wheel_angle] that change: x = sign (raw scale + offset) - zero, degrees."""
     gain, sign = changes.wheel_gain, changes.wheel_sign
     zero = sign * (wheel.zero.value + math.degrees(changes.wheel_zero)) / gain
     keys: dict[str, Any] = {"sign": sign * wheel.sign, "zero": Quantity(value=zero, sd=wheel.zero.sd)}
+    if changes.linkage != changes.linkage_before:
+        keys["kingpin"] = changes.linkage.kingpin
+        keys["curve"] = Quantity(value=changes.linkage.curve, sd=wheel.curve.sd)
     if gain == 1.0:
         return keys
     if wheel.lookup is not None:

@@ -23,7 +23,6 @@ from tilth.estimator.record.record import Record
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], None]  # steps done, largest step in sds
 
-NOISE_STEPS: Final = 6  # with the noise levels
 MOST_STEPS: Final = 10  # at most, with these held
 SETTLED: Final = 0.15  # sds: a step this small ends a search
 OUTLIER: Final = 5.0  # sds
@@ -83,30 +82,26 @@ class _Sum:
 
 def fit(
     records: Sequence[Record], setup: RigSetup, mean: Array, sd: Array, start: Array, told: Sequence[int],
-    progress: Progress = lambda steps, size: None,
+    progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = MOST_STEPS,
 ) -> JointFit:  # fmt: skip
     """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must
     settle. Raises ValueError without records.
 
-    Noise levels are sought for some steps and then held: where there is nothing to a level, it would go on
-    for ever.
+    Noise levels are sought for noise_steps and then held: where there is nothing to a level, it would go on
+    for ever. most_steps: with these held, 0 for a fit that only another one begins at.
     """
     if not records:
         raise ValueError("no record to fit")
-    point, outlying = start.copy(), None
-    for most, held in ((NOISE_STEPS, False), (MOST_STEPS, True)):
+    point, stages = start.copy(), ((noise_steps, False), (most_steps, True))
+    for most, held in [stage for stage in stages if stage[0]]:
         free = sd.copy()
         about = mean.copy()
         if held:
             free[NOISE], about[NOISE] = 0.0, point[NOISE]
         searches = [likelihood.search_of(record, setup, about, np.diag(free**2)) for record in records]
-        if outlying is not None:
-            for search, used in zip(searches, outlying, strict=True):
-                search.used = used
+        if held:
+            _leave_out_outliers(searches, point)
         point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
-        if outlying is None:
-            _leave_out_outliers(searches, now.at)
-            outlying = [search.used for search in searches]
     return _result(searches, now, point, about, free, steps, size < SETTLED)
 
 
@@ -149,11 +144,14 @@ def _step(
         step = np.clip(step, -LONGEST * sd[active], LONGEST * sd[active])  # what runs away holds up no other
         moved = point.copy()
         moved[active] += step
-        then = _Sum(searches, moved, now.at)
         away = (moved - mean)[active]
-        after = then.cost + 0.5 * float(away @ prior @ away)
+        with np.errstate(all="ignore"):  # derivatives cost ten times as much: only of steps that are taken
+            after = sum(likelihood.likelihood_at(search, moved) for search in searches)
+        after += 0.5 * float(away @ prior @ away)
         if np.isfinite(after) and after < cost + 0.2:
-            return moved, then, max(damping * 0.1, 1e-6)
+            then = _Sum(searches, moved, now.at)
+            if np.isfinite(then.cost):
+                return moved, then, max(damping * 0.1, 1e-6)
         damping *= 30.0
     return point, None, damping
 
@@ -175,9 +173,10 @@ def _with_prior(each: Sequence[tuple[Array, Array]], prior: Array, away: Array) 
     return gradient, np.asarray(sum((one for _, one in each), prior), np.float64)
 
 
-def _leave_out_outliers(searches: Sequence[Search], at: Sequence[Iterate]) -> None:
-    for search, one in zip(searches, at, strict=True):
-        search.used = np.where(np.abs(one.e) > OUTLIER * np.sqrt(one.S), 0.0, search.used)
+def _leave_out_outliers(searches: Sequence[Search], point: Array) -> None:
+    for search in searches:
+        made = likelihood.innovations(search.record, search.setup, search.start, point, used=search.used)
+        search.used = np.where(np.abs(made.e) > OUTLIER * np.sqrt(made.S), 0.0, search.used)
 
 
 def _result(

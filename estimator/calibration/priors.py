@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.calibration import linkage
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.unknowns import AT
 from tilth.schemas.machine import Machine
@@ -22,6 +23,7 @@ HITCH_SD: Final = 0.20  # m, of hitch and drawbar
 TOLD: Final = 0.5  # of the prior sd: a larger sd says that the drive tells nothing of a number
 
 DEG: Final = math.degrees(1.0)
+CURVED: Final = DEG * math.radians(30.0) ** 2  # ° at 30° per 1/rad
 ROW, CIRCLE, FOLD, WEAVE, PARK = (
     "drive straight there and back on one line, 150 m each way",
     "drive slow circles to both sides, at three angles of the wheels",
@@ -60,6 +62,10 @@ NUMBERS: Final = (
     Sought("d", "implement.d, hitch to CG", "m", 1.0, 0.02, HITCH_SD, FOLD, _AXLE),
     Sought("wheel_zero", "wheel angle when straight", "°", 1 / DEG, math.radians(0.05), ZERO_SD, ROW, "none"),
     Sought("wheel_gain", "scale of the wheel angle", "%", 0.01, 0.01, GAIN_SD, CIRCLE, "none"),
+    Sought(
+        "wheel_curve", "curvature of the wheel's linkage, at 30°", "°", 1 / CURVED, 0.2 / CURVED,
+        linkage.CURVE_SD, CIRCLE, "none",
+    ),
     Sought("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
     *(
         Sought(

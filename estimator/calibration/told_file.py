@@ -33,6 +33,9 @@ def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
         hitch=of(changes.hitch, "c", "d"),
         wheel_zero=0.0 if "wheel_zero" in without else changes.wheel_zero,
         wheel_gain=1.0 if "wheel_gain" in without else changes.wheel_gain,
+        linkage=changes.linkage._replace(curve=changes.linkage_before.curve)
+        if "wheel_curve" in without
+        else changes.linkage,
         roll_zero=of(changes.roll_zero, *zeros),
     )
 
@@ -58,6 +61,8 @@ def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> M
         turned["zero"] = Quantity(value=wheel.zero.value, sd=math.degrees(sds["wheel_zero"]))
     if "wheel_gain" in sds:
         turned["gain"] = Quantity(value=wheel.gain.value, sd=wheel.gain.value * sds["wheel_gain"])
+    if "wheel_curve" in sds:
+        turned["curve"] = Quantity(value=wheel.curve.value, sd=sds["wheel_curve"])
     receivers = [_receiver(receiver, sds) for receiver in after.receiver]
     return after.model_copy(
         update={**bodies, "receiver": receivers, "wheel_angle": wheel.model_copy(update=turned)}

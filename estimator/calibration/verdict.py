@@ -105,6 +105,8 @@ def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
             p = math.erfc(abs(_difference(fit.halves, k)) / math.sqrt(2.0))
     elif name == "aside_t":
         sd = math.hypot(found.aside_sd, FLOOR[name])
+    elif name == "wheel_curve":
+        sd = found.curve_sd
     else:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
     status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD

@@ -5,8 +5,9 @@ import pytest
 from kinematic_drive import FILE, MACHINE
 
 from tilth.analysis.calibration.machine_text import difference, rewritten, unfilled
-from tilth.estimator.calibration.changes import Changes, applied
+from tilth.estimator.calibration.changes import KINGPIN_DISTANCE_M, Changes, applied, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.replay.wheel_by_way import WheelWord, reading_as
 from tilth.schemas.machine import parse_machine
 
 TEXT = FILE.read_text(encoding="utf-8")
@@ -53,3 +54,33 @@ def test_lines_of_a_draft() -> None:
     )
     assert unfilled(draft) == [(2, "tractor.a"), (5, "receiver.position")]
     assert unfilled(TEXT) == []
+
+
+def _word(**given: object) -> WheelWord:
+    plain: dict[str, object] = {
+        "bus": "can0", "can_id": 0x18FFA044, "extended": True, "start_byte": 2, "byte_order": "little",
+        "bits": 16, "signed": False, "instance": None, "no_data": None, "zero": 32000.0, "per_degree": -128.0,
+        "explained": 0.99, "lead_s": 0.2, "longer_s": 0.15,
+    }  # fmt: skip
+    return WheelWord(**{**plain, **given})  # type: ignore[arg-type]
+
+
+def test_another_message_for_the_wheel_angle() -> None:
+    made = rewritten(TEXT, MACHINE, reading_as(MACHINE, _word()), SAME, "2026-05-04")
+    assert "id = 0x18FFA044 # calibrate 2026-05-04; was 0x18FF0B15" in made
+    assert "not_available" not in made
+    wheel = parse_machine(made).wheel_angle
+    assert (wheel.id, wheel.start_byte, wheel.byte_order, wheel.signed) == (0x18FFA044, 2, "little", False)
+    assert (wheel.sign, wheel.scale) == (-1, pytest.approx(1 / 128, rel=0.01))
+    assert wheel.offset == pytest.approx(-250.0, abs=1.0)
+    rudder = reading_as(MACHINE, _word(can_id=0x09F10D4D, instance=0))
+    again = parse_machine(rewritten(TEXT, MACHINE, rudder, SAME, "2026-05-04")).wheel_angle
+    assert (again.pgn, again.source, again.id, again.start_byte) == (127245, 0x4D, None, None)
+
+
+def test_a_kingpin_and_a_curvature_are_written() -> None:
+    linkage = linkage_of(MACHINE, "left")._replace(curve=0.05)
+    made = rewritten(TEXT, MACHINE, applied(MACHINE, Changes(linkage=linkage)), SAME, "2026-05-04")
+    again = parse_machine(made)
+    assert again.wheel_angle.kingpin == "left" and again.wheel_angle.curve.value == pytest.approx(0.05)
+    assert again.tractor.kingpin_distance == KINGPIN_DISTANCE_M

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_drive import MACHINE
 
-from tilth.estimator.calibration.changes import Changes, applied, further_wheel, heard_after
+from tilth.estimator.calibration.changes import Changes, applied, further_wheel, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.schemas.flow import Origin, Position, WheelAngle
 from tilth.schemas.wheel_angle import compile_sensor
@@ -27,6 +27,30 @@ def test_a_wheel_angle_is_read_by_the_changed_file(sign: int, zero: float, gain:
     told = heard_after(WheelAngle(0, 0, Origin("can0", 11), 65291, None, before, 1e-3), changes)
     assert isinstance(told, WheelAngle)
     assert after == pytest.approx(told.angle, abs=1e-12)
+
+
+LINKAGES = st.tuples(st.sampled_from(["mean", "left", "right"]), st.floats(-0.15, 0.15))
+
+
+@given(LINKAGES, LINKAGES, st.floats(-0.08, 0.08), st.floats(0.8, 1.25), ANGLES)
+@settings(max_examples=60, deadline=None)
+def test_a_linkage_is_read_by_the_changed_file(
+    before: tuple[str, float], after: tuple[str, float], zero: float, gain: float, angle: float
+) -> None:
+    """Whatever kingpin and curvature the file had, and has."""
+    first = applied(MACHINE, Changes(linkage=linkage_of(MACHINE, before[0])._replace(curve=before[1])))
+    own = linkage_of(first)
+    changes = Changes(
+        wheel_zero=zero, wheel_gain=gain, linkage_before=own,
+        linkage=linkage_of(first, after[0])._replace(curve=after[1]),
+    )  # fmt: skip
+    sensor = compile_sensor(first)
+    data = sensor.data(angle)
+    was = sensor.read(data)
+    assert isinstance(was, float) and was == pytest.approx(angle, abs=2e-4)
+    now = compile_sensor(applied(first, changes)).read(data)
+    told = heard_after(WheelAngle(0, 0, Origin("can0", 11), 65291, None, was, 1e-3), changes)
+    assert isinstance(told, WheelAngle) and now == pytest.approx(told.angle, abs=1e-12)
 
 
 @given(st.sampled_from([1, -1]), st.floats(-0.08, 0.08), st.floats(0.8, 1.25), ANGLES, ANGLES)

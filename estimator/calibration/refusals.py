@@ -1,0 +1,83 @@
+"""What cannot be calibrated, and the sentence for it."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from tilth.estimator.calibration import drive as drives
+from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.faults import RigFault
+from tilth.estimator.calibration.first_look import Straightness
+from tilth.estimator.calibration.records import FollowedRecords
+from tilth.schemas.flow import FixType
+from tilth.schemas.machine import Machine
+
+LEAST_RECORDS_S: Final = 40.0
+LEAST_TURNED_S: Final = 10.0
+
+
+class CannotCalibrate(Exception):
+    """The drive tells nothing; one sentence that says why, and what to do. faults: found meanwhile."""
+
+    def __init__(self, text: str, faults: Sequence[RigFault] = ()) -> None:
+        super().__init__(text)
+        self.faults = tuple(faults)
+
+
+def check_receivers(machine: Machine, heard: drives.MeasuredLists) -> None:
+    missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
+    names = {r.mount for r in machine.receiver}
+    if len(names) < 4:
+        raise CannotCalibrate(
+            f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on "
+            "the implement"
+        )
+    if missing:
+        raise CannotCalibrate(
+            f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine "
+            "file names other devices; `tilth discover LOG` lists who is there"
+        )
+    without = [
+        mount.value for k, mount in enumerate(MOUNTS) if heard.fixes[k] and _fixed_share(heard.fixes[k]) < 0.5
+    ]
+    if without:
+        raise CannotCalibrate(
+            f"{', '.join(without)} had no RTK fix for most of the drive; lengths of centimetres need one: "
+            "check the correction service and drive again"
+        )
+
+
+def check_wheel(heard: drives.MeasuredLists) -> None:
+    """Raises CannotCalibrate."""
+    if len(heard.wheel) < 2:
+        text = (
+            "no wheel angle is in the drive: [wheel_angle] of the machine file fits no message; "
+            "`tilth discover LOG` lists candidates"
+        )
+        raise CannotCalibrate(text, [RigFault(finding.WHEEL_UNREAD, "wheel_angle", text)])
+
+
+def _fixed_share(fixes: dict[FixType, int]) -> float:
+    good = fixes.get(FixType.RTK_FIXED, 0)
+    return good / max(sum(fixes.values()), 1)
+
+
+def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None:
+    seconds = sum(len(record.ticks) for record in followed.records) * 0.02
+    if seconds >= LEAST_RECORDS_S:
+        return
+    said = [fault.text for fault in faults]
+    most = max(followed.refused.items(), key=lambda item: item[1], default=("nothing was driven", 0))[0]
+    raise CannotCalibrate(
+        f"only {seconds:.0f} s of the drive can be learned from; most of it is refused: {most}"
+        + (f". Found meanwhile: {'; '.join(said)}" if said else ""),
+        faults,
+    )
+
+
+def check_turned(driven: Straightness) -> None:
+    if driven.left + driven.right < LEAST_TURNED_S:
+        raise CannotCalibrate(
+            "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
+            "drive slow circles to both sides"
+        )
