@@ -55,11 +55,11 @@ def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: s
 
 
 def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
-    known = table.get(key)
-    comment = known.trivia.comment.lstrip("# ") if isinstance(known, Item) and known.trivia.comment else ""
+    items: Any = table.value
+    known: Item | None = items.item(key) if key in table else None
+    comment = known.trivia.comment.lstrip("# ") if known is not None and known.trivia.comment else ""
     table[key] = _hexadecimal(value) if key in _HEXADECIMAL else _item(value)
-    item: Any = table[key]
-    item.comment(f"{said}; {comment}" if comment else said)
+    items.item(key).comment(f"{said}; {comment}" if comment else said)
 
 
 def _item(value: Any) -> Item:
