@@ -2,13 +2,11 @@
 
     python bench/calibration.py [--plant planar spatial] [--logs 7] [--rigs 10] [--faults 10] [--first 0]
         [--keep DONE.jsonl] [--minutes 600]
-    python bench/calibration.py soil --keep DONE.jsonl
 
 Logs of examples/scenarios/calibration_drive.toml, of rigs that differ, are made once and kept in
 ~/.cache/tilth/calibration. A wrong rig is a wrong machine file: the log is of the right one. Each is
 printed as soon as it is there; the table of the issue comes at the end. What is done is kept in DONE.jsonl,
-a line each, and not done again. soil: what `pem` finds on another drive of these rigs by the calibrated files
-of DONE.jsonl, against what it finds by a file that is right.
+a line each, and not done again, with the calibrated machine files for bench/calibrated_soil.py.
 """
 
 import argparse
@@ -334,7 +332,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", nargs="?", choices=("numbers", "soil"), default="numbers")
     parser.add_argument("--plant", nargs="+", default=["planar", "spatial"])
     parser.add_argument("--logs", type=int, default=7)
     parser.add_argument("--rigs", type=int, default=10)

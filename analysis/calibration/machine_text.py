@@ -92,7 +92,7 @@ def _plain(value: Any, key: str) -> Any:
 def _round(value: float, key: str) -> float:
     if key.endswith("_sd"):
         return float(f"{value:.2g}")
-    return float(f"{value:.7g}") if key in _WHEEL and key != "zero" else round(value, DIGITS)
+    return float(f"{value:.7g}") if key in _WHEEL and key not in ("zero", "curve") else round(value, DIGITS)
 
 
 def _words(value: Any) -> str:
