@@ -143,7 +143,7 @@ def found_by(machine: Machine, log: Path) -> dict[str, list[float]]:
 
 def rigs(kept: KeptLines, most: int) -> Iterator[tuple[str, int, int, dict[str, Any]]]:
     """(plant, log, rig, line), plants in turn, each log once."""
-    lines = [(key, line) for key, line in kept.lines.items() if key[0] == "numbers"]
+    lines = [(key, line) for key, line in kept.lines.items() if "machine" in line]
     once: dict[tuple[str, int], tuple[str, int, int, dict[str, Any]]] = {}
     for (_, plant, log, rig), line in lines:
         once.setdefault((plant, log), (plant, log, rig, line))

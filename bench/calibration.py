@@ -194,8 +194,12 @@ def _of_places(places: dict[str, Array], b: float, e: float) -> dict[str, float]
     }  # fmt: skip
 
 
-def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, dict[str, tuple[float, float]]]:
-    """(found, judged, number -> (error, sd), of those that are told)."""
+Errors = dict[str, tuple[float, float]]
+"""Number -> (error, sd)."""
+
+
+def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, Errors, Machine]:
+    """(found, judged, errors of what is told, the machine file as it is written)."""
     right, _ = packaged()
     _, measurements, truth = log_of(plant, log)
     bad = wrong_rig(np.random.default_rng([17, rig]))
@@ -205,7 +209,7 @@ def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, di
     true, has = true_numbers(truth, right), file_numbers(found.machine, right)
     # The calibrated file says what its own numbers are; sds are those that are published.
     errors = {one.number.name: (has[one.number.name] - true[one.number.name], one.sd) for one in judged.told}
-    return found, judged, errors
+    return found, judged, errors, told_machine(wrong, found, judged)
 
 
 class KeptLines:
@@ -242,7 +246,7 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
         if line is None:
             began = time.process_time()
             try:
-                found, judged, mine = one_rig(plant, rig % logs + 1, rig)
+                found, judged, mine, told = one_rig(plant, rig % logs + 1, rig)
             except CannotCalibrate as error:
                 print(f"{plant} rig {rig}: refused: {error}", flush=True)
                 continue
@@ -250,7 +254,7 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
                 "seconds": time.process_time() - began, "p": judged.p, "errors": mine,
                 "told": sum(one.status == TOLD for one in judged.told), "innovations": found.fit.residual,
                 "settled": found.fit.settled, "faults": [fault.kind for fault in found.faults],
-                "machine": told_machine(found.machine, found, judged).model_dump(mode="json"),
+                "machine": told.model_dump(mode="json"),
             }  # fmt: skip
             kept.add("numbers", plant, rig % logs + 1, rig, line)
         off = {name: f"{error / sd:.1f}" for name, (error, sd) in line["errors"].items()}
@@ -333,7 +337,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--plant", nargs="+", default=["planar", "spatial"])
-    parser.add_argument("--logs", type=int, default=7)
+    parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the rig to begin with")
     parser.add_argument("--faults", type=int, default=10)
