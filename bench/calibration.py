@@ -2,13 +2,11 @@
 
     python bench/calibration.py [--plant planar spatial] [--logs 7] [--rigs 10] [--faults 10] [--first 0]
         [--keep DONE.jsonl] [--minutes 600]
-    python bench/calibration.py soil --keep DONE.jsonl
 
 Logs of examples/scenarios/calibration_drive.toml, of rigs that differ, are made once and kept in
 ~/.cache/tilth/calibration. A wrong rig is a wrong machine file: the log is of the right one. Each is
 printed as soon as it is there; the table of the issue comes at the end. What is done is kept in DONE.jsonl,
-a line each, and not done again. soil: what `pem` finds on another drive of these rigs by the calibrated files
-of DONE.jsonl, against what it finds by a file that is right.
+a line each, and not done again, with the calibrated machine files for bench/calibrated_soil.py.
 """
 
 import argparse
@@ -196,8 +194,12 @@ def _of_places(places: dict[str, Array], b: float, e: float) -> dict[str, float]
     }  # fmt: skip
 
 
-def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, dict[str, tuple[float, float]]]:
-    """(found, judged, number -> (error, sd), of those that are told)."""
+Errors = dict[str, tuple[float, float]]
+"""Number -> (error, sd)."""
+
+
+def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, Errors, Machine]:
+    """(found, judged, errors of what is told, the machine file as it is written)."""
     right, _ = packaged()
     _, measurements, truth = log_of(plant, log)
     bad = wrong_rig(np.random.default_rng([17, rig]))
@@ -207,7 +209,7 @@ def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, di
     true, has = true_numbers(truth, right), file_numbers(found.machine, right)
     # The calibrated file says what its own numbers are; sds are those that are published.
     errors = {one.number.name: (has[one.number.name] - true[one.number.name], one.sd) for one in judged.told}
-    return found, judged, errors
+    return found, judged, errors, told_machine(wrong, found, judged)
 
 
 class KeptLines:
@@ -244,7 +246,7 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
         if line is None:
             began = time.process_time()
             try:
-                found, judged, mine = one_rig(plant, rig % logs + 1, rig)
+                found, judged, mine, told = one_rig(plant, rig % logs + 1, rig)
             except CannotCalibrate as error:
                 print(f"{plant} rig {rig}: refused: {error}", flush=True)
                 continue
@@ -252,7 +254,7 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
                 "seconds": time.process_time() - began, "p": judged.p, "errors": mine,
                 "told": sum(one.status == TOLD for one in judged.told), "innovations": found.fit.residual,
                 "settled": found.fit.settled, "faults": [fault.kind for fault in found.faults],
-                "machine": told_machine(found.machine, found, judged).model_dump(mode="json"),
+                "machine": told.model_dump(mode="json"),
             }  # fmt: skip
             kept.add("numbers", plant, rig % logs + 1, rig, line)
         off = {name: f"{error / sd:.1f}" for name, (error, sd) in line["errors"].items()}
@@ -334,9 +336,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", nargs="?", choices=("numbers", "soil"), default="numbers")
     parser.add_argument("--plant", nargs="+", default=["planar", "spatial"])
-    parser.add_argument("--logs", type=int, default=7)
+    parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the rig to begin with")
     parser.add_argument("--faults", type=int, default=10)

@@ -250,7 +250,7 @@ def _lead(design: Array, word: Callable[[float], Array]) -> float:
         found = np.linalg.lstsq(design, reading, rcond=None)[0]
         return float(np.var(reading - design @ found) / max(float(np.var(reading)), 1e-12))
 
-    return min(LEADS_S.tolist(), key=left)
+    return float(min(LEADS_S.tolist(), key=left))
 
 
 def reading_as(machine: Machine, word: WheelWord) -> Machine:

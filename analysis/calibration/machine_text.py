@@ -55,11 +55,11 @@ def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: s
 
 
 def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
-    known = table.get(key)
-    comment = known.trivia.comment.lstrip("# ") if isinstance(known, Item) and known.trivia.comment else ""
+    items: Any = table.value
+    known: Item | None = items.item(key) if key in table else None
+    comment = known.trivia.comment.lstrip("# ") if known is not None and known.trivia.comment else ""
     table[key] = _hexadecimal(value) if key in _HEXADECIMAL else _item(value)
-    item: Any = table[key]
-    item.comment(f"{said}; {comment}" if comment else said)
+    items.item(key).comment(f"{said}; {comment}" if comment else said)
 
 
 def _item(value: Any) -> Item:
@@ -92,7 +92,7 @@ def _plain(value: Any, key: str) -> Any:
 def _round(value: float, key: str) -> float:
     if key.endswith("_sd"):
         return float(f"{value:.2g}")
-    return float(f"{value:.7g}") if key in _WHEEL and key != "zero" else round(value, DIGITS)
+    return float(f"{value:.7g}") if key in _WHEEL and key not in ("zero", "curve") else round(value, DIGITS)
 
 
 def _words(value: Any) -> str:

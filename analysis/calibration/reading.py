@@ -1,19 +1,52 @@
 """The measurements of a drive from logs by a machine file, and the messages that may hold the wheel angle."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from tilth.estimator.calibration.calibrate import CannotCalibrate
+from tilth.estimator.pose.geometry import to_plane
 from tilth.replay.readers.any_log import open_log
-from tilth.replay.readers.log import EmptyLog
-from tilth.replay.readers.rig import Say, on_buses_of
+from tilth.replay.readers.log import EmptyLog, LogError
+from tilth.replay.readers.rig import Say, machine_in, on_buses_of
 from tilth.replay.wheel_by_way import WheelMessages
+from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement, Position
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, MachineError
 
 SHOWN_EVERY: Final = 8192  # frames
+SECOND_NS: Final = 1_000_000_000
+BESIDE_NS: Final = 2_000_000_000  # within which both are heard
+POSITIONS: Final = (65267, 129025)  # messages of one frame that hold one
+FEWEST_SECONDS: Final = 30  # of positions
+FARTHEST_M: Final = 30.0  # between receivers of one rig
+
+
+@dataclass(slots=True)
+class OtherSender:
+    """Of positions that the machine file does not name, about one a second."""
+
+    last_ns: int = 0
+    alone: int = 0  # without one of the rig's receivers beside it
+    metres: list[float] = field(default_factory=list)  # from a receiver of the rig
+
+    @property
+    def count(self) -> int:
+        return self.alone + len(self.metres)
+
+    @property
+    def of_another_rig(self) -> str:
+        """Why it stands on another rig; "" where it may be one more receiver of this one."""
+        if len(self.metres) >= FEWEST_SECONDS and float(np.median(self.metres)) > FARTHEST_M:
+            return f"{np.median(self.metres):.0f} m away from the rig most of the time"
+        if self.alone >= FEWEST_SECONDS and self.alone > len(self.metres):
+            return "heard while none of the rig's receivers was"
+        return ""
 
 
 @dataclass(slots=True)
@@ -25,29 +58,34 @@ class LogHeard:
     last_ns: int = 0
     frames: int = 0
     messages: WheelMessages = field(default_factory=WheelMessages)
-    strangers: dict[str, int] = field(
-        default_factory=dict
-    )  # senders of positions that the file does not name
+    strangers: dict[str, OtherSender] = field(default_factory=dict)
+    last_at: tuple[int, tuple[float, float]] | None = None  # of the rig: ns, latitude and longitude
 
 
 def read(
     paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say,
     progress: Callable[[int, int], None],
 ) -> LogHeard:  # fmt: skip
-    """Raises LogError, OSError, MachineError."""
+    """Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs."""
     heard, decoder = LogHeard(), Decoder(machine)
+    _check_same_receivers(paths)
+    earlier: tuple[Path, int] | None = None
     whole, before = sum(path.stat().st_size for path in paths), 0
     for path in paths:
-        log = open_log(path)
+        log, frames = open_log(path), heard.frames
         with log.file:
             for record in on_buses_of(machine, log, buses, say):
                 if isinstance(record, Frame):
+                    if earlier is not None and heard.frames == frames:
+                        _check_order(path, earlier, record.t_ns)
                     _take(heard, decoder, record)
                     if heard.frames % SHOWN_EVERY == 0:
                         progress(before + log.position(), whole)
         before += log.size
+        earlier = path, heard.last_ns
     if not heard.frames:
         raise EmptyLog(f"{paths[0]}: no frame is in it")
+    _check_one_rig(heard)
     return heard
 
 
@@ -58,6 +96,61 @@ def _take(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     heard.messages.take(frame)
     for measurement in decoder.measurements(frame):
         heard.measurements.append(measurement)
-        if isinstance(measurement, Position) and measurement.origin.mount is None:
-            name = f"address {measurement.origin.source} on {measurement.origin.bus}"
-            heard.strangers[name] = heard.strangers.get(name, 0) + 1
+        if isinstance(measurement, Position) and measurement.origin.mount is not None:
+            heard.last_at = measurement.rx_ns, (measurement.latitude_deg, measurement.longitude_deg)
+    if frame.extended and split(frame.can_id).pgn in POSITIONS:
+        _take_stranger(heard, decoder, frame)
+
+
+def _take_stranger(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
+    """Where a sender is that the machine file does not name."""
+    origin = decoder.origin(frame.bus, frame.can_id & 0xFF)
+    if origin.mount is not None:
+        return
+    other = heard.strangers.setdefault(f"address {origin.source} on {origin.bus}", OtherSender())
+    if 0 <= frame.rx_ns - other.last_ns < SECOND_NS:
+        return
+    for message in Decoder().messages(frame):
+        if "latitude_deg" not in message.values or "longitude_deg" not in message.values:
+            continue
+        here = float(message.values["latitude_deg"]), float(message.values["longitude_deg"])
+        other.last_ns = frame.rx_ns
+        if heard.last_at is None or abs(frame.rx_ns - heard.last_at[0]) > BESIDE_NS:
+            other.alone += 1
+        else:
+            other.metres.append(math.hypot(*to_plane(heard.last_at[1], *here)))
+
+
+def _check_one_rig(heard: LogHeard) -> None:
+    """Raises CannotCalibrate."""
+    others = [f"{name} ({why})" for name, o in sorted(heard.strangers.items()) if (why := o.of_another_rig)]
+    if others:
+        raise CannotCalibrate(
+            f"two rigs are in this: the receivers at {', '.join(others)} are none of the machine file; give "
+            "the logs of one rig, or take the other's bus out with --bus"
+        )
+
+
+def _check_order(path: Path, before: tuple[Path, int], first_ns: int) -> None:
+    if first_ns < before[1] - SECOND_NS:
+        raise CannotCalibrate(
+            f"{path} begins before {before[0]} ends: they are of two rigs, or of two computers on one; give "
+            "the logs of one recorder in their order"
+        )
+
+
+def _check_same_receivers(paths: Sequence[Path]) -> None:
+    """By the machine files in the logs, as far as there are any."""
+    seen: dict[frozenset[tuple[str, int | None, int | None]], Path] = {}
+    for path in paths:
+        try:
+            machine, _ = machine_in([path], plausible=False)
+        except (LogError, MachineError):
+            continue
+        seen.setdefault(frozenset((r.bus, r.name, r.source) for r in machine.receiver), path)
+    if len(seen) > 1:
+        one, other = list(seen.values())[:2]
+        raise CannotCalibrate(
+            f"{one} and {other} are of two rigs: by the machine files in them they have other receivers; "
+            "give the logs of one"
+        )

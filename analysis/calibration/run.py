@@ -29,7 +29,7 @@ from tilth.schemas.spread import plus_minus
 Progress = Callable[[str, float], None]
 
 READING: Final = 0.1  # share of the work
-MANY: Final = 100  # positions of a device that the file does not name
+MANY: Final = 20  # seconds with positions of a device that the file does not name
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,12 +191,12 @@ def _places(found: Calibration) -> dict[str, str]:
 
 
 def _notes(heard: LogHeard) -> list[str]:
-    many = sorted(name for name, count in heard.strangers.items() if count > MANY)
+    many = sorted(name for name, other in heard.strangers.items() if other.count > MANY)
     if not many:
         return []
     return [
-        f"Positions of devices that the machine file does not name are in the log too: {', '.join(many)}. "
-        "They are left out; of two rigs in one log only that of the file is calibrated."
+        f"Devices that the machine file does not name send positions from this rig, too: {', '.join(many)}. "
+        "They are left out."
     ]
 
 

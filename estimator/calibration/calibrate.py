@@ -21,7 +21,13 @@ from tilth.estimator.calibration.first_look import Pairs, Straightness
 from tilth.estimator.calibration.joint import JointFit
 from tilth.estimator.calibration.records import FollowedRecords, follow
 from tilth.estimator.calibration.refusals import CannotCalibrate as CannotCalibrate
-from tilth.estimator.calibration.refusals import check_receivers, check_records, check_turned, check_wheel
+from tilth.estimator.calibration.refusals import (
+    check_lengths,
+    check_receivers,
+    check_records,
+    check_turned,
+    check_wheel,
+)
 from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -216,6 +222,7 @@ def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFa
     faults += [*wrong, *finding.roll_sign_faults(found_rolls.sign)]
     placed = _placed(drive, changes)
     changes = _geometry(machine, placed, changes, found_rolls)
+    check_lengths(changes.longer)
     view = _view(applied(machine, changes), placed, changes, found_rolls)
     base = machine.tractor.a.value + machine.tractor.b.value
     told = first_look.wheel(view, base, view.rate[:, 0])

@@ -3,8 +3,12 @@
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration.changes import BODIES
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.first_look import Straightness
@@ -14,6 +18,7 @@ from tilth.schemas.machine import Machine
 
 LEAST_RECORDS_S: Final = 40.0
 LEAST_TURNED_S: Final = 10.0
+OTHER_RIG_M: Final = 1.0  # beyond what two positions by a tape are wrong
 
 
 class CannotCalibrate(Exception):
@@ -73,6 +78,17 @@ def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None
         + (f". Found meanwhile: {'; '.join(said)}" if said else ""),
         faults,
     )
+
+
+def check_lengths(longer: NDArray[np.float64]) -> None:
+    """longer: m, by which receivers of either body are further apart than the file says, (2,)."""
+    for body, by in zip(BODIES, longer.tolist(), strict=True):
+        if abs(by) > OTHER_RIG_M:
+            how = "further apart" if by > 0.0 else "closer"
+            raise CannotCalibrate(
+                f"the {body}'s receivers are {abs(by):.1f} m {how} than in the machine file: it is "
+                "of another rig, or their positions are wrong by more than a tape is"
+            )
 
 
 def check_turned(driven: Straightness) -> None:

@@ -68,7 +68,7 @@ def _word(**given: object) -> WheelWord:
 def test_another_message_for_the_wheel_angle() -> None:
     made = rewritten(TEXT, MACHINE, reading_as(MACHINE, _word()), SAME, "2026-05-04")
     assert "id = 0x18FFA044 # calibrate 2026-05-04; was 0x18FF0B15" in made
-    assert "not_available" not in made
+    assert "signed = false # calibrate 2026-05-04; was True" in made and "not_available" not in made
     wheel = parse_machine(made).wheel_angle
     assert (wheel.id, wheel.start_byte, wheel.byte_order, wheel.signed) == (0x18FFA044, 2, "little", False)
     assert (wheel.sign, wheel.scale) == (-1, pytest.approx(1 / 128, rel=0.01))
