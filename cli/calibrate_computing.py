@@ -53,7 +53,8 @@ class BackgroundEstimates:
             self._take()
         complete = sum(one.complete for one in progress(fold))
         new_s = driven_s - self._used_s
-        due = driven_s >= LEAST_S and (new_s >= EVERY_S or (complete > self._complete and new_s > 0.0))
+        more = not self._used_s or new_s >= EVERY_S or (complete > self._complete and new_s > 0.0)
+        due = driven_s >= LEAST_S and more
         if self._asked or due:
             self._begin(logs, driven_s, complete)
         elif not self._used_s and driven_s < LEAST_S:

@@ -74,7 +74,8 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
         except zenoh.ZError:
             where = args.config or args.connect
             raise WrongUse(
-                f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
+                f"no daemon can be reached at {where}; is `{command('run')}` running? "
+                "See --connect and --config"
             ) from None
         if machine is not None:
             _check_name(args, session, machine)
@@ -82,8 +83,8 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
         found = _status(session, base)
         if found is not None and found.log_file and not Path(found.log_file).exists():
             raise WrongUse(
-                f"{found.log_file}: the daemon writes this log, and it is not here; start this on the daemon's "
-                "computer, and in the folder where it was started"
+                f"{found.log_file}: the daemon writes this log, and it is not here; start this on the "
+                "daemon's computer, and in the folder where it was started"
             )
         stack.pop_all()
     return CalibrationWires(session, base)

@@ -1,0 +1,113 @@
+"""`tilth calibrate --live`: wrong use, what a driver is shown, estimates in the background."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+from client_daemon import until
+from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
+
+from tilth.cli import main
+from tilth.cli.calibrate_computing import LEAST_S, BackgroundEstimates
+from tilth.client.calibration import shown as screen
+from tilth.client.calibration.shown import ALL_DRIVEN, DRIVING, FINISHING, STOPPED, ComputedSoFar, shown
+from tilth.estimator.calibration import stages
+from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.stage_words import STAGES
+from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+
+STANDS: Plan = ((10, 0.0, 0),)
+DRIVES: Plan = ((LEAST_S + 20, 3.0, 0),)
+
+
+def _free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--json"], "--json is for logs"),
+        (["no_such.mcap"], "there is no such log"),
+        (["--machine", "no_such.toml"], "no_such.toml"),
+        ([], "no daemon can be reached"),
+    ],
+)
+def test_wrong_use_is_a_sentence(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    at = f"tcp/127.0.0.1:{_free_port()}"
+    assert main(["calibrate", "--live", "--machine", str(FILE), "--connect", at, *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def _fold(plan: Plan) -> stages.StageFold:
+    return stages.take_all(stages.initial(MACHINE), measurements(plan))
+
+
+def _shown(fold: stages.StageFold, answer: dict[str, Any], phase: str = DRIVING, trouble: str = "") -> Any:
+    return shown("rig", fold, ComputedSoFar(answer), (), trouble, phase)
+
+
+def _answer(**changes: Any) -> dict[str, Any]:
+    rows = [
+        {
+            "name": number.name, "status": TOLD, "sd": number.prior_sd / 20, "prior_sd": number.prior_sd,
+            "wanted_sd": number.wanted_sd, "moved": number.prior_sd / 3, "tell": "",
+        }
+        for number in NUMBERS
+    ]  # fmt: skip
+    return {"numbers": rows, "faults": [{"kind": "swapped", "text": "two are exchanged"}], **changes}
+
+
+def test_a_driver_is_always_told_something() -> None:
+    for plan in (STANDS, DRIVES, GUIDED):
+        fold = _fold(plan)
+        for answer in ({}, {"refused": "RTK was never fixed"}, _answer(), _answer(good=True)):
+            state = _shown(fold, answer)
+            assert state.text and state.computed and len(state.stages) == len(STAGES)
+            assert all(stage.what and stage.why and 0.0 <= stage.share <= 1.0 for stage in state.stages)
+    assert _shown(_fold(STANDS), {}, trouble="Nothing is heard.").happening == "Nothing is heard."
+    assert "RTK" in _shown(_fold(STANDS), {"refused": "RTK was never fixed"}).told[0]
+
+
+def test_numbers_are_shown_as_before_and_now() -> None:
+    answer = _answer()
+    answer["numbers"][0]["status"] = NOT_TOLD
+    state = _shown(_fold(STANDS), answer)
+    assert list(state.found) == ["two are exchanged"]
+    assert [row.words for row in state.numbers] == [number.words for number in NUMBERS]
+    assert state.numbers[0].change == "stays as it is"
+    assert all("±" in row.change for row in state.numbers[1:])
+    assert all(row.before.startswith("±") and row.before != row.now for row in state.numbers)
+
+
+@pytest.mark.parametrize("phase", [FINISHING, STOPPED])
+def test_the_end_has_its_own_sentence(phase: str) -> None:
+    state = _shown(_fold(STANDS), {}, phase)
+    assert state.text == screen.PHASE_TEXT[phase] and ALL_DRIVEN not in state.text and not state.happening
+
+
+def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path) -> None:
+    estimates = BackgroundEstimates(["--machine", str(FILE)])
+    standing, driving = _fold(STANDS), _fold(DRIVES)
+    estimates.turn(standing, [])
+    assert not estimates.so_far.busy and "begins after" in estimates.so_far.text
+    missing = tmp_path / "gone.mcap"
+    estimates.turn(driving, [missing])
+    assert estimates.so_far.busy
+
+    def over() -> bool:
+        if estimates.so_far.busy:
+            estimates.turn(driving, [missing])
+        return not estimates.so_far.busy
+
+    until(over)
+    assert "The estimate failed" in estimates.so_far.text and "gone.mcap" in estimates.so_far.text
+    estimates.turn(driving, [missing])
+    assert not estimates.so_far.busy, "only after new driving"
+    estimates.ask()
+    estimates.turn(driving, [missing])
+    assert estimates.so_far.busy
+    estimates.close()
