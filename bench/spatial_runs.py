@@ -148,7 +148,7 @@ class Heard:
         point[SIX] = self.logs
         for name, value in true_nuisances(self.machine, self.run).items():
             point[AT[name]] = value
-        return bound_at(self.machine, self.fitted, point).tolist()
+        return list(map(float, bound_at(self.machine, self.fitted, point)))
 
     def _per_mass(self, name: str, error: float, sd: float) -> list[float]:
         if name not in self.learned:  # the recommended one is another's

@@ -11,6 +11,7 @@ from tilth.cli import main
 from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
+from tilth.schemas.flow import Frame
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,8 @@ def test_portions_give_what_the_whole_gives(log: Path, tmp_path: Path, seed: int
     data, growing = log.read_bytes(), tmp_path / "growing.mcap"
     cuts = np.sort(np.random.default_rng(seed).integers(100, len(data), 12)).tolist()
     growing.write_bytes(data[: cuts[0]])
-    following, found = GrowingLog(growing), []
+    following = GrowingLog(growing)
+    found: list[Frame] = []
     for begin, end in zip(cuts, [*cuts[1:], len(data)], strict=True):
         found += following.frames()
         with growing.open("ab") as file:

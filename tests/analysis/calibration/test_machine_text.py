@@ -71,7 +71,8 @@ def test_another_message_for_the_wheel_angle() -> None:
     assert "signed = false # calibrate 2026-05-04; was True" in made and "not_available" not in made
     wheel = parse_machine(made).wheel_angle
     assert (wheel.id, wheel.start_byte, wheel.byte_order, wheel.signed) == (0x18FFA044, 2, "little", False)
-    assert (wheel.sign, wheel.scale) == (-1, pytest.approx(1 / 128, rel=0.01))
+    assert wheel.sign == -1
+    assert wheel.scale == pytest.approx(1 / 128, rel=0.01)
     assert wheel.offset == pytest.approx(-250.0, abs=1.0)
     rudder = reading_as(MACHINE, _word(can_id=0x09F10D4D, instance=0))
     again = parse_machine(rewritten(TEXT, MACHINE, rudder, SAME, "2026-05-04")).wheel_angle

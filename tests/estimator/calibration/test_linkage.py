@@ -1,6 +1,7 @@
 """Which wheel carries the sensor and how curved its linkage is, on a rig that does not slip."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -47,7 +48,9 @@ def _found(made: list[Measurement], machine: Machine = MACHINE) -> tuple[Changes
 
 @pytest.mark.parametrize("kingpin", ["mean", "left", "right"])
 @pytest.mark.parametrize("curve", [0.0, 0.06, -0.06])
-def test_the_simulators_sensor_is_found(kingpin: str, curve: float, heard: list[Measurement]) -> None:
+def test_the_simulators_sensor_is_found(
+    kingpin: Literal["mean", "left", "right"], curve: float, heard: list[Measurement]
+) -> None:
     made = _sent(heard, Wheel(kingpin=kingpin, curve=curve))
     changes, sd = _found(made)
     assert changes.linkage.kingpin == kingpin and sd < 0.02

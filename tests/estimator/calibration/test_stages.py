@@ -147,8 +147,9 @@ def test_what_is_missing_is_asked_for_step_by_step(parts: dict[str, list[Measure
 
 
 def _without_rtk(one: Measurement) -> Measurement:
-    bad = isinstance(one, Fix) and one.origin.mount is Mount.IMPLEMENT_REAR
-    return replace(one, fix=FixType.RTK_FLOAT) if bad else one
+    if isinstance(one, Fix) and one.origin.mount is Mount.IMPLEMENT_REAR:
+        return replace(one, fix=FixType.RTK_FLOAT)
+    return one
 
 
 @pytest.mark.parametrize(
