@@ -96,7 +96,7 @@ def test_portions_give_the_same(shares: list[float], parts: dict[str, list[Measu
 
 
 @settings(max_examples=12, deadline=None)
-@given(cut_s=st.floats(5.0, 140.0))
+@given(cut_s=st.floats(5.0, 125.0))
 def test_an_interruption_costs_only_what_was_under_way(
     cut_s: float, parts: dict[str, list[Measurement]]
 ) -> None:
