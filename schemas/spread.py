@@ -31,6 +31,12 @@ def half_width(sd: float, unit: str) -> str:
     return f"±{WITHIN * sd:.2g} {unit} {_SAYS}"
 
 
+def half_alone(sd: float, unit: str) -> str:
+    """The same without saying that it is 95 %: for a table whose head says it."""
+    half = WITHIN * sd
+    return f"±{_number(half, half)} {unit}"
+
+
 def plus_minus(value: float, sd: float, unit: str = "") -> str:
     """Such as: 1.20 ± 0.13 s (95 %)."""
     half = WITHIN * sd

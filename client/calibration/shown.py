@@ -9,7 +9,7 @@ from tilth.estimator.calibration.stage_words import StageProgress, happening, ne
 from tilth.estimator.calibration.stages import StageFold
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.schemas.spread import WITHIN, plus_minus
+from tilth.schemas.spread import half_alone, plus_minus
 
 DRIVING, FINISHING, STOPPED = "driving", "finishing", "stopped"
 ALL_DRIVEN: Final = "All stages are driven."
@@ -90,5 +90,4 @@ def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:
 
 
 def _half_width(number: Sought, sd: float) -> str:
-    half = WITHIN * sd / number.per_unit
-    return f"±{half:.0f} {number.unit}" if half >= 9.5 else f"±{half:.2g} {number.unit}"
+    return half_alone(sd / number.per_unit, number.unit)
