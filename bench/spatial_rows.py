@@ -50,7 +50,8 @@ class Reach:
 def results(bench: Bench, name: str) -> list[Result]:
     """Of all runs of a row, those that were kept before among them."""
     run = partial(
-        spatial_runs.follow, bench.logs, name, bench.scale, held_out=name == "spatial_random"
+        spatial_runs.follow, bench.logs, name, bench.scale, held_out=name == "spatial_random",
+        bounded=name in _PLAIN,
     )  # fmt: skip
     return bench.each(run, ROW[name].runs, _kept(bench, name), partial(_keep, bench))
 

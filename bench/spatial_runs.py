@@ -42,9 +42,11 @@ TURNING: Final = math.radians(12.0)  # wheel angle of a headland turn
 TURN_GAP_S: Final = 30.0  # from turn to turn at least; more than a reversal takes
 
 
-def follow(to: Path, name: str, scale: float, seed: int, held_out: bool = False) -> dict[str, Any]:
+def follow(
+    to: Path, name: str, scale: float, seed: int, held_out: bool = False, bounded: bool = False
+) -> dict[str, Any]:
     """Plain data of one run, for a line of JSON; the log is made if it is not there. scale: of its seconds,
-    for a try."""
+    for a try. bounded: with the least sds that are possible, which takes a run of the filter for each fit."""
     row = ROW[name] if scale == 1.0 else replace(ROW[name], seconds=ROW[name].seconds * scale)
     spatial_logs.make(to, row, seed)
     run = spatial_logs.read_run(to, name, seed)
@@ -55,6 +57,8 @@ def follow(to: Path, name: str, scale: float, seed: int, held_out: bool = False)
     took_s = time.perf_counter() - began
     result = {"row": name, "seed": seed, "scale": scale, "took_s": took_s, "drive_s": row.seconds}
     result |= heard.result(row)
+    if bounded:
+        result["bound"] = heard.bound()
     if held_out:
         result["trajectory"] = held_out_errors(machine, run, heard.segments, scale)
     return result
@@ -115,7 +119,6 @@ class Heard:
         return {
             "logs": self.logs.tolist(), "methods": methods, "events": self.events, "refused": self.refused,
             "turn_ends_s": turn_ends(self.run),
-            "bound": self._bound(),
             "wheel_s": informative_times(self.run, row.informed_s) if row.informed_s else [],
         }  # fmt: skip
 
@@ -138,7 +141,7 @@ class Heard:
             "whole": whole_near(series, row.informed_s) if row.informed_s else [],
         }
 
-    def _bound(self) -> list[float]:
+    def bound(self) -> list[float]:
         """Sds below which no estimator gets, (6,), by the product's own model: the expected information of
         what `pem` fitted, at the true values as far as they are its unknowns, and the prior. C_ai is over
         the mass."""

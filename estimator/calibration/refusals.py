@@ -30,6 +30,7 @@ class CannotCalibrate(Exception):
 
 
 def check_receivers(machine: Machine, heard: drives.MeasuredLists) -> None:
+    """Raises CannotCalibrate."""
     missing = [mount.value for k, mount in enumerate(MOUNTS) if len(heard.positions[k]) < 2]
     names = {r.mount for r in machine.receiver}
     if len(names) < 4:
@@ -68,6 +69,7 @@ def _fixed_share(fixes: dict[FixType, int]) -> float:
 
 
 def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None:
+    """Raises CannotCalibrate."""
     seconds = sum(len(record.ticks) for record in followed.records) * 0.02
     if seconds >= LEAST_RECORDS_S:
         return
