@@ -85,14 +85,17 @@ def fit(
     progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = MOST_STEPS,
 ) -> JointFit:  # fmt: skip
     """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must
-    settle. Raises ValueError without records.
+    settle. Raises ValueError without records or steps.
 
     Noise levels are sought for noise_steps and then held: where there is nothing to a level, it would go on
     for ever. most_steps: with these held, 0 for a fit that only another one begins at.
     """
     if not records:
         raise ValueError("no record to fit")
+    if not noise_steps + most_steps:
+        raise ValueError("no step to take")
     point, stages = start.copy(), ((noise_steps, False), (most_steps, True))
+    made: JointFit | None = None
     for most, held in [stage for stage in stages if stage[0]]:
         free = sd.copy()
         about = mean.copy()
@@ -102,7 +105,9 @@ def fit(
         if held:
             _leave_out_outliers(searches, point)
         point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
-    return _result(searches, now, point, about, free, steps, size < SETTLED)
+        made = _result(searches, now, point, about, free, steps, size < SETTLED)
+    assert made is not None
+    return made
 
 
 def _search(
