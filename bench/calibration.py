@@ -44,7 +44,6 @@ Array = NDArray[np.float64]
 
 CACHE: Final = Path.home() / ".cache" / "tilth" / "calibration"
 ROOT: Final = Path(__file__).resolve().parents[1]
-JITTER_S: Final = 0.0015  # mean, of the simulated receivers' link
 STRUCTURE: Final = (
     "none", "reversed_tractor", "reversed_implement", "bodies", "wheel_sign", "yaw_rate_sign", "roll_sign",
     "roll_corrected", "byte_order", "scale", "kingpin",
@@ -158,7 +157,7 @@ def true_numbers(truth: dict[str, Any], machine: Machine) -> dict[str, float]:
         "wheel_zero": told["wheel_zero"],
         "wheel_gain": math.log(told["wheel_gain"]),
         "wheel_curve": 0.0,
-        "latency": float(np.mean(late)) + JITTER_S,
+        "latency": float(np.mean(late)),  # the poses take the first of arrival times (pose/epoch_clock.py)
         **{f"roll_zero_{mount.value}": told[f"roll_zero_{mount.value}"] for mount in MOUNTS},
     }
 

@@ -178,7 +178,7 @@ def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
     wheel = np.array([wheel_after(angle, changes) for angle in drive.wheel.tolist()])
     return replace(
         drive, at=drive.at[:, who], velocity=drive.velocity[:, who], roll=drive.roll[:, who] * signs,
-        yaw_rate=drive.yaw_rate[:, who] * turned, wheel=wheel,
+        yaw_rate=drive.yaw_rate[:, who] * turned, wheel=wheel, pitch=drive.pitch[:, who],
     )  # fmt: skip
 
 
@@ -188,8 +188,7 @@ def _view(now: Machine, placed: DriveGrid, changes: Changes, found: Rolls | None
     if found is not None:
         for body in range(2):
             both = placed.roll[:, 2 * body : 2 * body + 2] - found.zero[2 * body : 2 * body + 2]
-            good = np.isfinite(both).any(axis=1)
-            roll[good, body] = np.nanmean(both[good], axis=1)
+            roll[:, body] = first_look.mean_of_known(both)
     return first_look.seen(placed, now, roll, changes.late)
 
 

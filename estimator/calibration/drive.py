@@ -32,7 +32,7 @@ Rows = list[tuple[float, ...]]
 MOUNTS: Final = tuple(Mount)
 STEP_S: Final = 0.2  # of the grid
 LONGEST_GAP_S: Final = 1.1  # that is interpolated
-MEAN_S: Final = 0.2  # over which wheel angle, turn rates and rolls are averaged
+MEAN_S: Final = 0.2  # over which wheel angle, turn rates, rolls and pitches are averaged
 
 
 @dataclass(slots=True)
@@ -46,6 +46,7 @@ class MeasuredLists:
     yaw_rates: list[Rows] = field(default_factory=lambda: [[] for _ in MOUNTS])  # t, rad/s
     headings: list[Rows] = field(default_factory=lambda: [[] for _ in MOUNTS])  # t, rad
     rolls: list[Rows] = field(default_factory=lambda: [[] for _ in MOUNTS])  # t, rad
+    pitches: list[Rows] = field(default_factory=lambda: [[] for _ in MOUNTS])  # t, rad
     wheel: Rows = field(default_factory=list)  # t, rad
     fixes: list[dict[FixType, int]] = field(default_factory=lambda: [{} for _ in MOUNTS])
     position_pgns: list[int] = field(default_factory=lambda: [0] * len(MOUNTS))
@@ -71,8 +72,10 @@ def take(heard: MeasuredLists, measurement: Measurement) -> None:
             heard.yaw_rates[k].append((t, rate))
         case Heading(heading=heading):
             heard.headings[k].append((t, heading))
-        case Attitude(roll=roll) if roll is not None:
-            heard.rolls[k].append((t, roll))
+        case Attitude(roll=roll, pitch=pitch):
+            for rows, angle in ((heard.rolls[k], roll), (heard.pitches[k], pitch)):
+                if angle is not None:
+                    rows.append((t, angle))
         case Fix(fix=fix):
             heard.fixes[k][fix] = heard.fixes[k].get(fix, 0) + 1
         case _:
@@ -99,6 +102,7 @@ class DriveGrid:
     velocity: Array  # m/s north and east, (n, 4, 2)
     yaw_rate: Array  # rad/s, (n, 4)
     roll: Array  # rad, (n, 4)
+    pitch: Array  # rad, (n, 4)
     wheel: Array  # rad, (n,)
 
     @property
@@ -117,18 +121,20 @@ def drive_of(heard: MeasuredLists, machine: Machine) -> DriveGrid:
     t: Array = (min(starts) if starts else 0.0) + STEP_S * np.arange(max(n, 0), dtype=np.float64)
     shape = (len(t), len(MOUNTS))
     at, velocity = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
-    yaw_rate, roll = np.full(shape, np.nan), np.full(shape, np.nan)
+    yaw_rate, roll, pitch = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for k, mount in enumerate(MOUNTS):
         then: Array = t + late.get(mount, 0.0)
         for axis in range(2):
             at[:, k, axis] = _between(heard.positions[k], 1 + axis, then)
             velocity[:, k, axis] = _between(heard.velocities[k], 1 + axis, then)
+        pitch[:, k] = _mean(heard.pitches[k], then)
         if mount in by_mount:
             given = by_mount[mount]
             zero = 0.0 if given.roll_zero is None else np.radians(given.roll_zero.value)
             yaw_rate[:, k] = given.yaw_rate_sign * _mean(heard.yaw_rates[k], then)
             roll[:, k] = given.roll_sign * _mean(heard.rolls[k], then) - zero
-    return DriveGrid(t, at, velocity, yaw_rate, roll, _mean(heard.wheel, t + machine.wheel_angle.delay))
+    wheel = _mean(heard.wheel, t + machine.wheel_angle.delay)
+    return DriveGrid(t, at, velocity, yaw_rate, roll, pitch, wheel)
 
 
 def _columns(rows: Sequence[tuple[float, ...]]) -> Array:

@@ -55,6 +55,7 @@ class Pairs:
 def seen(drive: DriveGrid, machine: Machine, roll: Array, late: Array) -> Pairs:
     """roll: rad, (n, 2), of both bodies, 0 where unknown. late: s, (4,), beyond the file's latencies."""
     by_mount = {r.mount: r for r in machine.receiver}
+    pitch = np.column_stack([mean_of_known(drive.pitch[:, k : k + 2]) for k in (0, 2)])
     at = drive.at + drive.velocity * late[:, None]
     moving = _later(drive, late)
     heading, middle = np.full((len(drive.t), 2), np.nan), np.full((len(drive.t), 2, 2), np.nan)
@@ -68,16 +69,25 @@ def seen(drive: DriveGrid, machine: Machine, roll: Array, late: Array) -> Pairs:
         good = np.isfinite(psi)
         psi[good] = np.unwrap(psi[good])
         heading[:, body] = psi
-        right = np.column_stack([-np.sin(psi), np.cos(psi)])
+        ahead, right = (
+            np.column_stack([np.cos(psi), np.sin(psi)]),
+            np.column_stack([-np.sin(psi), np.cos(psi)]),
+        )
         heights = [0.0 if r.roll_corrected else r.position[2] for r in pair]
-        lean = float(np.mean(heights)) * np.sin(roll[:, body])
-        middle[:, body] = at[:, [front, rear]].mean(axis=1) - lean[:, None] * right
+        lean, back = (float(np.mean(heights)) * np.sin(tilt[:, body]) for tilt in (roll, pitch))
+        middle[:, body] = at[:, [front, rear]].mean(axis=1) - lean[:, None] * right + back[:, None] * ahead
         velocity = moving[:, [front, rear]].mean(axis=1)
         along[:, body] = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
         across[:, body] = (velocity * right).sum(axis=1)
     return Pairs(
         drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate
     )
+
+
+def mean_of_known(angles: Array) -> Array:
+    """Of each row, 0 where nothing is known, (n,)."""
+    known = np.isfinite(angles)
+    return np.asarray(np.where(known, angles, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def _later(drive: DriveGrid, late: Array) -> Array:
@@ -102,11 +112,11 @@ def _rate(heading: Array) -> Array:
 
 
 def latency_differences(drive: DriveGrid, view: Pairs) -> Array:
-    """By how much each receiver is later than the mean of its body's, s, (4,), on straight driving."""
+    """By how much each receiver is later than the mean of its body's, s, (4,): so much longer is the pair the
+    faster it drives. In turns, too: along a body all points are equally fast, but for what stands aside."""
     late = np.zeros(4)
-    straight = view.known & (np.abs(view.rate) < STRAIGHT).all(1) & (np.abs(view.along[:, 0]) > 0.3)
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
-        rows = straight & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
+        rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
         ahead = np.column_stack([np.cos(view.heading[rows, body]), np.sin(view.heading[rows, body])])
         apart = ((drive.at[rows, front] - drive.at[rows, rear]) * ahead).sum(axis=1)
@@ -117,7 +127,11 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> Array:
 
 def hitch(view: Pairs) -> Solved:
     """(forward, right) of the hitch from the tractor's middle and from the implement's, m, and by how much
-    the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i."""
+    the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i.
+
+    What a wrong heading does to the far end of a body is several times what positions are wrong by along it,
+    so rows count by what they know (`_hitch_noise`): else lateness was 10 ms off, and the hitch 3 cm.
+    """
     rows = view.known
     rows = rows & np.isfinite(view.middle).all((1, 2))
     apart = view.middle[rows, 1] - view.middle[rows, 0]
@@ -127,8 +141,26 @@ def hitch(view: Pairs) -> Solved:
         forward, right = (np.cos, np.sin)[axis], (lambda a: -np.sin(a), np.cos)[axis]
         columns = [forward(psi[:, 0]), right(psi[:, 0]), -forward(psi[:, 1]), -right(psi[:, 1])]
         blocks.append(np.column_stack([*columns, -u * forward(psi[:, 1])]))
-    design = np.stack(blocks, axis=1).reshape(-1, 5)
-    return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
+    design = np.stack(blocks, axis=1)
+    prior = np.array([6.0, 1.0, 10.0, 1.0, 0.15])
+    rough = solve(design.reshape(-1, 5), apart.reshape(-1), prior, NOISE_M, HITCH_BLOCK)
+    if not len(apart):
+        return rough
+    white = np.linalg.inv(np.linalg.cholesky(_hitch_noise(view, psi, rough.value[[0, 2]])))
+    told = solve(
+        (white @ design).reshape(-1, 5), (white @ apart[..., None]).reshape(-1), prior, NOISE_M, HITCH_BLOCK
+    )
+    return Solved(told.value, told.covariance, rough.sd)
+
+
+def _hitch_noise(view: Pairs, psi: Array, reach: Array) -> Array:
+    """Covariance of the hitch by one body less that by the other, over the square of a position's sd, (n, 2,
+    2). psi: (n, 2), headings; reach: (2,), m from the middles to the hitch."""
+    found = np.tile(np.eye(2), (len(psi), 1, 1))  # of two means of two positions
+    for body, length in enumerate(np.nanmedian(view.lengths[view.known], axis=0)):
+        right = np.stack([-np.sin(psi[:, body]), np.cos(psi[:, body])], axis=1)
+        found += 2.0 * (reach[body] / length) ** 2 * right[:, :, None] * right[:, None, :]
+    return found
 
 
 def crab(view: Pairs, body: int) -> Solved:

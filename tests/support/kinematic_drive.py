@@ -95,9 +95,11 @@ def _epoch(
     tractor = receiver.mount in (Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR)
     psi, r = (psi_t, r_t) if tractor else (psi_i, r_i)
     roll = -slope[0] * math.sin(psi) + slope[1] * math.cos(psi)
+    pitch = -slope[0] * math.cos(psi) - slope[1] * math.sin(psi)
     hitch = machine.tractor.b.value - machine.tractor.c.value
     forward, right = receiver.position[:2]
-    right += 0.0 if receiver.roll_corrected else receiver.position[2] * math.sin(roll)
+    height = 0.0 if receiver.roll_corrected else receiver.position[2]
+    forward, right = forward - height * math.sin(pitch), right + height * math.sin(roll)
     at = np.array([north, east])
     speed = np.array([u * math.cos(psi_t), u * math.sin(psi_t)])
     if tractor:
@@ -119,7 +121,7 @@ def _epoch(
         (sent, Position(*_head(sent, origin, 129025), place[0], place[1], 0.025)),
         (sent, Velocity(*_head(sent, origin, 129026), course, float(np.hypot(*speed)), 0.05)),
         (sent, YawRate(*_head(sent, origin, 127251), rate, 0.005)),
-        (sent, Attitude(*_head(sent, origin, 127257), measured, 0.0, 0.009)),
+        (sent, Attitude(*_head(sent, origin, 127257), measured, pitch, 0.009)),
         (sent, Fix(*_head(sent, origin, 129029), fix)),
     ]
 

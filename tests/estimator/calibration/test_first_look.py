@@ -62,6 +62,20 @@ def test_values_are_found(heard: list[Measurement]) -> None:
     assert found.wheel_angle.zero.value == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, 0.0), (-0.03, 0.04)])
+def test_uphill_and_down_neither_hitch_nor_receivers_seem_to_move(slope: tuple[float, float]) -> None:
+    """An antenna 3 m up goes back by 30 cm where it climbs 6 degrees, and forward on the way down."""
+    bad = Changes(late=np.array([0.03, 0.01, -0.02, -0.04]), hitch=np.array([0.1, -0.1]))
+    found, _ = _look(bad, measurements(GUIDED, slope=slope))
+    late = [
+        now.latency.value - right.latency.value
+        for right, now in zip(MACHINE.receiver, found.receiver, strict=True)
+    ]
+    assert np.ptp(late) < 0.004
+    assert found.tractor.c.value == pytest.approx(MACHINE.tractor.c.value, abs=0.015)
+    assert found.implement.d.value == pytest.approx(MACHINE.implement.d.value, abs=0.015)
+
+
 @pytest.mark.parametrize("who", [(1, 0, 2, 3), (0, 1, 3, 2), (2, 3, 0, 1), (2, 1, 0, 3), (3, 1, 0, 2)])
 def test_who_stands_where(who: tuple[int, ...], heard: list[Measurement]) -> None:
     found, faults = _look(Changes(who=who), heard)
