@@ -84,7 +84,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
             followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k), *STEPS[k]
         )
         changes = _taken(machine, changes, fit)
-        changes = _with_aside(machine, drive, changes, found_rolls)
+        changes = _by_the_hitch(machine, drive, changes, found_rolls)
         size = _largest(fit)
         if k == MOST_FITS - 1 or (k > 0 and size < STANDS):
             break
@@ -169,6 +169,7 @@ TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
 ASIDE_FLOOR: Final = 0.004
 TYPICAL_SPEED: Final = 2.0  # m/s, in turns
+LATE_TOLD: Final = 0.01  # s: sd of what is late between the bodies, from which on it is used
 
 
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
@@ -282,18 +283,21 @@ def _geometry(machine: Machine, placed: DriveGrid, changes: Changes, found: Roll
     c, d = -told.value[0] - middles[0, 0], told.value[2] + middles[1, 0]
     known = told.sds[[0, 2]] < 0.1
     by = np.where(known, [c - now.tractor.c.value, d - now.implement.d.value], 0.0)
-    return _with_aside(machine, placed, replace(changes, hitch=changes.hitch + by), found, placed=True)
+    return _by_the_hitch(machine, placed, replace(changes, hitch=changes.hitch + by), found, placed=True)
 
 
-def _with_aside(
+def _by_the_hitch(
     machine: Machine, drive: DriveGrid, changes: Changes, found: Rolls, *, placed: bool = False
 ) -> Changes:
-    """The tractor's receivers aside, by where the hitch is seen from either body: it is on the middle line.
+    """What is late between the bodies, and the tractor's receivers aside, by where the hitch is seen from
+    either body: it is on the middle line. The likelihood has no unknown for either.
 
-    The implement's go along: the likelihood knows them relative to the tractor's.
+    The implement's go along aside: the likelihood knows them relative to the tractor's.
     """
     now = applied(machine, changes)
     told = first_look.hitch(_view(now, drive if placed else _placed(drive, changes), changes, found))
+    if told.sds[4] < LATE_TOLD:
+        changes = _between_bodies(changes, float(told.value[4]))
     if told.sds[1] > 0.05:
         return changes
     right = -told.value[[1, 3]] - _middles(now)[:, 1]
