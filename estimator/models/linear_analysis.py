@@ -53,7 +53,8 @@ def system(
     """
     a, b = model.matrices(rig, speed)
     states, inputs = model.states, model.inputs
-    rows = [output_row(name, states, a, b, rig, speed) for name in outputs]
+    table = _output_rows(states, a, b, rig, speed)
+    rows = [_row_of(name, table, len(states), b.shape[1]) for name in outputs]
     c, d = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     if actuator is not None:
         a, b = steering.with_actuator(a, b, actuator)
@@ -80,35 +81,34 @@ def output_row(
     name: str, states: Sequence[str], a: Array, b: Array, rig: Rig, speed: float
 ) -> tuple[Array, Array]:
     """(row of C, row of D) for one output of OUTPUTS or one state. Raises ValueError."""
+    return _row_of(name, _output_rows(states, a, b, rig, speed), *b.shape)
+
+
+def _row_of(name: str, table: dict[str, Array], n: int, m: int) -> tuple[Array, Array]:
+    if name not in table:
+        raise ValueError(f"{name} is no output of this model; there are {', '.join(sorted(table))}")
+    row = table[name]
+    return row[:n], row[n : n + m]
+
+
+def _output_rows(states: Sequence[str], a: Array, b: Array, rig: Rig, speed: float) -> dict[str, Array]:
+    """Output or state -> its row of C, followed by that of D."""
     n, m = b.shape
-
-    def state(of: str) -> tuple[Array, Array]:
-        return np.eye(n)[list(states).index(of)], np.zeros(m)
-
-    def rate(of: str) -> tuple[Array, Array]:
-        return a[list(states).index(of)], b[list(states).index(of)]
-
-    def total(*terms: tuple[float, tuple[Array, Array]]) -> tuple[Array, Array]:
-        return sum((k * row[0] for k, row in terms), np.zeros(n)), sum(
-            (k * row[1] for k, row in terms), np.zeros(m)
-        )
-
-    psi_t, psi_i, r_t, r_i = state("psi_t"), state("psi_i"), rate("psi_t"), rate("psi_i")
+    table = {name: np.concatenate([row, np.zeros(m)]) for name, row in zip(states, np.eye(n), strict=True)}
+    psi_t, psi_i = table["psi_t"], table["psi_i"]
+    r_t, r_i = (np.concatenate([a[k], b[k]]) for k in map(list(states).index, ("psi_t", "psi_i")))
     # The kinematic model's y_t is that of the rear axle: its CG is b psi further right and moves b r faster.
     slipless = "v" not in states
-    v = total((rig.b, r_t)) if slipless else state("v")
-    y = total((1.0, state("y_t")), (rig.b if slipless else 0.0, psi_t)) if "y_t" in states else None
-    table = {"v": v, "r_t": r_t, "r_i": r_i, "articulation": total((1.0, psi_t), (-1.0, psi_i))}
-    table["v_i"] = total((1.0, v), (-rig.c, r_t), (-rig.d, r_i), (speed, table["articulation"]))
-    if y is not None:
+    v = rig.b * r_t if slipless else table["v"]
+    articulation = psi_t - psi_i
+    if "y_t" in states:
+        y = table["y_t"] + rig.b * psi_t if slipless else table["y_t"]
         table["y_t"] = y
-        table["y_i"] = total((1.0, y), (-rig.c, psi_t), (-rig.d, psi_i))
-        table["y_axle"] = total((1.0, y), (-rig.c, psi_t), (-rig.towed_length, psi_i))
-    if name in table:
-        return table[name]
-    if name in states:
-        return state(name)
-    raise ValueError(f"{name} is no output of this model; there are {', '.join(sorted({*table, *states}))}")
+        table["y_i"] = y - rig.c * psi_t - rig.d * psi_i
+        table["y_axle"] = y - rig.c * psi_t - rig.towed_length * psi_i
+    table |= {"v": v, "r_t": r_t, "r_i": r_i, "articulation": articulation}
+    table["v_i"] = v - rig.c * r_t - rig.d * r_i + speed * articulation
+    return table
 
 
 def without(whole: System, name: str) -> System:
