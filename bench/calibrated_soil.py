@@ -76,7 +76,7 @@ def right_file(truth: dict[str, Any]) -> Machine:
     late = [truth["nuisances"][f"latency_{mount.value}"] for mount in MOUNTS]
     receivers = {r.mount: r for r in file.receiver}
     changes = Changes(
-        late=np.array([t + 0.0015 - receivers[m].latency.value for t, m in zip(late, MOUNTS, strict=True)]),
+        late=np.array([t - receivers[m].latency.value for t, m in zip(late, MOUNTS, strict=True)]),
         forward=np.array([by["lever_t"], by["lever_i"]]),
         aside=np.array([by["aside_t"], by["aside_t"] + by["aside_i"]]),
         pair=np.array([by["pair_t"], by["pair_i"]]), hitch=np.array([by["c"], by["d"]]),
