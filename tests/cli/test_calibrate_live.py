@@ -93,7 +93,7 @@ def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path
     estimates = BackgroundEstimates(["--machine", str(FILE)])
     standing, driving = _fold(STANDS), _fold(DRIVES)
     estimates.turn(standing, [])
-    assert not estimates.so_far.busy and "begins after" in estimates.so_far.text
+    assert not estimates.so_far.busy and "begins after 65 s more" in estimates.so_far.text
     missing = tmp_path / "gone.mcap"
     estimates.turn(driving, [missing])
     assert estimates.so_far.busy
