@@ -1,0 +1,91 @@
+"""`tilth calibrate --live` beside the daemon: processes of their own, a bus, Zenoh with keys between them."""
+
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+import zenoh
+from client_daemon import until
+from field_rig import FieldRig
+from live_rig import PARKED, calibrating, drive_before
+from loopback import PATIENCE_S, free_port
+
+from tilth.client.link import open_session
+from tilth.deploy import keys
+from tilth.logger.clock import Clock
+from tilth.schemas.machine import parse_machine
+from tilth.schemas.proto import tilth_pb2 as pb
+
+NAME = "jd7930-parker500"
+BASE = f"tilth/{NAME}"
+
+
+def _order(session: zenoh.Session, kind: str) -> list[str]:
+    """As the page sends it: what is answered, "" where it was taken."""
+    payload = pb.CalibrationOrder(kind=kind).SerializeToString()
+    replies = session.get(f"{BASE}/calibration/order", payload=payload, timeout=PATIENCE_S)
+    return ["" if one.err is None else one.err.payload.to_string() for one in replies]
+
+
+class Page:
+    """What a page hears and orders, with a key."""
+
+    def __init__(self, key: Path) -> None:
+        self.session = open_session(config=key)
+        self.states: list[pb.CalibrationState] = []
+        self.session.declare_subscriber(f"{BASE}/calibration", self._take)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        self.states.append(pb.CalibrationState.FromString(sample.payload.to_bytes()))
+
+    def hears_the_daemon(self) -> bool:
+        return any(one.ok for one in self.session.get(f"{BASE}/status", timeout=PATIENCE_S))
+
+    def close(self) -> None:
+        self.session.close()
+
+
+@pytest.fixture
+def key_folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "keys"
+    now = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
+    keys.make(folder, keys.Register(NAME, "tilth", ("127.0.0.1",), free_port(socket.SOCK_STREAM)), now)
+    keys.admit(folder, [("olga", "operator"), ("page", "operator"), ("rita", "reader")], now)
+    return folder
+
+
+@pytest.fixture
+def rig(tmp_path: Path, key_folder: Path) -> Iterator[FieldRig]:
+    (tmp_path / "logs").mkdir()
+    with closing(FieldRig(tmp_path / "logs", 60.0, PARKED, key_folder / "daemon.json")) as one:
+        one.start()
+        drive_before(one)
+        yield one
+
+
+def test_who_may_order_has_it_computed_and_finished(rig: FieldRig, key_folder: Path, tmp_path: Path) -> None:
+    out, report = tmp_path / "calibrated.toml", tmp_path / "calibration.html"
+    with closing(Page(key_folder / "page.json")) as page, closing(Page(key_folder / "rita.json")) as reader:
+        until(page.hears_the_daemon)
+        until(reader.hears_the_daemon)
+        words = ["--config", str(key_folder / "olga.json"), "--out", str(out), "--report", str(report)]
+        with calibrating(*words) as process:
+            until(lambda: bool(page.states) and "The next estimate begins after" in page.states[-1].computed)
+            assert page.states[-1].machine == NAME and page.states[-1].stages[0].share > 0.0
+            assert _order(reader.session, "finish") == []  # without the right: nobody is asked
+            assert "no order; there are compute, finish" in _order(page.session, "dance")[0]
+            assert _order(page.session, "compute") == [""]
+            until(lambda: page.states[-1].computing)  # so the reader's order did not end it
+            until(lambda: reader.states[-1].computing)
+            assert page.states[-1].phase == "driving" and not out.exists()
+            assert _order(page.session, "finish") == [""]
+            until(lambda: page.states[-1].phase == "finishing")
+            said, complained = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, complained
+    assert "yaw of the tractor's pair" in said and "written: " in complained
+    assert parse_machine(out.read_text()) != rig.machine and "# calibrate 20" in out.read_text()
+    assert "Is it good" in report.read_text(encoding="utf-8")
+    assert rig.file.read_text() == rig.text
