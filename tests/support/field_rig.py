@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,7 +79,8 @@ class FieldRig:
     def close(self) -> None:
         if self._process is not None:
             self.kill()
-        os.write(self._orders, b"\n")
+        with suppress(BrokenPipeError):  # the drive is over
+            os.write(self._orders, b"\n")
         self._thread.join(PATIENCE_S)
         os.close(self._orders)
 
