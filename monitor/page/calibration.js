@@ -15,7 +15,7 @@ export class Calibration {
     this.part = byId("calibration");
     this.rows = new Map(); // of stages, by name
     this.shownNumbers = "";
-    byId("calibration-compute").addEventListener("click", () => this.#order("compute", "✔ It begins as soon as the one before is done."));
+    byId("calibration-compute").addEventListener("click", () => this.#order("compute", "✔ An estimate is ordered."));
     const finish = byId("calibration-finish");
     finish.addEventListener("click", () => {
       if (finish.dataset.sure) this.#order("finish", "✔ Finished.");
