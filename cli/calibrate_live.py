@@ -56,10 +56,13 @@ def run_live(args: argparse.Namespace) -> int:
     if not finished:
         _say_how_to_go_on(args, logs)
         return 1
-    from tilth.cli.calibrate_logs import run_logs  # the desk: only now
+    try:
+        from tilth.cli.calibrate_logs import run_logs  # the desk: only now
 
-    args.logs = logs
-    return run_logs(args)
+        return run_logs(argparse.Namespace(**{**vars(args), "logs": logs}))
+    except KeyboardInterrupt:
+        _say_how_to_go_on(args, logs)
+        return 1
 
 
 def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWires:
@@ -218,6 +221,8 @@ def _say_how_to_go_on(args: argparse.Namespace, logs: list[Path]) -> None:
         return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
 
     desk = written("machine", "out", "report")
+    desk += [word for pair in args.bus for word in ("--bus", pair)]
+    desk += ["--yes"] if args.yes else []
     options = [*desk, *written("config")]
     if args.config is None:
         options += ["--connect", args.connect] if args.connect != ENDPOINT else []
