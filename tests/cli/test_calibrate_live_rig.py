@@ -1,8 +1,8 @@
 """`tilth calibrate --live` beside the daemon: processes of their own, a bus, Zenoh with keys between them."""
 
+import shlex
 import signal
 import socket
-from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,7 @@ from field_rig import FieldRig
 from live_rig import PARKED, calibrating, drive_before
 from loopback import PATIENCE_S, free_port
 
-from tilth.client.link import open_session
+from tilth.client.link import ENDPOINT, open_session
 from tilth.deploy import keys
 from tilth.estimator.calibration.stage_words import PARK_S
 from tilth.logger.clock import Clock
@@ -33,10 +33,10 @@ def _order(session: zenoh.Session, kind: str) -> list[str]:
 
 
 class Page:
-    """What a page hears and orders, with a key."""
+    """What a page hears and orders."""
 
-    def __init__(self, key: Path) -> None:
-        self.session = open_session(config=key)
+    def __init__(self, key: Path | None = None, endpoint: str = ENDPOINT) -> None:
+        self.session = open_session(endpoint, key)
         self.states: list[pb.CalibrationState] = []
         self.session.declare_subscriber(f"{BASE}/calibration", self._take)
 
@@ -50,81 +50,83 @@ class Page:
         self.session.close()
 
 
-@pytest.fixture(scope="module")
-def key_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("keys") / "keys"
+@pytest.fixture
+def key_folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "keys"
     now = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
     keys.make(folder, keys.Register(NAME, "tilth", ("127.0.0.1",), free_port(socket.SOCK_STREAM)), now)
     keys.admit(folder, [("olga", "operator"), ("page", "operator"), ("rita", "reader")], now)
     return folder
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory, key_folder: Path) -> Iterator[FieldRig]:
-    folder = tmp_path_factory.mktemp("logs")
-    with closing(FieldRig(folder, 300.0, PARKED, key_folder / "daemon.json")) as one:
-        one.start()
-        drive_before(one)
-        yield one
-
-
-@pytest.fixture
-def page(key_folder: Path) -> Iterator[Page]:
-    with closing(Page(key_folder / "page.json")) as one:
-        until(one.hears_the_daemon)
-        yield one
-
-
-def test_who_may_order_has_it_computed_and_finished(
-    rig: FieldRig, page: Page, key_folder: Path, tmp_path: Path
-) -> None:
+def test_who_may_order_has_it_computed_and_finished(key_folder: Path, tmp_path: Path) -> None:
     out, report = tmp_path / "calibrated.toml", tmp_path / "calibration.html"
     words = ["--config", str(key_folder / "olga.json"), "--out", str(out), "--report", str(report)]
-    with closing(Page(key_folder / "rita.json")) as reader, calibrating(*words) as process:
+    with (
+        closing(FieldRig(tmp_path, 90.0, PARKED, key_folder / "daemon.json")) as rig,
+        closing(Page(key_folder / "page.json")) as page,
+        closing(Page(key_folder / "rita.json")) as reader,
+    ):
+        rig.start()
+        drive_before(rig)
+        until(page.hears_the_daemon)
         until(reader.hears_the_daemon)
-        until(lambda: bool(page.states) and "The next estimate begins after" in page.states[-1].computed)
-        assert page.states[-1].machine == NAME and page.states[-1].stages[0].share > 0.0
-        assert _order(reader.session, "finish") == []  # without the right: nobody is asked
-        assert "no order; there are compute, finish" in _order(page.session, "dance")[0]
-        assert _order(page.session, "compute") == [""]
-        until(lambda: page.states[-1].computing)  # so the reader's order did not end it
-        until(lambda: reader.states[-1].computing)
-        assert page.states[-1].phase == "driving" and not out.exists()
-        assert _order(page.session, "finish") == [""]
-        until(lambda: page.states[-1].phase == "finishing")
-        said, complained = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, complained
+        with calibrating(*words) as process:
+            _ordered(page, reader, out)
+            said, complained = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, complained
+        assert rig.file.read_text() == rig.text
     assert "yaw of the tractor's pair" in said and "written: " in complained
     assert parse_machine(out.read_text()) != rig.machine and "# calibrate 20" in out.read_text()
     assert "Is it good" in report.read_text(encoding="utf-8")
-    assert rig.file.read_text() == rig.text
 
 
-def test_it_outlives_the_daemon_and_tells_how_to_go_on_when_it_is_ended(
-    rig: FieldRig, page: Page, key_folder: Path, tmp_path: Path
-) -> None:
+def _ordered(page: Page, reader: Page, out: Path) -> None:
+    until(lambda: bool(page.states) and "The next estimate begins after" in page.states[-1].computed)
+    assert page.states[-1].machine == NAME and page.states[-1].stages[0].share > 0.0
+    assert _order(reader.session, "finish") == []  # without the right: nobody is asked
+    assert "no order; there are compute, finish" in _order(page.session, "dance")[0]
+    assert _order(page.session, "compute") == [""]
+    until(lambda: page.states[-1].computing)  # so the reader's order did not end it
+    until(lambda: reader.states[-1].computing)
+    assert page.states[-1].phase == "driving" and not out.exists()
+    assert _order(page.session, "finish") == [""]
+    until(lambda: page.states[-1].phase == "finishing")
+
+
+def test_it_outlives_the_daemon_and_tells_how_to_go_on_when_it_is_ended(tmp_path: Path) -> None:
     """Ended in the midst of the last estimate."""
-    out = tmp_path / "calibrated.toml"
-    out.write_text(rig.text)
-    key = str(key_folder / "olga.json")
-    with calibrating("--config", key, "--out", str(out), "--yes", "--bus", "can0=can0") as process:
-        until(lambda: bool(page.states and page.states[-1].happening == "This counts for: Park."))
-        rig.kill()
-        parked_s = _parked_s(page.states[-1])
+    out, folder = tmp_path / "calibrated.toml", tmp_path / "logs"
+    folder.mkdir()
+    with closing(FieldRig(folder, 90.0, PARKED)) as rig:
         rig.start()
-        until(lambda: _parked_s(page.states[-1]) > parked_s + 1.0)  # by the log of the new one
-        assert list(page.states[-1].notes) == []
-        assert _order(page.session, "finish") == [""]
-        until(lambda: page.states[-1].phase == "finishing")
-        process.send_signal(signal.SIGINT)
-        _, complained = process.communicate(timeout=PATIENCE_S)
+        out.write_text(rig.text)
+        options = ["--out", str(out), "--bus", "can0=can0", "--yes"]
+        where = ["--connect", rig.endpoint]
+        with closing(Page(endpoint=rig.endpoint)) as page:
+            until(page.hears_the_daemon)
+            with calibrating(*options, *where) as process:
+                _restarted(rig, page)
+                process.send_signal(signal.SIGINT)
+                _, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1 and out.read_text() == rig.text
     first, go_on, compute = complained.splitlines()[-3:]
     assert "nothing was changed, and what was driven is in the logs" in first
-    options = f"--out {out} --bus can0=can0 --yes"
-    assert go_on.endswith(f"calibrate --live {options} --config {key}")
-    logs = [str(path) for path in sorted(rig.folder.glob("*.mcap"))]
-    assert len(logs) >= 3 and compute.endswith(f"calibrate {' '.join(logs)} {options}")
+    assert go_on.endswith(shlex.join(["calibrate", "--live", *options, *where]))
+    logs = [str(path) for path in sorted(folder.glob("*.mcap"))]
+    assert len(logs) == 2 and compute.endswith(shlex.join(["calibrate", *logs, *options]))
+
+
+def _restarted(rig: FieldRig, page: Page) -> None:
+    """And finished."""
+    until(lambda: bool(page.states and page.states[-1].happening == "This counts for: Park."))
+    rig.kill()
+    parked_s = _parked_s(page.states[-1])
+    rig.start()
+    until(lambda: _parked_s(page.states[-1]) > parked_s + 1.0)  # by the log of the new one
+    assert list(page.states[-1].notes) == []
+    assert _order(page.session, "finish") == [""]
+    until(lambda: page.states[-1].phase == "finishing")
 
 
 def _parked_s(state: pb.CalibrationState) -> float:

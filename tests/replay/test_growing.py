@@ -1,6 +1,7 @@
 """A log that is still being written gives each frame once, wherever its end is at the moment."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,7 @@ def _measured(rows: Sequence[Frame]) -> list[Measurement]:
 def test_parts_and_a_daemon_that_is_started_again_go_on(log: Path, tmp_path: Path) -> None:
     rows = list(frames(log))
     cuts = [len(rows) * k // 4 for k in range(5)]
-    parts = [rows[first:last] for first, last in zip(cuts, cuts[1:], strict=False)]
+    parts = [rows[first:last] for first, last in pairwise(cuts)]
     first, second, anew, named = (
         tmp_path / name
         for name in (f"{RUNS[0]}_001.mcap", f"{RUNS[0]}_002.mcap", f"{RUNS[1]}_001.mcap", "by-hand.mcap")
@@ -119,8 +120,8 @@ def test_what_is_of_another_rig_or_of_another_day_does_not_count(log: Path, tmp_
     assert followed.paths == [here] and list(followed.measurements()) == _measured(rows)
     assert followed.notes == [
         f"{RUNS[0]}_001.mcap does not count: it is of another rig, mt700.",
-        f"{RUNS[0]}_002.mcap does not count: it was written with another machine file. To go on with that one, "
-        "start this command anew.",
+        f"{RUNS[0]}_002.mcap does not count: it was written with another machine file. To go on with that "
+        "one, start this command anew.",
     ]
     followed.rescan()
     assert len(followed.notes) == 2
