@@ -51,7 +51,7 @@ def run_live(args: argparse.Namespace) -> int:
         try:
             finished, logs = _watch(args, machine, wires, stack)
         except KeyboardInterrupt:
-            _say("stopped before anything was recorded")
+            _say("stopped; nothing was changed")
             return 1
     if not finished:
         _say_how_to_go_on(args, logs)
