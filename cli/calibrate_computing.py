@@ -5,6 +5,7 @@ driver anything.
 """
 
 import json
+import math
 import subprocess
 import tempfile
 import time
@@ -14,13 +15,15 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from tilth.client.calibration.shown import ComputedSoFar
+from tilth.estimator.calibration.first_look import LEAST_DRIVEN_S
 from tilth.estimator.calibration.stage_words import progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.schemas.invocation import in_background
 
 LONGEST: Final = 4_000_000  # bytes of an answer
-LEAST_S: Final = 60.0  # of driving, before the first estimate
+LEAST_S: Final = LEAST_DRIVEN_S + 5.0  # of driving, before the first: the estimate misses ends of stretches
 EVERY_S: Final = 120.0  # of driving, between two
+SOON_S: Final = 20.0  # the same, as long as the drive tells nothing: such an answer takes seconds
 ENDING_S: Final = 10.0
 
 
@@ -35,8 +38,10 @@ class BackgroundEstimates:
         self._files: tuple[IO[bytes], IO[bytes]] | None = None
         self._began_s = 0.0
         self._used_s = 0.0  # of driving, when the last one began
-        self._complete = 0  # stages then
+        self._next_s = LEAST_S  # of driving, when the next one begins
+        self._complete = 0  # stages when the last one began
         self._asked = False
+        self._told = "Nothing has been computed yet."
 
     def ask(self) -> None:
         """One begins as soon as it can."""
@@ -52,15 +57,12 @@ class BackgroundEstimates:
                 return
             self._take()
         complete = sum(one.complete for one in progress(fold))
-        new_s = driven_s - self._used_s
-        more = not self._used_s or new_s >= EVERY_S or (complete > self._complete and new_s > 0.0)
-        due = driven_s >= LEAST_S and more
-        if self._asked or due:
+        stage = complete > self._complete and driven_s > self._used_s >= LEAST_S
+        if self._asked or driven_s >= self._next_s or stage:
             self._begin(logs, driven_s, complete)
-        elif not self._used_s and driven_s < LEAST_S:
-            self.so_far.text = (
-                f"Computing begins after {LEAST_S:.0f} s of driving; {driven_s:.0f} s are driven."
-            )
+        elif self._next_s < math.inf:
+            left_s = math.ceil(self._next_s - driven_s)
+            self.so_far.text = f"{self._told} The next estimate begins after {left_s} s more of driving."
 
     def close(self) -> None:
         """Ends it."""
@@ -75,15 +77,17 @@ class BackgroundEstimates:
 
     def _begin(self, logs: Sequence[Path], driven_s: float, complete: int) -> None:
         self._asked = False
+        self._began_s, self._used_s, self._complete = time.monotonic(), driven_s, complete
+        self._next_s = driven_s + EVERY_S
         words = in_background("calibrate", *map(str, logs), *self._options, "--json")
         if not words:
+            self._next_s = math.inf
             self.so_far.text = "This program cannot compute beside itself; finish, and it is computed then."
             return
         self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
         self._process = subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=self._files[0], stderr=self._files[1]
         )
-        self._began_s, self._used_s, self._complete = time.monotonic(), driven_s, complete
         self.so_far.busy = True
 
     def _take(self) -> None:
@@ -97,13 +101,13 @@ class BackgroundEstimates:
         except ValueError:
             lines = [line for line in said.splitlines() if line.strip()]
             why = lines[-1].removeprefix("tilth calibrate: ")[:300] if lines else "it ended without a word"
-            self.so_far.text = f"The estimate failed: {why}"
+            self._told = f"The estimate failed: {why}."
             return
         self.so_far.answer = found
+        if found.get("refused"):
+            self._next_s = max(self._used_s + SOON_S, LEAST_S)
         what = "Nothing could be told yet" if found.get("refused") else "Computed"
-        self.so_far.text = (
-            f"{what} by {self._used_s:.0f} s of driving; it took {took:.0f} s. The next comes by itself."
-        )
+        self._told = f"{what} by {self._used_s:.0f} s of driving; it took {took:.0f} s."
 
 
 def _text(file: IO[bytes]) -> str:

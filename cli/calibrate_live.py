@@ -35,6 +35,7 @@ READING_S: Final = 0.4  # longest time of a turn that goes into reading
 RESCAN_S: Final = 2.0  # a daemon begins a new part, or gives a file another name
 QUIET_S: Final = 5.0  # without a measurement
 QUIT: Final = "quit"
+STOPPED_TEXT: Final = "stopped; nothing was changed, and what was driven is in the logs"
 
 
 def run_live(args: argparse.Namespace) -> int:
@@ -45,21 +46,26 @@ def run_live(args: argparse.Namespace) -> int:
     if missing := next((path for path in args.logs if not path.is_file()), None):
         raise WrongUse(f"{missing}: there is no such log")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with ExitStack() as stack:
-        wires = _wires(args, machine)
-        stack.callback(wires.close)
-        try:
-            finished, logs = _watch(args, machine, wires, stack)
-        except KeyboardInterrupt:
-            _say("stopped before anything was recorded")
-            return 1
-    if not finished:
-        _say_how_to_go_on(args, logs)
-        return 1
-    from tilth.cli.calibrate_logs import run_logs  # the desk: only now
+    logs: FollowedLogs | None = None
+    status = 1
+    try:
+        with ExitStack() as stack:
+            wires = _wires(args, machine)
+            stack.callback(wires.close)
+            machine, logs = _logs(args, machine, wires)
+            stack.callback(logs.close)
+            finished = _watch(LiveCalibration(wires, logs, machine, _estimates(args, stack)))
+        if finished:
+            from tilth.cli.calibrate_logs import run_logs  # the desk: only now
 
-    args.logs = logs
-    return run_logs(args)
+            status = run_logs(argparse.Namespace(**{**vars(args), "logs": logs.paths}))
+        else:
+            _say(STOPPED_TEXT)
+    except KeyboardInterrupt:
+        _say(STOPPED_TEXT)
+    if status:
+        _say_how_to_go_on(args, [] if logs is None else logs.paths)
+    return status
 
 
 def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWires:
@@ -112,7 +118,8 @@ class LiveCalibration:
     def __init__(
         self, wires: CalibrationWires, logs: FollowedLogs, machine: Machine, estimates: BackgroundEstimates
     ) -> None:
-        self._wires, self._logs, self._machine, self._estimates = wires, logs, machine, estimates
+        self.wires, self.estimates = wires, estimates
+        self._logs, self._machine = logs, machine
         self.fold = stages.initial(machine)
         self._stream: Iterator[Measurement] | None = None
         self._rescan_s = self._measured_s = time.monotonic()
@@ -124,16 +131,16 @@ class LiveCalibration:
         if now_s - self._rescan_s > RESCAN_S:
             self._rescan_s = now_s
             self._logs.rescan()
-        for name in self._wires.logs:
+        for name in self.wires.logs:
             self._logs.writes(Path(name))
         behind = self._read(now_s + READING_S)
         if not behind:
-            self._estimates.turn(self.fold, self._logs.paths)
+            self.estimates.turn(self.fold, self._logs.paths)
         state = shown(
-            self._machine.name, self.fold, self._estimates.so_far, self._logs.notes,
+            self._machine.name, self.fold, self.estimates.so_far, self._logs.notes,
             self._trouble(now_s, behind), self.phase,
         )  # fmt: skip
-        self._wires.show(state)
+        self.wires.show(state)
         return state
 
     def _read(self, until_s: float) -> bool:
@@ -153,31 +160,35 @@ class LiveCalibration:
             return "Reading what was driven so far …"
         quiet_s = now_s - self._measured_s
         if quiet_s > QUIET_S:
-            return self._wires.trouble or (
+            return self.wires.trouble or (
                 f"Nothing of the rig has been heard for {quiet_s:.0f} s: is the bus silent? The page's tiles "
                 "show who is."
             )
         return ""
 
 
-def _watch(
-    args: argparse.Namespace, machine: Machine | None, wires: CalibrationWires, stack: ExitStack
-) -> tuple[bool, list[Path]]:
-    """(whether the driver has finished, the logs that count). Raises WrongUse."""
+def _logs(
+    args: argparse.Namespace, machine: Machine | None, wires: CalibrationWires
+) -> tuple[Machine, FollowedLogs]:
+    """Raises WrongUse."""
     begun = _first_log(wires)
     try:
         if machine is None:
             machine, _ = machine_in([begun])
-        logs = FollowedLogs(machine, args.logs, bus_names(args.bus, machine), begun)
+        return machine, FollowedLogs(machine, args.logs, bus_names(args.bus, machine), begun)
     except (LogError, ValueError) as error:
         raise WrongUse(str(error)) from None
-    stack.callback(logs.close)
-    options = ["--machine", str(args.machine)] if args.machine is not None else []
-    for pair in args.bus:
-        options += ["--bus", pair]
-    estimates = BackgroundEstimates(options)
-    stack.callback(estimates.close)
-    live, finished = LiveCalibration(wires, logs, machine, estimates), False
+
+
+def _estimates(args: argparse.Namespace, stack: ExitStack) -> BackgroundEstimates:
+    found = BackgroundEstimates([*_written(args, "machine"), *_buses(args)])
+    stack.callback(found.close)
+    return found
+
+
+def _watch(live: LiveCalibration) -> bool:
+    """Whether the driver has finished. Raises WrongUse."""
+    finished = False
     with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
@@ -185,16 +196,16 @@ def _watch(
                 state = live.turn()
             except LogError as error:
                 raise WrongUse(str(error)) from None
-            orders = [screen.show(state), *wires.orders()]
+            orders = [screen.show(state), *live.wires.orders()]
             if COMPUTE in orders:
-                estimates.ask()
+                live.estimates.ask()
             if FINISH in orders or QUIT in orders:
                 finished = FINISH in orders
                 break
             time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
     live.phase = FINISHING if finished else STOPPED
     live.turn()
-    return finished, logs.paths
+    return finished
 
 
 def _first_log(wires: CalibrationWires) -> Path:
@@ -213,20 +224,25 @@ def _first_log(wires: CalibrationWires) -> Path:
 
 
 def _say_how_to_go_on(args: argparse.Namespace, logs: list[Path]) -> None:
-    def written(*names: str) -> list[str]:
-        given = [(name, getattr(args, name)) for name in names]
-        return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
-
-    desk = written("machine", "out", "report")
-    options = [*desk, *written("config")]
+    desk = [*_written(args, "machine", "out", "report"), *_buses(args), *(["--yes"] if args.yes else [])]
+    options = [*desk, *_written(args, "config")]
     if args.config is None:
         options += ["--connect", args.connect] if args.connect != ENDPOINT else []
         options += ["--prefix", args.prefix] if args.prefix != "tilth" else []
     given = [str(path) for path in args.logs]
-    _say("stopped; nothing was changed, and what was driven is in the logs")
     _say(f"go on: {command('calibrate', *given, '--live', *options)}")
     if logs:
         _say(f"or compute with what there is: {command('calibrate', *map(str, logs), *desk)}")
+
+
+def _written(args: argparse.Namespace, *names: str) -> list[str]:
+    """Options as they were given."""
+    given = [(name, getattr(args, name)) for name in names]
+    return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
+
+
+def _buses(args: argparse.Namespace) -> list[str]:
+    return [word for pair in args.bus for word in ("--bus", pair)]
 
 
 def _say(text: str) -> None:

@@ -57,6 +57,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/moved.js", "moved.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
+    ("/driver.js", "driver.js", "text/javascript"),
     ("/experiment.js", "experiment.js", "text/javascript"),
     ("/calibration.js", "calibration.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),

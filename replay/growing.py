@@ -5,6 +5,7 @@ wrong. The log holds each frame, also those of before somebody began to watch, a
 """
 
 import io
+import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,13 +21,14 @@ from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, body_of, unpacked, w
 from tilth.logger.log.runs import stored_runs
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, OpenLog
-from tilth.replay.readers.mcap_reader import MACHINE, Channels
+from tilth.replay.readers.mcap_reader import MACHINE, Channels, from_summary
 from tilth.replay.readers.rig import on_buses_of
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 from tilth.schemas.machine import Machine
 
 RECENT_NS: Final = 12 * 3600 * 1_000_000_000  # a run that began so long before the present one counts
+DAMAGED: Final = "{}: damaged and left out: {}. All else counts."
 _FRAMES: Final = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 
 
@@ -44,8 +46,9 @@ class GrowingLog:
     def __init__(self, path: Path) -> None:
         """Raises OSError."""
         self._file = path.open("rb")
-        self._log = OpenLog(path, "MCAP", self._file, 0)
+        self._log = OpenLog(path, "MCAP", self._file, os.fstat(self._file.fileno()).st_size)
         self._channels = Channels(self._log)
+        from_summary(self._channels, self._file)  # of a whole file: its first chunk may be damaged
         self._at = len(MAGIC)
         self.finished = False
 
@@ -103,7 +106,7 @@ class FollowedLogs:
     """Which logs count, and what is measured in them, each file once and in order.
 
     Those of the run that the daemon writes, of later ones, and of runs that began up to RECENT_NS before it;
-    all with the daemon's machine file. `notes` says in sentences what does not count.
+    all with the daemon's machine file.
     """
 
     def __init__(
@@ -116,17 +119,25 @@ class FollowedLogs:
         text = opening_machine(begun)
         if text is None:
             raise EmptyLog(f"{begun}: nothing is in it yet; begin once the daemon records")
-        self.notes: list[str] = []
+        self._notes: list[str] = []
         self._machine, self._text, self._buses = machine, text, buses
         self._decoder = Decoder(machine)
-        self._begun_ns: dict[Path, int] = {}  # by folder
+        self._written: dict[
+            Path, dict[str, int]
+        ] = {}  # folder -> runs that the daemon named, and their begin
         self._files: dict[tuple[int, int], _Followed] = {}  # by device and inode: names change
         self._looked: set[tuple[int, int]] = set()
-        self._names: set[Path] = set()
+        self._named: set[Path] = set()
         self._given: list[Path] = []
         self.writes(begun)
         self._given = [path for path in given if _key(path) not in self._files]
         self._earlier = list(self._given)  # not read yet
+
+    @property
+    def notes(self) -> list[str]:
+        """What does not count, in sentences."""
+        damaged = ((one.path.name, sum(one.log.skipped.values())) for one in self._files.values())
+        return [*self._notes, *(DAMAGED.format(name, count) for name, count in damaged if count)]
 
     @property
     def paths(self) -> list[Path]:
@@ -135,28 +146,25 @@ class FollowedLogs:
 
     def writes(self, path: Path) -> None:
         """The daemon has named a file that it writes: its folder is looked through again."""
-        if path in self._names or not path.exists():
+        if path in self._named or not path.exists():
             return
-        self._names.add(path)
-        folder = path.parent
-        runs = stored_runs(folder)
-        begun = next((run for run in runs if path in run.files), None)
-        if begun is None:  # somebody gave it another name
+        run = next((run for run in stored_runs(path.parent) if path in run.files), None)
+        if run is None:  # somebody gave it another name
             self._look(path)
             return
-        first_ns = self._begun_ns.setdefault(folder, begun.started_ns)
-        for run in runs:
-            if run.started_ns >= first_ns - RECENT_NS or run is begun:
-                for one in run.files:
-                    self._look(one)
+        self._named.add(path)
+        self._written.setdefault(path.parent, {})[run.name] = run.started_ns
+        self.rescan()
 
     def rescan(self) -> None:
         """Take up parts that have been begun, and new names, in folders that are known."""
-        for folder, first_ns in self._begun_ns.items():
+        for folder, written in self._written.items():
+            # A computer that does not know the time yet gives its run none: only what it names counts then.
+            first_ns = next((t_ns for t_ns in written.values() if t_ns), math.inf) - RECENT_NS
             for run in stored_runs(folder):
-                if run.started_ns >= first_ns - RECENT_NS:
-                    for one in run.files:
-                        self._look(one)
+                if run.name in written or run.started_ns >= first_ns:
+                    for path in run.files:
+                        self._look(path)
 
     def measurements(self) -> Iterator[Measurement]:
         """Those that have come since the last call. Raises LogError, of logs that were given."""
@@ -173,7 +181,7 @@ class FollowedLogs:
     def _of_given(self, path: Path) -> Iterator[Measurement]:
         log = open_log(path)
         with log.file:
-            for record in on_buses_of(self._machine, log, self._buses, self.notes.append):
+            for record in on_buses_of(self._machine, log, self._buses, self._notes.append):
                 if isinstance(record, Frame):
                     yield from self._decoder.measurements(record)
 
@@ -193,7 +201,7 @@ class FollowedLogs:
             if text == self._text:
                 self._files[key] = _Followed(path, GrowingLog(path))
             else:
-                self.notes.append(_other(path, text, self._machine))
+                self._notes.append(_other(path, text, self._machine))
         except OSError:
             return  # removed or renamed meanwhile: it is found again by its new name
 

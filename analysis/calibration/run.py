@@ -95,7 +95,7 @@ class Calibrated:
                 "hitch_gap_m": self.found.hitch_gap, "outliers": self.found.fit.outliers,
                 "rows": self.found.fit.rows,
             },
-            "refused": self.found.refused,
+            "not_used": self.found.refused,
             "sentences": self.sentences(),
             "machine_file": self.after,
         }  # fmt: skip

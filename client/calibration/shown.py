@@ -25,7 +25,8 @@ MOST: Final = 12  # sentences
 
 @dataclass(slots=True)
 class ComputedSoFar:
-    """What the estimates in the background have told. answer: of `tilth calibrate --json`, {} before."""
+    """What the estimates in the background have told. answer: of `tilth calibrate --json`, {} before;
+    with `refused` and why where the drive tells nothing, else with `numbers`."""
 
     answer: Mapping[str, Any] = field(default_factory=dict)
     busy: bool = False

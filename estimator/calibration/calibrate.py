@@ -43,7 +43,6 @@ MOST_FITS: Final = 3  # each about the file that the one before gives
 STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
 """At most, of each fit: with noise levels, and with these held."""
 STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
-LEAST_DRIVEN_S: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +201,7 @@ def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFa
     view = _view(applied(machine, changes), placed, changes, None)
     if (
         np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > first_look.MOVING)) * drives.STEP_S
-        < LEAST_DRIVEN_S
+        < first_look.LEAST_DRIVEN_S
     ):
         raise CannotCalibrate(
             "the four receivers were heard together for less than a minute of driving; drive what "

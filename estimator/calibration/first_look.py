@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 STRAIGHT: Final = 0.012  # rad/s
 CRUISE: Final = 1.5  # m/s
 MOVING: Final = 0.8  # m/s
+LEAST_DRIVEN_S: Final = 60.0  # of moving: less tells nothing
 SLOW: Final = 2.6  # m/s: below, slip is small
 SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
 NOISE_M: Final = 0.01  # of a position

@@ -1,29 +1,21 @@
 // A calibration while it is driven: what to do next, the stages, what is known of the numbers.
 // `tilth calibrate --live` decides all of it; here it is drawn, and what the driver orders is passed on.
 
+import { byId, list, order } from "./driver.js";
 import { element, put } from "./tiles.js";
 
 const KEPT_S = 600; // that the last word of one that has ended stays
 const SURE_MS = 5000; // within which a second tap finishes
 const SIGNS = { told: "✔", rough: "~", "not told": "✘" };
+const whole = (text) => text.replaceAll(" ", "\u00a0"); // a unit stays with its figure
 const WORDS = { told: "good", rough: "not good yet", "not told": "not known" };
-const byId = (id) => document.getElementById(id);
-
-async function send(kind) {
-  try {
-    const answer = await fetch("/calibration", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ kind }) });
-    return (await answer.json()).text;
-  } catch {
-    return "the page's own server does not answer";
-  }
-}
 
 export class Calibration {
   constructor() {
     this.part = byId("calibration");
     this.rows = new Map(); // of stages, by name
     this.shownNumbers = "";
-    byId("calibration-compute").addEventListener("click", () => this.#order("compute", "✔ It begins as soon as the one before is done."));
+    byId("calibration-compute").addEventListener("click", () => this.#order("compute", "✔ An estimate is ordered."));
     const finish = byId("calibration-finish");
     finish.addEventListener("click", () => {
       if (finish.dataset.sure) this.#order("finish", "✔ Finished.");
@@ -38,7 +30,7 @@ export class Calibration {
   }
 
   async #order(kind, done) {
-    const refused = await send(kind);
+    const refused = await order("/calibration", kind);
     put(byId("calibration-told"), refused ? `✘ ${refused}` : done);
   }
 
@@ -52,9 +44,9 @@ export class Calibration {
     put(byId("calibration-happening"), state.happening);
     this.#say(state);
     for (const stage of state.stages) this.#stage(stage);
-    this.#list("calibration-found", state.found.map((text) => `Found: ${text}.`));
+    list("calibration-found", state.found.map((text) => [`Found: ${text}.`]));
     put(byId("calibration-computed"), state.computed);
-    this.#list("calibration-sentences", [...state.told, ...state.notes]);
+    list("calibration-sentences", [...state.told, ...state.notes].map((text) => [text]));
     this.#numbers(state.numbers);
     for (const id of ["calibration-compute", "calibration-finish"]) byId(id).disabled = over;
   }
@@ -96,15 +88,9 @@ export class Calibration {
       row.dataset.status = one.status;
       const name = element("th");
       name.scope = "row";
-      name.append(element("span", "", one.words), element("span", "quiet", one.tell ? one.tell : `in the file: ${one.change}`));
-      row.append(name, element("td", "", `${one.before} → ${one.now}`), element("td", "", one.wanted), element("td", "calibration-word", `${SIGNS[one.status] ?? "?"} ${WORDS[one.status] ?? one.status}`));
+      name.append(element("span", "", one.words), element("span", "quiet", one.tell ? one.tell : `change of the file: ${one.change}`));
+      row.append(name, element("td", "", `${whole(one.before)} → ${whole(one.now)}`), element("td", "", whole(one.wanted)), element("td", "calibration-word", `${SIGNS[one.status] ?? "?"} ${WORDS[one.status] ?? one.status}`));
       return row;
     }));
-  }
-
-  #list(id, lines) {
-    const list = byId(id);
-    if (lines.join("\n") === [...list.children].map((item) => item.textContent).join("\n")) return;
-    list.replaceChildren(...lines.map((line) => element("li", "", line)));
   }
 }

@@ -1,7 +1,8 @@
 // Prompts a driver through a plan of experiments: what to do, what is still missing, a countdown, a bar to follow.
 // `tilth experiment` decides all of it; here it is drawn, spoken where that is wanted, and its orders are passed on.
 
-import { element, put } from "./tiles.js";
+import { byId, list, order } from "./driver.js";
+import { put } from "./tiles.js";
 import { known } from "./words.js";
 
 const APART_S = 0.1; // between the angles ahead
@@ -9,17 +10,7 @@ const LEAST = 0.035; // rad: the bar is never narrower than two degrees to eithe
 const SHOWN = 8; // attempts
 const SIGNS = { done: "✔", aborted: "✘", disturbed: "✘", skipped: "–" };
 const MAY = { arm: ["idle"], stop: ["lining_up", "countdown", "running"], skip: ["idle", "lining_up", "countdown"] };
-const byId = (id) => document.getElementById(id);
 const degrees = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
-
-async function send(kind) {
-  try {
-    const answer = await fetch("/experiment", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ kind }) });
-    return (await answer.json()).text;
-  } catch {
-    return "the page's own server does not answer";
-  }
-}
 
 export class Experiment {
   constructor() {
@@ -29,7 +20,7 @@ export class Experiment {
     this.buttons = [...this.part.querySelectorAll("[data-order]")];
     for (const button of this.buttons) {
       button.addEventListener("click", async () => {
-        const refused = await send(button.dataset.order);
+        const refused = await order("/experiment", button.dataset.order);
         put(byId("experiment-told"), refused ? `✘ ${refused}` : "");
       });
     }
@@ -59,27 +50,16 @@ export class Experiment {
     this.canvas.hidden = state.phase === "finished";
     if (!this.canvas.hidden) this.#draw(state);
     put(byId("experiment-angles"), running ? `wanted ${degrees(state.wanted ?? 0)}, wheels ${known(state.measured) ? degrees(state.measured) : "not heard"}` : "");
-    this.#list("experiment-conditions", state.conditions.map((one) => [`${one.met ? "✔" : "✘"} ${one.text}`, one.met]));
+    list("experiment-conditions", state.conditions.map((one) => [`${one.met ? "✔" : "✘"} ${one.text}`, one.met]));
     const attempts = state.attempts.slice(-SHOWN).toReversed();
-    this.#list("experiment-attempts", attempts.map((one) => [`${SIGNS[one.outcome] ?? "?"} ${this.#short(state, one.name)}: ${one.outcome}${one.reason ? `, ${one.reason}` : ""}`]));
-    this.#list("experiment-learned", [...state.learned, ...state.commands].map((line) => [line]));
+    list("experiment-attempts", attempts.map((one) => [`${SIGNS[one.outcome] ?? "?"} ${this.#short(state, one.name)}: ${one.outcome}${one.reason ? `, ${one.reason}` : ""}`]));
+    list("experiment-learned", [...state.learned, ...state.commands].map((line) => [line]));
     for (const button of this.buttons) button.disabled = !MAY[button.dataset.order].includes(state.phase);
     byId("experiment-report").hidden = state.phase !== "finished";
     this.#speak(counting ? String(Math.ceil(state.count_s)) : state.text);
   }
 
   #short = (state, name) => name.replace(`experiment ${state.plan} `, "");
-
-  // Only what changed: a line that is read out stays where it is.
-  #list(id, lines) {
-    const list = byId(id);
-    if (lines.map(([line]) => line).join("\n") === [...list.children].map((item) => item.textContent).join("\n")) return;
-    list.replaceChildren(...lines.map(([line, met]) => {
-      const item = element("li", "", line);
-      if (met !== undefined) item.dataset.met = String(met);
-      return item;
-    }));
-  }
 
   #speak(words) {
     if (words === this.spoken) return;

@@ -74,6 +74,7 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     arguments = [str(drive), "--machine", str(out), "--out", str(out), "--report", str(report)]
     assert main(["calibrate", *arguments, "--yes", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
+    assert "refused" not in told  # which says why there are no numbers
     assert sorted(fault["kind"] for fault in told["faults"]) == ["reversed_pair", "wheel_sign"]
     numbers = {number["name"]: number for number in told["numbers"]}
     sd = {name: number["sd"] for name, number in numbers.items()}

@@ -1,6 +1,8 @@
 """`tilth calibrate --live`: wrong use, what a driver is shown, estimates in the background."""
 
+import json
 import socket
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +11,14 @@ from client_daemon import until
 from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
 
 from tilth.cli import main
-from tilth.cli.calibrate_computing import LEAST_S, BackgroundEstimates
+from tilth.cli.calibrate_computing import EVERY_S, LEAST_S, SOON_S, BackgroundEstimates
 from tilth.client.calibration import shown as screen
 from tilth.client.calibration.shown import ALL_DRIVEN, DRIVING, FINISHING, STOPPED, ComputedSoFar, shown
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
 from tilth.estimator.calibration.stage_words import STAGES
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+from tilth.schemas.invocation import started_as
 
 STANDS: Plan = ((10, 0.0, 0),)
 DRIVES: Plan = ((LEAST_S + 20, 3.0, 0),)
@@ -90,10 +93,11 @@ def test_the_end_has_its_own_sentence(phase: str) -> None:
 
 
 def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path) -> None:
+    started_as(["tilth"], [sys.executable, "-P", "-m", "tilth.cli.background"])
     estimates = BackgroundEstimates(["--machine", str(FILE)])
     standing, driving = _fold(STANDS), _fold(DRIVES)
     estimates.turn(standing, [])
-    assert not estimates.so_far.busy and "begins after" in estimates.so_far.text
+    assert not estimates.so_far.busy and "begins after 65 s more" in estimates.so_far.text
     missing = tmp_path / "gone.mcap"
     estimates.turn(driving, [missing])
     assert estimates.so_far.busy
@@ -111,3 +115,47 @@ def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path
     estimates.turn(driving, [missing])
     assert estimates.so_far.busy
     estimates.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "more_s", "said"),
+    [
+        ({"refused": "rows only"}, SOON_S, "Nothing could be told yet by 65 s"),
+        ({}, EVERY_S, "Computed by 65 s"),
+    ],
+)
+def test_the_next_estimate_is_counted_down_to_and_begins(
+    answer: dict[str, str], more_s: float, said: str
+) -> None:
+    """65 s are enough for the first; what told nothing is tried again soon."""
+    fold = _fold(STANDS)
+
+    def turned(driven_s: float) -> ComputedSoFar:
+        fold.tally.moving = round(driven_s / stages.TICK_S)
+        estimates.turn(fold, [])
+        return estimates.so_far
+
+    started_as(["tilth"], [sys.executable, "-c", f"print({json.dumps(answer)!r})"])
+    estimates = BackgroundEstimates([])
+    assert "begins after 1 s more" in turned(64.0).text
+    assert turned(65.0).busy
+    until(lambda: not turned(65.0).busy)
+    assert said in estimates.so_far.text and f"after {more_s:.0f} s more" in estimates.so_far.text
+    assert "after 1 s more" in turned(64.0 + more_s).text and turned(65.0 + more_s).busy
+    estimates.close()
+
+
+def test_an_estimate_that_was_asked_for_early_keeps_nobody_waiting() -> None:
+    fold = _fold(STANDS)
+    started_as(["tilth"], [sys.executable, "-c", 'print(\'{"refused": "less than a minute"}\')'])
+    estimates = BackgroundEstimates([])
+    fold.tally.moving = round(30.0 / stages.TICK_S)
+    estimates.ask()
+    estimates.turn(fold, [])
+
+    def over() -> bool:
+        estimates.turn(fold, [])
+        return not estimates.so_far.busy
+
+    until(over)
+    assert "after 35 s more" in estimates.so_far.text

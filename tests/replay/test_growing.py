@@ -1,17 +1,27 @@
 """A log that is still being written gives each frame once, wherever its end is at the moment."""
 
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
+from logs import chunk_ends
 from paths import ROOT
 
 from tilth.cli import main
+from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
-from tilth.schemas.flow import Frame
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Frame, Measurement
+
+TEXT = FILE.read_text(encoding="utf-8")
+RUNS = tuple(f"jd7930-parker500_{stamp}Z" for stamp in ("20261121T080000", "20261121T090000"))
+LONG_AGO = "jd7930-parker500_20261120T080000Z"
+NO_TIME = tuple(f"jd7930-parker500_{stamp}Z" for stamp in ("19700101T000001", "19700101T000002"))
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +66,98 @@ def test_a_log_of_before_counts_once(log: Path) -> None:
     without = FollowedLogs(MACHINE, [], {}, log)
     assert list(without.measurements()) == once
     without.close()
+
+
+def _written(path: Path, rows: Sequence[Frame], text: str = TEXT, finish: bool = True) -> Path:
+    log = MACHINE.log.model_copy(update={"chunk_kilobytes": 2})
+    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart("run", 1, 0))
+    for row in rows:
+        writer.frame(row)
+    if finish:
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+    return path
+
+
+def _measured(rows: Sequence[Frame]) -> list[Measurement]:
+    decoder = Decoder(MACHINE)
+    return [one for row in rows for one in decoder.measurements(row)]
+
+
+def test_parts_and_a_daemon_that_is_started_again_go_on(log: Path, tmp_path: Path) -> None:
+    rows = list(frames(log))
+    cuts = [len(rows) * k // 4 for k in range(5)]
+    parts = [rows[first:last] for first, last in pairwise(cuts)]
+    first, second, anew, named = (
+        tmp_path / name
+        for name in (f"{RUNS[0]}_001.mcap", f"{RUNS[0]}_002.mcap", f"{RUNS[1]}_001.mcap", "by-hand.mcap")
+    )
+    _written(first, parts[0])
+    followed = FollowedLogs(MACHINE, [], {}, first)
+    found = list(followed.measurements())
+    _written(second, parts[1], finish=False)  # killed
+    followed.rescan()
+    found += followed.measurements()
+    followed.writes(_written(anew, parts[2]))
+    found += followed.measurements()
+    followed.writes(_written(named, parts[3]))
+    found += followed.measurements()
+    assert found == _measured(rows) and followed.paths == [first, second, anew, named]
+    assert followed.notes == [] and list(followed.measurements()) == []
+    followed.close()
+
+
+def test_what_is_of_another_rig_or_of_another_day_does_not_count(log: Path, tmp_path: Path) -> None:
+    rows = list(frames(log))[:200]
+    here = _written(tmp_path / f"{RUNS[1]}_001.mcap", rows)
+    other = TEXT.replace('name = "jd7930-parker500"', 'name = "mt700"', 1)
+    _written(tmp_path / f"{RUNS[0]}_001.mcap", rows, other)
+    _written(tmp_path / f"{RUNS[0]}_002.mcap", rows, TEXT + "# surveyed since\n")
+    _written(tmp_path / f"{LONG_AGO}_001.mcap", rows)
+    followed = FollowedLogs(MACHINE, [], {}, here)
+    assert followed.paths == [here] and list(followed.measurements()) == _measured(rows)
+    assert followed.notes == [
+        f"{RUNS[0]}_001.mcap does not count: it is of another rig, mt700.",
+        f"{RUNS[0]}_002.mcap does not count: it was written with another machine file. To go on with that "
+        "one, start this command anew.",
+    ]
+    followed.rescan()
+    assert len(followed.notes) == 2
+    followed.close()
+
+
+def test_without_the_time_only_what_the_daemon_names_counts(log: Path, tmp_path: Path) -> None:
+    """The clock of a computer without a battery; then the time is known, and the file gets its right name."""
+    rows = list(frames(log))[:200]
+    here = _written(tmp_path / f"{NO_TIME[1]}_001.mcap", rows)
+    for run in (NO_TIME[0], LONG_AGO):
+        _written(tmp_path / f"{run}_001.mcap", rows)
+    followed = FollowedLogs(MACHINE, [], {}, here)
+    assert followed.paths == [here]
+    here = here.rename(tmp_path / f"{RUNS[1]}_001.mcap")
+    earlier = _written(tmp_path / f"{RUNS[0]}_001.mcap", rows)
+    followed.writes(here)
+    assert sorted(followed.paths) == [earlier, here]
+    followed.close()
+
+
+@pytest.mark.parametrize("number", [0, 1, -1])
+def test_a_damaged_chunk_costs_only_itself(log: Path, tmp_path: Path, number: int) -> None:
+    path = _written(tmp_path / f"{RUNS[0]}_001.mcap", list(frames(log))[:2000])
+    whole = list(GrowingLog(path).frames())
+    data = bytearray(path.read_bytes())
+    ends = chunk_ends(bytes(data))
+    assert len(ends) > 5
+    data[ends[number] - 20] ^= 0xFF
+    path.write_bytes(data)
+    followed = FollowedLogs(MACHINE, [], {}, path)
+    assert list(followed.measurements())
+    assert followed.notes == [f"{path.name}: damaged and left out: 1. All else counts."]
+    followed.close()
+    growing = GrowingLog(path)
+    left = list(growing.frames())
+    assert growing.skipped == {"damaged_chunk": 1} and growing.finished
+    gone = [row for row in whole if row not in left]
+    assert 0 < len(gone) <= len(whole) // 4 and [row for row in whole if row not in gone] == left

@@ -2,11 +2,13 @@
 which a receiver can be unplugged, and whose log cannot be written any more."""
 
 import os
+import re
 import resource
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,14 +30,20 @@ PLAIN = Scenario(clock_offset_s=0.0)
 class FieldRig:
     """`start` and `kill` the daemon as often as you like; the tractor drives on."""
 
-    def __init__(self, folder: Path, seconds: float, scenario: Scenario = PLAIN) -> None:
+    def __init__(
+        self, folder: Path, seconds: float, scenario: Scenario = PLAIN, key: Path | None = None
+    ) -> None:
+        """key: the daemon's, of `tilth keys`."""
         self.folder = folder
         self._server = open_server()
         text = on_loopback(machine_text(folder, udp_bus("can0", 0)), self._server.port)
+        if key is not None:
+            text = re.sub("(?m)^listen = .*$", f'config = "{key}"', text)
         self.machine = parse_machine(text)
         self.endpoint = self.machine.zenoh.listen[0]
-        self._file = folder / "machine.toml"
-        self._file.write_text(text)
+        self.text = text
+        self.file = folder / "machine.toml"
+        self.file.write_text(text)
         self._unplugged: set[str] = set()
         self._process: subprocess.Popen[bytes] | None = None
         orders, self._orders = os.pipe()
@@ -45,7 +53,7 @@ class FieldRig:
     def start(self) -> None:
         start = "import sys; from tilth.cli import main; sys.exit(main())"
         self._process = subprocess.Popen(
-            [sys.executable, "-c", start, "run", str(self._file), "--plain"], stdout=subprocess.DEVNULL
+            [sys.executable, "-c", start, "run", str(self.file), "--plain"], stdout=subprocess.DEVNULL
         )
 
     def kill(self) -> None:
@@ -71,7 +79,8 @@ class FieldRig:
     def close(self) -> None:
         if self._process is not None:
             self.kill()
-        os.write(self._orders, b"\n")
+        with suppress(BrokenPipeError):  # the drive is over
+            os.write(self._orders, b"\n")
         self._thread.join(PATIENCE_S)
         os.close(self._orders)
 

@@ -1,0 +1,128 @@
+"""The page guides a driver through a calibration: a real browser, a real daemon, `tilth calibrate --live`.
+
+`pytest -m browser --refresh` writes the picture of docs/pictures anew.
+"""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from importlib import resources
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from field_rig import FieldRig
+from live_rig import PARKED, calibrating, drive_before
+from paths import ROOT
+from PIL import Image
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from stage import Monitor
+
+CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
+PICTURE = ROOT / "docs/pictures/page-calibration.png"
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+SOON_MS = 60_000
+
+expect.set_options(timeout=SOON_MS)
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
+]
+SHARES = "(bars) => bars.map((bar) => bar.value)"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        one = playwright.chromium.launch(executable_path=CHROMIUM)
+        yield one
+        one.close()
+
+
+def opened(browser: Browser, monitor: Monitor, faults: list[str], **options: Any) -> Page:
+    context = browser.new_context(**options)
+    context.on("weberror", lambda fault: faults.append(str(fault.error)))
+    page = context.new_page()
+    page.goto(monitor.url)
+    return page
+
+
+def test_a_driver_sees_what_to_do_what_is_known_and_orders(
+    browser: Browser, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    faults: list[str] = []
+    with closing(FieldRig(tmp_path, 60.0, PARKED)) as rig:
+        rig.start()
+        drive_before(rig)
+        with closing(Monitor("--connect", rig.endpoint)) as monitor:
+            page = opened(browser, monitor, faults, viewport={"width": 1000, "height": 1150})
+            expect(page.locator("#run-word")).to_have_text(re.compile("RECORDING|PREPARING"))
+            with calibrating("--connect", rig.endpoint):
+                _guided(page)
+                _computed(page)
+                if request.config.getoption("--refresh"):
+                    _picture(page)
+                _readable(page)
+                _finished(opened(browser, monitor, faults, **PHONE))
+                expect(page.locator("#calibration-text")).to_contain_text("Finished.")
+    assert not faults
+    for context in browser.contexts:
+        context.close()
+
+
+def _guided(page: Page) -> None:
+    """Before anything is computed."""
+    expect(page.locator("#calibration-title")).to_have_text("Calibrating jd7930-parker500")
+    expect(page.locator("#calibration-text")).to_have_text(re.compile("^(Stand still for|Drive straight,) "))
+    expect(page.locator("#calibration-happening")).to_have_text("This counts for: Park.")
+    expect(page.locator(".calibration-stage")).to_have_count(5)
+    shares = page.locator(".calibration-stage progress").evaluate_all(SHARES)
+    assert len(shares) == 5 and all(0.0 <= share <= 1.0 for share in shares) and 0.0 < shares[1] < 1.0
+    expect(page.locator("#calibration-computed")).to_contain_text("The next estimate begins after")
+    expect(page.locator("#calibration-numbers")).to_be_hidden()
+
+
+def _computed(page: Page) -> None:
+    page.get_by_role("button", name="Compute now").click()
+    expect(page.locator("#calibration-told")).to_have_text(re.compile("^✔"))
+    expect(page.locator("#calibration-computed")).to_contain_text("Computing with")
+    rows = page.locator("#calibration-rows tr")
+    expect(rows).to_have_count(16)
+    expect(rows.first).to_contain_text("yaw of the tractor's pair")
+    expect(page.locator("#calibration-rows tr[data-status=told]").first).to_contain_text("✔ good")
+    expect(page.locator("#calibration-computed")).to_have_text(
+        re.compile("^Computed by .* The next estimate begins after 120 s more of driving")
+    )
+    sentences = page.locator("#calibration-sentences")
+    expect(sentences).to_contain_text("numbers are known as well as is wanted")
+    expect(sentences).not_to_contain_text("No numbers yet")
+
+
+def _picture(page: Page) -> None:
+    page.evaluate("window.scrollTo(0, 0)")
+    shot = Image.open(BytesIO(page.screenshot()))
+    shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        PICTURE, optimize=True
+    )
+
+
+def _readable(page: Page) -> None:
+    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
+    page.evaluate(f"() => {{ {axe} }}")
+    found = page.evaluate("axe.run('#calibration').then((found) => found.violations)")
+    assert [one["id"] for one in found if one["impact"] in ("serious", "critical")] == []
+
+
+def _finished(phone: Page) -> None:
+    """A second tap is wanted."""
+    expect(phone.locator("#calibration-rows tr")).to_have_count(16)  # who comes later sees the same
+    for wide in ("document.documentElement", "document.querySelector('#calibration-numbers')"):
+        assert phone.evaluate(f"{wide}.scrollWidth - {wide}.clientWidth") <= 0
+    finish = phone.locator("#calibration-finish")
+    finish.tap()
+    expect(finish).to_have_text("Finish: tap again")
+    finish.tap()
+    expect(phone.locator("#calibration-text")).to_contain_text("Finished.")
+    expect(finish).to_be_disabled()
