@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
@@ -9,7 +10,7 @@ from tilth.analysis.experiment.predict import Known, from_log, from_machine
 from tilth.analysis.experiment.propose import WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
-from tilth.analysis.runs.run import open_runs
+from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.log import LogError
@@ -87,6 +88,10 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
     for log in args.logs:
         if not log.exists():
             raise WrongUse(f"{log}: there is no such log")
+    if not all(
+        log.is_file() and is_mcap(log) for log in args.logs
+    ):  # of other programs: no machine file in it
+        return _learned(machine, open_runs(args.logs, machine=(machine, text), say=_say))
     runs = open_runs(args.logs, say=_say)
     for run in runs:
         if run.machine.name != machine.name:
@@ -96,6 +101,11 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
             )
     if not all(_same_rig(run.machine, machine) for run in runs):
         runs = open_runs(args.logs, machine=(machine, text), say=_say)  # replayed with the other file
+    return _learned(machine, runs)
+
+
+def _learned(machine: Machine, runs: Sequence[Run]) -> Known:
+    """Raises CannotFit."""
     wanted = choose(runs)
     _say(f"fitting {len(wanted)} stretches of driving in the log")
     return from_log(machine, fit_all(wanted))

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table as RichTable
 
-from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.fit.fitting import CannotFit, NoSteering, choose, fit_all
 from tilth.analysis.fit.result import as_json
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.runs.segments import KINDS
@@ -85,9 +85,11 @@ def run(args: argparse.Namespace) -> int:
                 progress=lambda done, of: show("fitting", done, of),
             )  # fmt: skip
     except CannotFit as error:
+        by_hand = "; `--segment A:B` names a stretch, in seconds since the log began"
+        text = f"{error}{by_hand if isinstance(error, NoSteering) else ''}"
         if args.segment or len(args.logs) > 1:
-            raise WrongUse(str(error)) from None
-        _say(str(error))
+            raise WrongUse(text) from None
+        _say(text)
         return 1
     except LogError as error:
         _say(str(error))
