@@ -12,8 +12,8 @@ from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.machine import Machine
 
@@ -33,16 +33,14 @@ def propose(args: argparse.Namespace) -> int:
     machine, text = read_machine(args.machine)
     try:
         wanted = _wanted(args)
-        known = _known(args, machine, text)
+        with log_errors():
+            known = _known(args, machine, text)
         found = best_plan(known, wanted, _say)
     except PlanError as error:
         raise WrongUse(str(error)) from None
     except (CannotFit, ValueError) as error:
         _say(str(error))
         return 1
-    except LogError as error:
-        _say(str(error))
-        return error.status
     source = ", ".join(log.name for log in args.logs)
     try:
         args.out.write_text(text_of(found, str(args.out), source), encoding="utf-8")
