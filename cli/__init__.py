@@ -56,7 +56,7 @@ class WrongUse(Exception):
     """Raised by a command that cannot start: one sentence that says what to do. Exit status 2."""
 
 
-class Failed(Exception):
+class CommandFailed(Exception):
     """Raised by a command that cannot go on: one sentence, and the exit status."""
 
     def __init__(self, text: str, status: int) -> None:
@@ -146,7 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MachineError, WrongUse) as error:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
         return 2
-    except Failed as error:
+    except CommandFailed as error:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
         return error.status
     except PermissionError as error:

@@ -56,7 +56,7 @@ def run_logs(args: argparse.Namespace) -> int:
 
 
 def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
-    """Raises WrongUse, MachineError, Failed."""
+    """Raises WrongUse, MachineError, CommandFailed."""
     if args.machine is None:
         with log_errors():
             return machine_in(args.logs)

@@ -27,7 +27,7 @@ ANY_PORT = "tcp/127.0.0.1:0"
 
 
 def play(args: argparse.Namespace, stack: ExitStack) -> str:
-    """Start a player; the stack ends it. Where it can be heard. Raises Failed, WrongUse."""
+    """Start a player; the stack ends it. Where it can be heard. Raises CommandFailed, WrongUse."""
     if args.config is not None or args.replay:
         raise WrongUse("--config and --replay are of a daemon that runs: leave them out where you give logs")
     given = read_machine(Path(args.machine)) if args.machine else None

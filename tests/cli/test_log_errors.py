@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from tilth.cli import Failed
+from tilth.cli import CommandFailed
 from tilth.cli.log_errors import log_errors
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 
@@ -19,7 +19,7 @@ CASES: list[tuple[Exception, int, str]] = [
 
 @pytest.mark.parametrize(("error", "status", "words"), CASES, ids=lambda value: type(value).__name__)
 def test_an_error_is_a_sentence_and_a_status(error: Exception, status: int, words: str) -> None:
-    with pytest.raises(Failed) as failed, log_errors("out", "nothing was written"):
+    with pytest.raises(CommandFailed) as failed, log_errors("out", "nothing was written"):
         raise error
     assert failed.value.status == status and words in str(failed.value)
 
