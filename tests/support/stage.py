@@ -46,7 +46,7 @@ MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
     "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "", "moved": [],
-    "run": "20261121T080000Z", "log_file": "", "wheel": None,
+    "run": "20261121T080000Z", "log_file": "", "wheel": None, "ahead_s": 0.0,
 }  # fmt: skip
 
 
@@ -241,7 +241,7 @@ def main() -> None:
     while not ended.wait(max(0.0, began_s + 0.1 * turn - time.monotonic())):
         turn += 1
         t_s = turn * every_s
-        t_ns = START_NS + int(1e9 * t_s)
+        t_ns = START_NS + int(1e9 * (t_s + orders["ahead_s"]))
         at = next(points)
         if orders["silent"]:
             continue
