@@ -109,7 +109,8 @@ def test_poses_of_an_earlier_clock_and_of_another_run_are_followed(
     def well() -> bool:
         return any(one.name == "receivers" and one.met for one in runner.turn().conditions)
 
-    until(well)
+    stage.order(log_file="/logs/one.mcap")
+    until(lambda: well() and bool(wires.logs))  # a status was heard: which run it is, is known
     for change, why in (({"ahead_s": -3600.0}, JUMPED), ({"run": "another"}, RESTARTED)):
         now_s = runner.prompt.now_s
         stage.order(**change)
