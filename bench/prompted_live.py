@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +24,7 @@ import numpy as np
 from tilth.client.link import base_key, open_session
 from tilth.client.received import pose_of
 from tilth.estimator.models.nonlinear import STATES
+from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.logger.daemon import run_daemon
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
@@ -57,6 +58,7 @@ class Driver:
     stopping: bool = False
     _state: pb.ExperimentState = field(default_factory=pb.ExperimentState)
     _x: np.ndarray | None = None
+    _origin: tuple[float, float] | None = None  # of the plane that the lane is in
     _angle: float = 0.0
 
     def run(self) -> None:
@@ -100,11 +102,17 @@ class Driver:
         return Bar(state.phase, state.wanted, state.speed, room)
 
     def _take_pose(self, sample: Any) -> None:
-        body = pose_of(sample.payload.to_bytes(), str(sample.encoding)).tractor
+        pose = pose_of(sample.payload.to_bytes(), str(sample.encoding))
+        body = pose.tractor
         if body.x is None or body.y is None or body.heading is None:
             return
+        origin = pose.origin_latitude_deg, pose.origin_longitude_deg
+        self._origin = self._origin or origin
+        north, east = body.x, body.y
+        if origin != self._origin:  # a daemon that was restarted; the lane is where it was
+            north, east = to_plane(self._origin, *to_degrees(origin, body.x, body.y))
         x = np.zeros(len(STATES))
-        x[AT["x_t"]], x[AT["y_t"]], x[AT["psi_t"]] = body.x, body.y, body.heading
+        x[AT["x_t"]], x[AT["y_t"]], x[AT["psi_t"]] = north, east, body.heading
         self._x = x
 
     def _take_state(self, sample: Any) -> None:
@@ -120,7 +128,7 @@ class Driver:
 class Live:
     """What came of it."""
 
-    summary: RunSummary
+    summaries: tuple[RunSummary, ...]  # one of each start of the daemon
     states: tuple[pb.ExperimentState, ...]
     said: str  # by the prompter's process
     status: int  # its exit status
@@ -130,9 +138,11 @@ class Live:
 def drive_plan(
     machine_text: str, plan: Path, scenario: Scenario, person: Person, seed: int, seconds: float,
     lane: tuple[float, float, float, float], log_folder: Path,
+    restart: Callable[[Sequence[pb.ExperimentState]], bool] = lambda states: False,
     watch: Callable[[str], object] = lambda endpoint: None,
 ) -> Live:  # fmt: skip
-    """Until the prompter's process has ended, at most so many seconds. watch: told the Zenoh endpoint."""
+    """Until the prompter's process has ended, at most so many seconds. restart: whether the daemon is to be,
+    once, by what was shown so far. watch: told the Zenoh endpoint."""
     with ExitStack() as stack:
         rig = subprocess.Popen(
             [sys.executable, "-m", "tilth.simulator.real_time_rig"],
@@ -163,7 +173,14 @@ def drive_plan(
                 prompter.append(_prompter(plan, endpoint))
             return bool(prompter and prompter[0].poll() is not None) or rig.poll() is not None
 
-        summary = run_daemon(machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=over)
+        summaries: list[RunSummary] = []
+
+        def stop() -> bool:
+            return over() or (not summaries and restart(driver.states))
+
+        while not summaries or (len(summaries) == 1 and not over()):
+            made = run_daemon(machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=stop)
+            summaries.append(made)
         driver.stopping = True
         if prompter[0].poll() is None:
             prompter[0].terminate()
@@ -172,7 +189,8 @@ def drive_plan(
         rig.stdin.close()
         reading.join(30.0)
         last: dict[str, Any] = facts[-1] if facts else {}
-        return Live(summary, tuple(driver.states), said, prompter[0].returncode, int(last.get("late", 0)))
+        late = int(last.get("late", 0))
+        return Live(tuple(summaries), tuple(driver.states), said, prompter[0].returncode, late)
 
 
 def _told(rig: subprocess.Popen[bytes], text: str, seed: int, seconds: float, scenario: Scenario) -> Any:

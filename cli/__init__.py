@@ -56,6 +56,14 @@ class WrongUse(Exception):
     """Raised by a command that cannot start: one sentence that says what to do. Exit status 2."""
 
 
+class CommandFailed(Exception):
+    """Raised by a command that cannot go on: one sentence, and the exit status."""
+
+    def __init__(self, text: str, status: int) -> None:
+        super().__init__(text)
+        self.status = status
+
+
 RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read no MF4
 
 
@@ -138,6 +146,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (MachineError, WrongUse) as error:
         print(f"tilth {args.command}: {error}", file=sys.stderr)
         return 2
+    except CommandFailed as error:
+        print(f"tilth {args.command}: {error}", file=sys.stderr)
+        return error.status
     except PermissionError as error:
         refusal = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
         print(f"tilth {args.command}: {refusal}", file=sys.stderr)

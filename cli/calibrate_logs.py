@@ -16,10 +16,10 @@ from tilth.analysis.calibration.page import report_of
 from tilth.analysis.calibration.run import Calibrated, calibrate_logs
 from tilth.analysis.report.page import page
 from tilth.cli import WrongUse
+from tilth.cli.log_errors import log_errors
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_TOLD
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.machine import Machine, MachineError
 
@@ -34,16 +34,10 @@ def run_logs(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise WrongUse(str(error)) from None
     try:
-        with ExitStack() as stack:
+        with log_errors(), ExitStack() as stack:
             found = calibrate_logs(args.logs, machine, text, buses, _say, _progress(stack, args.json))
     except CannotCalibrate as error:
         return _refused(args, error)
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except OSError as error:
-        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
-        return 1
     if not args.json:
         _show(found)
     status = 0
@@ -62,14 +56,10 @@ def run_logs(args: argparse.Namespace) -> int:
 
 
 def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
-    """Raises WrongUse, MachineError."""
+    """Raises WrongUse, MachineError, CommandFailed."""
     if args.machine is None:
-        try:
+        with log_errors():
             return machine_in(args.logs)
-        except LogError as error:
-            raise WrongUse(str(error)) from None
-        except OSError as error:
-            raise WrongUse(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
     try:
         return read_machine(args.machine)
     except MachineError:

@@ -15,8 +15,8 @@ from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.fit.result import as_json as fitted_json
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import WrongUse
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -42,18 +42,14 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--machine: give it once for both, or twice")
     machines = (args.machine * 2)[:2] if len(args.machine) == 1 else args.machine or [None, None]
     try:
-        first, second = (
-            _answer(path, machine) for path, machine in zip((args.first, args.second), machines, strict=True)
-        )
-        found = compare(first, second)
+        with log_errors():
+            first, second = (
+                _answer(path, machine)
+                for path, machine in zip((args.first, args.second), machines, strict=True)
+            )
+            found = compare(first, second)
     except (CannotFit, NotComparable) as error:
         raise WrongUse(str(error)) from None
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except OSError as error:
-        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
-        return 1
     if args.json:
         print(json.dumps(as_json(found)))
     else:

@@ -39,7 +39,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
         if machine.zenoh.config is not None and args.config is None:
             raise WrongUse("this machine wants a key: give an operator's with --config")
     if args.config is not None:
-        prefix, name = of_key(args.config)
+        prefix, name = of_key(args.config, args.command)
     try:
         session = zenoh.open(client_config(args.config, [args.endpoint] if args.endpoint else endpoints))
     except zenoh.ZError:
@@ -74,14 +74,14 @@ def daemon_of(session: zenoh.Session, prefix: str, name: str, key: Path | None) 
     raise WrongUse(f"no daemon is heard on {prefix}/{name or '*'}; is `{command('run')}` running?")
 
 
-def of_key(path: Path) -> tuple[str, str]:
-    """Prefix and machine that a key is for."""
+def of_key(path: Path, order: str = "give orders") -> tuple[str, str]:
+    """Prefix and machine that a key is for. order: what it is used for. Raises WrongUse."""
     try:
         holder = holder_of(path)
     except ValueError as error:
         raise WrongUse(str(error)) from None
     if holder.role != "operator":
-        raise WrongUse(f"{path}: {holder.name} may hear and not mark; ask for an operator's key")
+        raise WrongUse(f"{path}: {holder.name} may hear and not {order}; ask for an operator's key")
     return holder.prefix, holder.machine
 
 

@@ -111,7 +111,7 @@ def _read(path: Path) -> ExperimentPlan:
 def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
     """Raises WrongUse, ZError."""
     if args.config is not None:
-        args.prefix, _ = of_key(args.config)
+        args.prefix, _ = of_key(args.config, "mark")
     try:
         session = zenoh.open(client_config(args.config, [args.connect]))
     except zenoh.ZError:

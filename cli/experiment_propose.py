@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
@@ -9,10 +10,10 @@ from tilth.analysis.experiment.predict import Known, from_log, from_machine
 from tilth.analysis.experiment.propose import WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
-from tilth.analysis.runs.run import open_runs
+from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.machine import Machine
 
@@ -32,16 +33,14 @@ def propose(args: argparse.Namespace) -> int:
     machine, text = read_machine(args.machine)
     try:
         wanted = _wanted(args)
-        known = _known(args, machine, text)
+        with log_errors():
+            known = _known(args, machine, text)
         found = best_plan(known, wanted, _say)
     except PlanError as error:
         raise WrongUse(str(error)) from None
     except (CannotFit, ValueError) as error:
         _say(str(error))
         return 1
-    except LogError as error:
-        _say(str(error))
-        return error.status
     source = ", ".join(log.name for log in args.logs)
     try:
         args.out.write_text(text_of(found, str(args.out), source), encoding="utf-8")
@@ -87,6 +86,10 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
     for log in args.logs:
         if not log.exists():
             raise WrongUse(f"{log}: there is no such log")
+    if not all(
+        log.is_file() and is_mcap(log) for log in args.logs
+    ):  # of other programs: no machine file in it
+        return _learned(machine, open_runs(args.logs, machine=(machine, text), say=_say))
     runs = open_runs(args.logs, say=_say)
     for run in runs:
         if run.machine.name != machine.name:
@@ -96,6 +99,11 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
             )
     if not all(_same_rig(run.machine, machine) for run in runs):
         runs = open_runs(args.logs, machine=(machine, text), say=_say)  # replayed with the other file
+    return _learned(machine, runs)
+
+
+def _learned(machine: Machine, runs: Sequence[Run]) -> Known:
+    """Raises CannotFit."""
     wanted = choose(runs)
     _say(f"fitting {len(wanted)} stretches of driving in the log")
     return from_log(machine, fit_all(wanted))

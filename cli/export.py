@@ -17,8 +17,8 @@ from tilth.analysis.export.files import FORMATS, ExportError, check_installed
 from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import bus_names, machine_in
 
 Shown = Callable[[int, int], None]
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         check_installed(args.to)
         if args.out.exists() and not args.out.is_dir():
             raise ExportError(f"--out {args.out}: no folder; give one, or a new name")
-        with ExitStack() as stack:
+        with log_errors(args.out, "nothing is left of it"), ExitStack() as stack:
             shown = _progress(stack, args)
             runs = _runs(args, shown("replay"))
             folders = folders_of(runs, args.out)
@@ -95,16 +95,8 @@ def run(args: argparse.Namespace) -> int:
             done = [
                 export(one, plan, folder, shown(one.id)) for one, folder in zip(runs, folders, strict=True)
             ]
-    except LogError as error:
-        _say(str(error))
-        return error.status
     except ExportError as error:
         raise WrongUse(str(error)) from None
-    except PermissionError:
-        raise
-    except OSError as error:
-        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}; nothing is left of it")
-        return 1
     _tell(done, args)
     return 1 if any(one.skipped for one in done) else 0
 

@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table as RichTable
 
-from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.fit.fitting import CannotFit, NoSteering, choose, fit_all
 from tilth.analysis.fit.result import as_json
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.runs.segments import KINDS
 from tilth.cli import WrongUse, add_bus_names
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import bus_names
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import of_logarithm
@@ -71,7 +71,7 @@ def _jobs(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """1 where nothing could be fitted."""
     try:
-        with ExitStack() as stack:
+        with log_errors(), ExitStack() as stack:
             show = _progress(stack, args.json)
             machine = read_machine(args.machine) if args.machine else None
             buses = _buses(args.bus, machine)
@@ -85,15 +85,11 @@ def run(args: argparse.Namespace) -> int:
                 progress=lambda done, of: show("fitting", done, of),
             )  # fmt: skip
     except CannotFit as error:
+        by_hand = "; `--segment A:B` names a stretch, in seconds since the log began"
+        text = f"{error}{by_hand if isinstance(error, NoSteering) else ''}"
         if args.segment or len(args.logs) > 1:
-            raise WrongUse(str(error)) from None
-        _say(str(error))
-        return 1
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except OSError as error:
-        _say(f"{error.filename or 'log'}: {(error.strerror or str(error)).lower()}")
+            raise WrongUse(text) from None
+        _say(text)
         return 1
     answer = as_json(fitted)
     if args.json:

@@ -2,7 +2,6 @@
 
 import argparse
 import signal
-import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -43,16 +42,9 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(listener.close)
         endpoint = str(args.config or args.connect)
         if args.logs:
-            from tilth.cli.recorded_runs import (
-                Unplayable,
-                play,
-            )  # with the estimators: only who asks pays for it
+            from tilth.cli.recorded_runs import play  # with the estimators: only who asks pays for it
 
-            try:
-                endpoint = play(args, stack)
-            except Unplayable as error:
-                print(f"tilth monitor: {error}", file=sys.stderr)
-                return error.status
+            endpoint = play(args, stack)
         page.callback((daemon_data := _hear(args, endpoint)).close)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         with suppress(KeyboardInterrupt):  # also before the server has begun: this is how it is meant to end

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tilth.cli import WrongUse
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import free_endpoint, open_session, why
 from tilth.replay.catalogue import CatalogueRun, listing, run_files
@@ -25,25 +26,15 @@ from tilth.schemas.proto import tilth_pb2 as pb
 ANY_PORT = "tcp/127.0.0.1:0"
 
 
-class Unplayable(Exception):
-    """The one run that was given cannot be played; `status` is the exit status."""
-
-    def __init__(self, text: str, status: int) -> None:
-        super().__init__(text)
-        self.status = status
-
-
 def play(args: argparse.Namespace, stack: ExitStack) -> str:
-    """Start a player; the stack ends it. Where it can be heard. Raises Unplayable, WrongUse."""
+    """Start a player; the stack ends it. Where it can be heard. Raises CommandFailed, WrongUse."""
     if args.config is not None or args.replay:
         raise WrongUse("--config and --replay are of a daemon that runs: leave them out where you give logs")
     given = read_machine(Path(args.machine)) if args.machine else None
     opening = Opening(kept_logs(), args.prefix, given, tuple(args.bus), _say)
-    try:
+    with log_errors():
         runs = {one.name: one for one in run_files(args.logs)}
         opened = _opened(opening, next(iter(runs.values()))) if len(runs) == 1 else None
-    except LogError as error:
-        raise Unplayable(str(error), error.status) from None
     machine = opened.machine if opened else _any_machine(opening, list(runs.values()))
 
     def listings() -> Iterator[pb.RunListing]:
@@ -64,12 +55,9 @@ def play(args: argparse.Namespace, stack: ExitStack) -> str:
 
 
 def _opened(opening: Opening, run: CatalogueRun) -> OpenedRun:
-    """With a progress bar where there is somebody to see it. Raises LogError."""
-    try:
-        with ExitStack() as stack:
-            return opening.open(run, _bar(stack) if sys.stderr.isatty() else lambda text, share: None)
-    except OSError as error:
-        raise LogError(f"{error.filename or run.name}: {(error.strerror or str(error)).lower()}") from None
+    """With a progress bar where there is somebody to see it. Raises LogError, OSError."""
+    with ExitStack() as stack:
+        return opening.open(run, _bar(stack) if sys.stderr.isatty() else lambda text, share: None)
 
 
 def _bar(stack: ExitStack) -> Callable[[str, float], None]:

@@ -14,6 +14,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.cli.log_errors import log_errors
 from tilth.cli.unread import who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
@@ -23,7 +24,7 @@ from tilth.replay.compare import Comparison
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.replay.offline import Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
-from tilth.replay.readers.log import EmptyLog, LogError
+from tilth.replay.readers.log import EmptyLog
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
@@ -67,7 +68,7 @@ def _rate(text: str) -> float | None:
 
 def run(args: argparse.Namespace) -> int:
     comparison = Comparison() if args.verify else None
-    try:
+    with log_errors(args.out):
         _check_logs(args)
         machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
         say_unusual("replay", machine)
@@ -75,12 +76,6 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)
             summary = replay(args.logs, machine, text, buses=buses, outputs=outputs, say=_say)
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except OSError as error:
-        _say(f"{error.filename or args.out or 'log'}: {(error.strerror or str(error)).lower()}")
-        return 1
     if args.json:
         print(json.dumps(_as_json(summary, comparison)))
     else:

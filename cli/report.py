@@ -13,8 +13,8 @@ from rich.progress import Progress, TaskID
 from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import WrongUse, add_bus_names
+from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.invocation import command, installing
 from tilth.schemas.machine import Machine
@@ -81,7 +81,7 @@ def _most_fitted(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """1 if a log is cut off or damaged, or gives no poses."""
     _check_outputs(args)
-    try:
+    with log_errors(args.out, "nothing was written"):
         machine = read_machine(args.machine) if args.machine else None
         with ExitStack() as stack:
             runs = open_runs(
@@ -101,14 +101,6 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as stack:
             answers = _answers(driven, segments, args.fit, _steps(stack, args))
         return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
-    except LogError as error:
-        _say(str(error))
-        return error.status
-    except PermissionError:
-        raise  # cli.main knows what to say
-    except OSError as error:
-        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}; nothing was written")
-        return 1
 
 
 def _check_outputs(args: argparse.Namespace) -> None:

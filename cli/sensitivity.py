@@ -23,11 +23,11 @@ from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.cli import WrongUse, say_unusual
 from tilth.cli.desk_options import add_input, after, between, check_out, made_by, names, write_report
+from tilth.cli.log_errors import log_errors
 from tilth.cli.sensitivity_global import add_answers, add_global, design_of, show_global
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.schemas.invocation import command
 
 STEPS = ("1%", "exact")
@@ -88,11 +88,8 @@ def run(args: argparse.Namespace) -> int:
     """1 where the rig is unstable at some of the speeds."""
     question = question_of(args)
     check_out(args.out)
-    try:
+    with log_errors():
         design = design_of(args)
-    except LogError as error:
-        _say(str(error))
-        return error.status
     machine, text = read_machine(args.machine)
     say_unusual("sensitivity", machine)
     rig = rig_of(machine)

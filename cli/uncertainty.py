@@ -30,10 +30,10 @@ from tilth.cli.desk_options import (
     share,
     write_report,
 )
+from tilth.cli.log_errors import log_errors
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.log import LogError
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 
@@ -133,15 +133,13 @@ def run(args: argparse.Namespace) -> int:
     machine, text = read_machine(args.machine)
     say_unusual("uncertainty", machine)
     try:
-        known = _known(args, of_machine(machine), (machine, text))
+        with log_errors():
+            known = _known(args, of_machine(machine), (machine, text))
         if not known.names:
             raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
         answer: dict[str, Any] = {
             "machine": machine.machine.name, **uncertainty_answer(known, _question(args))
         }  # fmt: skip
-    except LogError as error:
-        _say(str(error))
-        return error.status
     except ValueError as error:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:

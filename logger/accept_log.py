@@ -4,12 +4,13 @@ from functools import partial
 
 from tilth.logger.clock import Clock
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.log.marks import Marks
+from tilth.logger.log.marks import Marks, OrderWords
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import ACCEPTED_TOPIC, CHANNEL
 from tilth.schemas.flow import Event
 
 KEY = "accept"  # the last part of it
+ORDER = OrderWords("an order to accept", "orders to accept", "the name of what has been moved")
 
 
 class AcceptLog:
@@ -19,7 +20,7 @@ class AcceptLog:
     """
 
     def __init__(self, fold: GuardedFold, clock: Clock, outlets: Outlets) -> None:
-        self.requests = Marks()
+        self.requests = Marks(ORDER)
         self._fold = fold
         self._clock = clock
         self._outlets = outlets

@@ -63,7 +63,8 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
 
 def all_rejected(parts: RunParts) -> dict[str, int]:
     """Reason -> count, of all that was not used."""
-    other = {"stamp": parts.clock.bad_stamps, "mark": parts.marks.marks.refused}
+    orders = {"mark": parts.marks.marks.refused, "accept": parts.accepts.requests.refused}
+    other = {"stamp": parts.clock.bad_stamps, **orders}
     return rejected(parts.estimation.fold.rejected, parts.buses.live_buses, other)
 
 

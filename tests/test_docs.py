@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from paths import ROOT
 
-from tilth.cli import COMMANDS, WrongUse
+from tilth.cli import COMMANDS, CommandFailed
 from tilth.deploy.imports import folders
 from tilth.estimator.methods.estimators import Estimator
 from tilth.estimator.models.parameters import RIG_PARAMETERS
@@ -202,7 +202,7 @@ def test_the_example_of_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     log.write_text("(1700000000.000000) can0 09F8011C#A7DF521F4A624103\n" * 3)
     assert names["run"](parser.parse_args(["count", str(log)])) == 0
     assert capsys.readouterr().out == "3\n"
-    with pytest.raises(WrongUse):
+    with pytest.raises(CommandFailed):
         names["run"](parser.parse_args(["count", str(tmp_path)]))
 
 

@@ -40,6 +40,10 @@ class CannotFit(Exception):
     """One sentence that says what to do."""
 
 
+class NoSteering(CannotFit):
+    """Nothing was found of which something could be learned."""
+
+
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """A segment of a run. log: which of the logs given it is in, from 1. number: which of all segments of its
@@ -83,7 +87,7 @@ def choose(
     else:
         found = [one for log, run in enumerate(runs, 1) for one in _of_run(run, log, kinds)]
     if not found:
-        raise CannotFit(_nothing(runs, kinds))
+        raise _nothing(runs, kinds)
     found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
     for one, other in pairwise(found):
         shared_s = one.segment.end_s - other.segment.start_s if one.run is other.run else 0.0
@@ -113,14 +117,11 @@ def _of_run(run: Run, log: int, kinds: Sequence[str]) -> list[Wanted]:
     ]
 
 
-def _nothing(runs: Sequence[Run], kinds: Sequence[str]) -> str:
+def _nothing(runs: Sequence[Run], kinds: Sequence[str]) -> CannotFit:
     if not any(run.poses.rows for run in runs):
-        return "there are no poses in these logs: `tilth verify` says which sensors were silent"
+        return CannotFit("there are no poses in these logs: `tilth verify` says which sensors were silent")
     what = f" of the kinds {', '.join(kinds)}" if kinds else ""
-    return (
-        f"no driving with steering{what} was found, of which something could be learned; "
-        "`--segment A:B` names a stretch, in seconds since the log began"
-    )
+    return NoSteering(f"no driving with steering{what} was found, of which something could be learned")
 
 
 def check_same_rig(runs: Sequence[Run]) -> None:

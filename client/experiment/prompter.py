@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tilth.client.experiment import conditions
 from tilth.client.experiment.conditions import Condition
 from tilth.client.experiment.following import disturbed, followed, off_the_bar
-from tilth.client.experiment.sight import FieldPlace, Seen, abort_reason, place_of
+from tilth.client.experiment.sight import FieldPlace, Seen, abort_reason, in_plane, place_of
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.planned_run import DT, Scheduled, Way, check, drives, way
 from tilth.schemas.experiment import ExperimentPlan
@@ -111,7 +111,13 @@ class Marked(NamedTuple):
     refusal: str
 
 
-Input = Seen | Tick | Order | Marked
+class Anew(NamedTuple):
+    """Poses begin again: nothing goes on from those before, not even their clock. why: in words."""
+
+    why: str
+
+
+Input = Seen | Tick | Order | Marked | Anew
 
 
 def course_of(plan: ExperimentPlan, rig: Rig) -> Course:
@@ -134,6 +140,8 @@ def step(prompt: Prompt, course: Course, came: Input) -> tuple[Prompt, tuple[Mar
             return _order(prompt, course, came.kind)
         case Marked():
             return _marked(prompt, course, came)
+        case Anew():
+            return _anew(prompt, course, came.why)
 
 
 def drive_at(prompt: Prompt, course: Course) -> PlannedDrive | None:
@@ -172,7 +180,7 @@ def _see(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark
     kept = prompt.track
     if prompt.phase != RUNNING:
         kept = tuple(one for one in kept if seen.t_s - one.t_s <= KEPT_S)
-    place = prompt.place
+    place = in_plane(prompt.place, seen.origin_deg) if prompt.place is not None else None
     if place is None and course.plan.field.corner is not None and not seen.trouble:
         place = place_of(course.plan.field, seen)
     prompt = replace(prompt, track=(*kept, seen), place=place)
@@ -230,6 +238,20 @@ def _marked(prompt: Prompt, course: Course, marked: Marked) -> tuple[Prompt, tup
             return _end(prompt, course, "disturbed", f"the end is not in the log: {marked.refusal}")
         return _next(prompt, course, "done", "")
     return prompt, ()
+
+
+def _anew(prompt: Prompt, course: Course, why: str) -> tuple[Prompt, tuple[Mark, ...]]:
+    """The run under way is lost; its note, and that the plan goes on, are for the log that is written now."""
+    if prompt.phase == FINISHED:
+        return prompt, ()
+    marks = [Mark(f"experiment {course.plan.name} seed {course.plan.seed} goes on: {why}")]
+    if prompt.phase in (RUNNING, NOTING):
+        prompt, ended = _end(prompt, course, "aborted", why)
+        marks += ended
+    else:
+        said = f"{why[0].upper()}{why[1:]}. The plan goes on: arm the run when you are ready."
+        prompt = replace(prompt, phase=IDLE, said=said)
+    return replace(prompt, track=(), now_s=-math.inf), tuple(marks)
 
 
 def _lined_up(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:

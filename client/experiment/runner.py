@@ -5,13 +5,15 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from tilth.client.experiment.prompter import FINISHED, Course, Input, Order, Prompt, Tick, step
+from tilth.client.experiment.prompter import FINISHED, Anew, Course, Input, Order, Prompt, Tick, step
 from tilth.client.experiment.shown import shown
 from tilth.client.experiment.wires import PrompterWires
 from tilth.schemas.proto import tilth_pb2 as pb
 
 TURN_S: Final = 0.1
-ANOTHER_RUN_S: Final = 60.0  # poses that jump so far are of another clock
+JUMP_S: Final = 60.0  # poses that jump so far are of another clock
+RESTARTED: Final = "the daemon has begun anew and writes another log"
+JUMPED: Final = "the clock of the poses jumped"
 
 
 class PlanRunner:
@@ -38,10 +40,12 @@ class PlanRunner:
         """Take all that came; say how it stands."""
         for answer in self._wires.answers():
             self._take(answer)
+        if self._wires.restarted():
+            self._begin_anew(RESTARTED)
         for came_s, seen in self._wires.poses():
             ahead_s = seen.t_s - came_s
-            if abs(ahead_s - self._ahead_s) > ANOTHER_RUN_S:
-                self._ahead_s = ahead_s
+            if math.isfinite(self._ahead_s) and abs(ahead_s - self._ahead_s) > JUMP_S:
+                self._begin_anew(JUMPED)
             self._ahead_s = max(self._ahead_s, ahead_s)
             self._take(seen)
         for order in self._wires.orders():
@@ -53,6 +57,10 @@ class PlanRunner:
         state.commands.extend(self.commands)
         self._wires.show(state)
         return state
+
+    def _begin_anew(self, why: str) -> None:
+        self._ahead_s = -math.inf
+        self._take(Anew(why))
 
     def _take(self, came: Input) -> None:
         self.prompt, marks = step(self.prompt, self._course, came)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models.planned_run import room
-from tilth.estimator.pose.geometry import rotate, to_plane
+from tilth.estimator.pose.geometry import rotate, to_degrees, to_plane
 from tilth.schemas.experiment import DrivingLimits, Rectangle
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 
@@ -41,6 +41,7 @@ class FieldPlace(NamedTuple):
     north: float
     east: float
     heading: float
+    origin_deg: tuple[float, float] = (0.0, 0.0)  # of the plane
 
 
 def seen_of(pose: Pose) -> Seen:
@@ -73,9 +74,18 @@ def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
     """Where the rectangle lies: by its corner, or else with the tractor in the middle of the line where its
     near headland ends."""
     if field.corner is not None and field.heading_deg is not None:
-        return FieldPlace(*to_plane(seen.origin_deg, *field.corner), math.radians(field.heading_deg))
+        corner = to_plane(seen.origin_deg, *field.corner)
+        return FieldPlace(*corner, math.radians(field.heading_deg), seen.origin_deg)
     north, east = rotate((-field.headland, -field.width / 2), seen.heading)
-    return FieldPlace(seen.north + north, seen.east + east, seen.heading)
+    return FieldPlace(seen.north + north, seen.east + east, seen.heading, seen.origin_deg)
+
+
+def in_plane(place: FieldPlace, origin_deg: tuple[float, float]) -> FieldPlace:
+    """The same place in another plane: a daemon chooses one when it begins, and anew far away."""
+    if place.origin_deg == origin_deg:
+        return place
+    corner = to_degrees(place.origin_deg, place.north, place.east)
+    return FieldPlace(*to_plane(origin_deg, *corner), place.heading, origin_deg)
 
 
 def in_field(place: FieldPlace, seen: Seen, ahead: Array, aside: Array) -> tuple[Array, Array]:

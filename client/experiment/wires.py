@@ -1,6 +1,7 @@
 """A prompter's wires: poses and orders in, marks and what is shown out, all over one Zenoh session."""
 
 import queue
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -32,6 +33,8 @@ class PrompterWires:
         self._marked: queue.Queue[Marked] = queue.Queue()
         self._refused: Counter[str] = Counter()
         self._logs: dict[str, None] = {}
+        self._run = ""  # of the daemon: another one after it was restarted
+        self._restarted = threading.Event()
         self._link.hear(session.declare_subscriber(f"{base}/pose"), self._take_pose)
         self._link.hear(session.declare_subscriber(f"{base}/status"), self._take_status)
         self._link.hear(session.declare_queryable(f"{base}/experiment/order"), self._orders.take)
@@ -52,6 +55,12 @@ class PrompterWires:
             if reply.ok is not None:
                 return rig_of_message(reply.ok.payload.to_bytes(), str(reply.ok.encoding))
         raise Refused("the daemon does not say what its machine is")
+
+    def restarted(self) -> bool:
+        """Whether the daemon tells of another run than before, since the last call."""
+        again = self._restarted.is_set()
+        self._restarted.clear()
+        return again
 
     def poses(self) -> list[tuple[float, Seen]]:
         """(when it came, s of time.monotonic; the pose), of those since the last call."""
@@ -104,6 +113,10 @@ class PrompterWires:
         except Refused as error:
             self._refused[str(error)] += 1
             return
+        if status.run and status.run != self._run:
+            if self._run:
+                self._restarted.set()
+            self._run = status.run
         if status.log_file:
             self._logs[status.log_file] = None
 

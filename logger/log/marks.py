@@ -1,4 +1,5 @@
-"""Marks of the operator: a text, asked to be noted by a query on <prefix>/<machine>/mark.
+"""Marks of the operator: a text, asked to be noted by a query on <prefix>/<machine>/mark. Other orders of a
+text in one line, such as to accept what has been moved, come in the same way.
 
 The answer is a tilth.Event when the mark is on the disk, or an error in words. What is asked comes in a
 thread of Zenoh's; the daemon's loop logs it between two frames and hears from the disk's thread what became
@@ -8,7 +9,7 @@ of it.
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import zenoh
 
@@ -20,8 +21,19 @@ MOST_WAITING: Final = 16  # not answered yet; a person is slower
 KIND: Final = "mark"  # of the event, and the last part of the key
 
 
+class OrderWords(NamedTuple):
+    """What an order is called where it is refused."""
+
+    one: str
+    many: str
+    needs: str  # what its text is
+
+
+MARK: Final = OrderWords("a mark", "marks", "a text")
+
+
 class MarkRefused(Exception):
-    """Why a text is no mark, in words."""
+    """Why a text is no such order, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +47,8 @@ class MarkRequest:
 class Marks:
     """Requests and their results: two queues between threads."""
 
-    def __init__(self) -> None:
+    def __init__(self, words: OrderWords = MARK) -> None:
+        self._words = words
         self.refused = 0
         self._requests: deque[MarkRequest] = deque()
         self._settled: deque[tuple[MarkRequest, Event, str]] = deque()
@@ -46,9 +59,9 @@ class Marks:
         if "*" in str(query.key_expr):
             return
         try:
-            text = text_of(query.payload)
+            text = text_of(query.payload, self._words)
             if len(self._requests) + self._at_disk >= MOST_WAITING:
-                raise MarkRefused("too many marks at a time; try again in a second")
+                raise MarkRefused(f"too many {self._words.many} at a time; try again in a second")
         except MarkRefused as refusal:
             self.refused += 1
             query.reply_err(str(refusal))
@@ -72,21 +85,23 @@ class Marks:
             yield self._settled.popleft()
 
 
-def text_of(payload: zenoh.ZBytes | None) -> str:
-    """The text of a mark. Raises MarkRefused."""
+def text_of(payload: zenoh.ZBytes | None, words: OrderWords) -> str:
+    """The text of an order. Raises MarkRefused."""
+    one, _, needs = words
     size = 0 if payload is None else len(payload)
     if payload is None or size == 0:
-        raise MarkRefused("a mark needs a text: send it as the payload of the query, in UTF-8")
+        raise MarkRefused(f"{one} needs {needs}: send it as the payload of the query, in UTF-8")
     if size > MOST_BYTES:
-        raise MarkRefused(f"this mark has {size} bytes, {MOST_BYTES} are the most; write less")
+        raise MarkRefused(f"{one} has at most {MOST_BYTES} bytes, these are {size} bytes; write less")
     try:
         text = payload.to_bytes().decode().strip()
     except UnicodeDecodeError as error:
-        raise MarkRefused(f"this mark is no UTF-8: {error.reason} at byte {error.start}") from None
+        reason = f"{error.reason} at byte {error.start}"
+        raise MarkRefused(f"{one} is written in UTF-8, this is no UTF-8: {reason}") from None
     if not text.isprintable():
-        raise MarkRefused("this mark holds control characters; write plain text in one line")
+        raise MarkRefused(f"{one} is plain text in one line, this one holds control characters")
     if not text:
-        raise MarkRefused("a mark needs a text, this one is blank")
+        raise MarkRefused(f"{one} needs {needs}, this one is blank")
     return text
 
 

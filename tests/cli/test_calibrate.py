@@ -1,4 +1,4 @@
-"""`tilth calibrate` from a log: numbers within their sds, files kept, refusals in sentences."""
+"""`tilth calibrate` from a log: numbers within their sds, files kept."""
 
 import json
 from pathlib import Path
@@ -32,7 +32,6 @@ rolling = 0.06
 [ground]
 slope_deg = 1.5
 """
-ROWS = "seconds = 100.0\nsteering = [[100.0, 0.0]]\nspeed = 3.0\n"
 BAD = Changes(
     late=np.full(4, 0.05), forward=np.array([0.15, -0.1]), aside=np.array([0.1, 0.1]),
     pair=np.radians([-2.0, 2.0]), hitch=np.array([0.15, -0.1]), wheel_zero=np.radians(3.0), wheel_gain=1.1,
@@ -55,11 +54,6 @@ def _simulate(folder: Path, text: str) -> Path:
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _simulate(tmp_path_factory.mktemp("drive"), DRIVE)
-
-
-@pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _simulate(tmp_path_factory.mktemp("rows"), ROWS)
 
 
 def _true(drive: Path) -> dict[str, Any]:
@@ -97,15 +91,6 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert "<script" not in report.read_text(encoding="utf-8") and "Is it good" in report.read_text(
         encoding="utf-8"
     )
-
-
-def test_rows_only(rows: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "m.toml"
-    out.write_text(WRONG, encoding="utf-8")
-    assert main(["calibrate", str(rows), "--machine", str(MACHINE_FILE), "--out", str(out), "--yes"]) == 1
-    said = capsys.readouterr().err
-    assert "rows only" in said and "stays as it was" in said
-    assert out.read_text(encoding="utf-8") == WRONG
 
 
 def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

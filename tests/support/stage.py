@@ -12,6 +12,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from collections import deque
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 
@@ -45,6 +46,7 @@ MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
     "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "", "moved": [],
+    "run": "20261121T080000Z", "log_file": "", "wheel": None, "ahead_s": 0.0,
 }  # fmt: skip
 
 
@@ -75,7 +77,8 @@ def drive(period_s: float) -> Iterator[Point]:
         yield Point(north, east, heading, yaw_rate, behind)
 
 
-def pose(t_ns: int, at: Point, lost: str, flag: str = "") -> Pose:
+def pose(t_ns: int, at: Point, lost: str, flag: str = "", wheel: float | None = None) -> Pose:
+    """wheel: what its angle is, rad, whatever the way is."""
     hitch = (at.north - HITCH_M * math.cos(at.heading), at.east - HITCH_M * math.sin(at.heading))
     back = (math.cos(at.implement_heading), math.sin(at.implement_heading))
     cart = (hitch[0] - TO_CG_M * back[0], hitch[1] - TO_CG_M * back[1])
@@ -83,7 +86,8 @@ def pose(t_ns: int, at: Point, lost: str, flag: str = "") -> Pose:
     implement = _body(*cart, at.implement_heading, at.yaw_rate)
     flags = (*((f"lost:{lost}",) if lost else ()), *((flag,) if flag else ()))
     articulation = at.heading - at.implement_heading
-    wheel = math.atan(at.yaw_rate * 2.9 / SPEED)
+    if wheel is None:
+        wheel = math.atan(at.yaw_rate * 2.9 / SPEED)
     return Pose(
         t_ns, 43.5, -83.4, tractor, implement, articulation, 0.003, wheel, 0.002, 1, None, 0.01,
         4 - bool(lost), known_flags(flags),
@@ -126,7 +130,8 @@ def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str =
 
 def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
     result = pb.Status(
-        t_ns=t_ns, run="20261121T080000Z", version=orders["version"] or _version(), uptime_s=uptime_s,
+        t_ns=t_ns, run=orders["run"], log_file=orders["log_file"],
+        version=orders["version"] or _version(), uptime_s=uptime_s,
         frames=int(800 * uptime_s), poses=int(5 * uptime_s), recording=orders["recording"],
         log_bytes=int(40_000 * uptime_s), disk_free_bytes=4.2e9, hours_left=29.0,
     )  # fmt: skip
@@ -208,6 +213,7 @@ class Monitor:
 def main() -> None:
     port, rate = int(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 1.0
     orders = dict(ORDERS)
+    noted: deque[str] = deque()
 
     def mark(query: zenoh.Query) -> None:
         if "*" in str(query.key_expr):
@@ -216,7 +222,7 @@ def main() -> None:
             query.reply_err(orders["refusal"])
             return
         assert query.payload is not None
-        orders["text"], orders["event"] = query.payload.to_string(), "mark"
+        noted.append(query.payload.to_string())
         query.reply(query.key_expr, b"")
 
     def accept(query: zenoh.Query) -> None:
@@ -235,14 +241,17 @@ def main() -> None:
     while not ended.wait(max(0.0, began_s + 0.1 * turn - time.monotonic())):
         turn += 1
         t_s = turn * every_s
-        t_ns = START_NS + int(1e9 * t_s)
+        t_ns = START_NS + int(1e9 * (t_s + orders["ahead_s"]))
         at = next(points)
         if orders["silent"]:
             continue
-        sink.put("/pose", CHANNEL["/pose"].encode(pose(t_ns, at, orders["lost"], orders["flag"])))
+        told = pose(t_ns, at, orders["lost"], orders["flag"], orders["wheel"])
+        sink.put("/pose", CHANNEL["/pose"].encode(told))
         if orders["scale"] != scale:
             scale, changed_s = orders["scale"], t_s
             orders["event"], orders["text"] = "soil_change", "the soil holds the tyres otherwise since here"
+        while noted:
+            sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, "mark", noted.popleft())))
         if orders["event"]:
             kind, orders["event"] = orders["event"], ""
             sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, orders["text"])))

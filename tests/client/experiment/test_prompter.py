@@ -21,6 +21,7 @@ from tilth.client.experiment.prompter import (
     SILENT_S,
     SKIP,
     STOP,
+    Anew,
     Course,
     Input,
     Mark,
@@ -33,8 +34,9 @@ from tilth.client.experiment.prompter import (
     step,
 )
 from tilth.client.experiment.shown import shown
-from tilth.client.experiment.sight import FieldPlace, Seen
+from tilth.client.experiment.sight import FieldPlace, Seen, in_plane
 from tilth.estimator.models.parameters import TABLE_5_1
+from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.experiment import Rectangle, parse_plan
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.prompted_driver import Person
@@ -172,6 +174,43 @@ def test_silence_breaks_a_run_off() -> None:
     play = Play().running()
     play.take(Tick(play.t_s + SILENT_S + 0.1))
     assert "no pose has come" in play.prompt.attempts[0].reason
+
+
+@pytest.mark.parametrize("phase", [IDLE, LINING_UP, COUNTDOWN, RUNNING, NOTING, FINISHED])
+def test_when_poses_begin_anew_the_run_is_lost_and_the_plan_goes_on(phase: str) -> None:
+    """In another plane, by an earlier clock."""
+    play = Play()
+    play.go(3.0)
+    if phase == FINISHED:
+        for _ in COURSE.drives:
+            play.take(Order(SKIP))
+    elif phase != IDLE:
+        play.take(Order(ARM))
+        play.until(RUNNING if phase == NOTING else phase)
+        play.confirm = phase != NOTING
+        play.until(phase)
+    before, place = play.prompt, play.prompt.place
+    play.take(Anew("the daemon is another"))
+    if phase == FINISHED:
+        assert play.prompt is before
+        return
+    assert play.prompt.phase == IDLE and "he daemon is another. " in play.prompt.said
+    lost = phase in (RUNNING, NOTING)
+    assert [one.outcome for one in play.prompt.attempts] == ["aborted"] * lost
+    assert play.marks[-1 - lost] == "experiment three-kinds seed 1 goes on: the daemon is another"
+    assert not [one for one in conditions_of(play.prompt, COURSE) if one.met]
+    play.t_s, play.confirm = -5000.0, True
+    away = to_degrees((0.0, 0.0), 30.0, 0.0)
+    for _ in range(15):
+        play.go(POSE_S, origin_deg=away, north=5.0)
+    assert play.prompt.now_s < 0.0 and place is not None
+    assert play.prompt.place == in_plane(place, away)
+    play.take(Order(ARM))
+    while play.prompt.phase not in (RUNNING, IDLE):
+        play.go(POSE_S, origin_deg=away, north=5.0)
+    while play.prompt.phase != IDLE:
+        play.go(POSE_S, origin_deg=away, north=5.0)
+    assert [one.outcome for one in play.prompt.attempts] == [*["aborted"] * lost, "done"]
 
 
 def test_a_driver_who_looks_away_is_told_and_drives_it_again() -> None:

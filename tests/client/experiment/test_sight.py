@@ -4,18 +4,26 @@ import math
 
 import numpy as np
 import pytest
+from logs import MACHINE
 from stage import Point, pose
 
 from tilth.client.experiment.sight import (
     FieldPlace,
     abort_reason,
     in_field,
+    in_plane,
     place_of,
     room_left,
     seen_of,
 )
+from tilth.client.received import pose_of
+from tilth.estimator import fold
 from tilth.estimator.pose.geometry import to_degrees
+from tilth.schemas.channels import CHANNEL
 from tilth.schemas.experiment import DrivingLimits, Rectangle
+from tilth.schemas.flow import Mount, Pose
+from tilth.simulator.scenario import Fault, FaultKind, Scenario
+from tilth.simulator.traffic import simulate
 
 FIELD = Rectangle(length=200, width=60)
 AT = Point(10.0, 20.0, 0.3, 0.01, 0.3)
@@ -38,6 +46,36 @@ def test_a_pose_is_seen_as_it_is() -> None:
 )
 def test_what_cannot_be_learned_from_is_said(lost: str, flag: str, words: str) -> None:
     assert words in seen_of(pose(1, AT, lost, flag)).trouble
+
+
+@pytest.mark.parametrize("kind", ["rtk_float", "dgnss"])
+def test_a_receiver_that_loses_rtk_on_the_bus_is_lost_in_the_poses_that_are_published(
+    kind: FaultKind,
+) -> None:
+    scenario = Scenario(other_traffic=False, faults=(Fault(Mount.TRACTOR_REAR, 5.0, 7.0, kind),))
+    state, channel = fold.initial(MACHINE), CHANNEL["/pose"]
+    found = [
+        seen_of(pose_of(channel.encode(made.value), channel.encoding))
+        for frame in simulate(MACHINE, 3, 9.0, scenario)
+        for made in fold.step(state, frame)
+        if isinstance(made.value, Pose)
+    ]
+    began_s = found[-1].t_s - 9.0
+    troubles = {round(one.t_s - began_s, 1): one.trouble for one in found}
+    during = {trouble for at, trouble in troubles.items() if 5.5 < at < 6.8}
+    assert during == {"RTK is lost at tractor rear"}
+    assert {trouble for at, trouble in troubles.items() if 3.5 < at < 4.8} == {""}
+    assert troubles[max(troubles)] == ""
+
+
+def test_a_place_stays_where_it_is_when_the_plane_is_another() -> None:
+    here = seen_of(pose(1, AT, ""))
+    place = place_of(FIELD, here)
+    other = to_degrees(here.origin_deg, 250.0, -80.0)
+    moved = in_plane(place, other)
+    assert (moved.north, moved.east) == pytest.approx((place.north - 250.0, place.east + 80.0), abs=1e-2)
+    assert moved.origin_deg == other and in_plane(place, here.origin_deg) is place
+    assert in_plane(moved, here.origin_deg)[:2] == pytest.approx(place[:2], abs=1e-6)
 
 
 def test_the_field_lies_by_its_corner_or_about_the_tractor() -> None:

@@ -11,7 +11,7 @@ from loopback import PATIENCE_S
 from stage import Stage
 
 from tilth.client.experiment.prompter import COUNTDOWN, IDLE, LINING_UP, Marked, course_of
-from tilth.client.experiment.runner import PlanRunner
+from tilth.client.experiment.runner import JUMPED, RESTARTED, PlanRunner
 from tilth.client.experiment.wires import PrompterWires
 from tilth.client.link import open_session
 from tilth.estimator.models.parameters import TABLE_5_1
@@ -99,3 +99,21 @@ def test_the_page_sees_where_it_stands_and_its_orders_arrive(wires: PrompterWire
         runner.order("stop")
         assert runner.turn().phase == IDLE
         subscriber.undeclare()
+
+
+def test_poses_of_an_earlier_clock_and_of_another_run_are_followed(
+    wires: PrompterWires, stage: Stage
+) -> None:
+    runner = PlanRunner(wires, course_of(PLAN, TABLE_5_1))
+
+    def well() -> bool:
+        return any(one.name == "receivers" and one.met for one in runner.turn().conditions)
+
+    stage.order(log_file="/logs/one.mcap")
+    until(lambda: well() and bool(wires.logs))  # a status was heard: which run it is, is known
+    for change, why in (({"ahead_s": -3600.0}, JUMPED), ({"run": "another"}, RESTARTED)):
+        now_s = runner.prompt.now_s
+        stage.order(**change)
+        until(lambda why=why: why in runner.turn().text.lower())  # type: ignore[misc]
+        until(well)
+        assert (runner.prompt.now_s < now_s) == (why == JUMPED)

@@ -11,9 +11,11 @@ from kinematic_drive import GUIDED, MACHINE, ONE_SIDE, ROWS, measurements
 from tilth.estimator.calibration import calibrate as calibrating
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration import first_look
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.verdict import _not_driven
 from tilth.estimator.calibration.who import standing
 from tilth.schemas.flow import FixType, Measurement, WheelAngle
 from tilth.schemas.machine import Machine
@@ -126,6 +128,17 @@ def test_rows_alone_do_not_tell_who_is_who() -> None:
     assert not standing(_drive(MACHINE, made), MACHINE).sure
     with pytest.raises(CannotCalibrate, match="rows only"):
         calibrating.look(MACHINE, made)
+
+
+@pytest.mark.parametrize(("sign", "missing"), [(1, "left"), (-1, "right")])
+def test_circles_to_one_side_are_taken_and_said(sign: int, missing: str) -> None:
+    """What they tell is used; which side is missing, and what for, is said."""
+    made = measurements([(seconds, speed, sign * angle) for seconds, speed, angle in ONE_SIDE])
+    changes, _, view, _ = calibrating._first_look(MACHINE, _drive(MACHINE, made))
+    assert changes.wheel_gain == pytest.approx(1.0, abs=0.1)
+    said = list(_not_driven(first_look.driven(view)))
+    assert said[0].startswith(f"Hardly a turn to the {missing}: zero and scale of the wheel are told less")
+    assert "circles to both sides" in said[0]
 
 
 @pytest.mark.parametrize(

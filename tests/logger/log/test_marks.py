@@ -89,7 +89,7 @@ def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
 
 
 REFUSED = {
-    "nothing": (None, "needs a text"),
+    "nothing": (None, "as the payload of the query"),
     "blank": ("  ", "blank"),
     "long": ("x" * 1025, "1025 bytes"),
     "huge": (b"y" * 10_000_000, "10000000 bytes"),
@@ -101,14 +101,22 @@ REFUSED = {
 def test_what_is_no_mark_is_refused_with_a_reason_and_changes_nothing(daemon: Daemon, tmp_path: Path) -> None:
     sink = daemon.parts.outlets.sink
     assert sink is not None
+    accept = KEY.replace("mark", "accept")
     with session(sink.endpoints) as other:
-        for payload, reason in REFUSED.values():
-            (reply,) = ask(other, KEY, payload)
-            assert reply.err is not None and reason in reply.err.payload.to_string()
+        for key, order in ((KEY, "a mark "), (accept, "an order to accept ")):
+            for payload, reason in REFUSED.values():
+                (reply,) = ask(other, key, payload)
+                said = reply.err.payload.to_string() if reply.err is not None else ""
+                assert said.startswith(order) and reason in said
+        (reply,) = ask(other, accept, None)
+        assert (
+            reply.err is not None and "needs the name of what has been moved" in reply.err.payload.to_string()
+        )
         # Who asks for everything there is asks for no mark, and gets no error.
         assert all(reply.ok for reply in ask(other, KEY.replace("mark", "**"), "by accident"))
         assert ask(other, KEY, "x" * 1024)[0].ok
-    assert all_rejected(daemon.parts)["mark"] == len(REFUSED)
+    counts = all_rejected(daemon.parts)
+    assert (counts["mark"], counts["accept"]) == (len(REFUSED), len(REFUSED) + 1)
 
 
 def test_a_mark_that_cannot_be_recorded_is_refused(tmp_path: Path) -> None:
