@@ -286,6 +286,7 @@ def test_over_many_rigs_by_any_model_input_and_output(
             assert 0.3 * local < row["by_output"][output]["median"] < 3 * local
 
 
+@pytest.mark.coverage
 def test_rigs_by_the_covariance_of_a_log(
     answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -122,6 +122,7 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     assert np.sum(found.e**2 / found.S + np.log(found.S)) == pytest.approx(whole, rel=1e-7)
 
 
+@pytest.mark.coverage
 def test_intervals_cover_on_data_of_the_same_model(machine: Machine) -> None:
     """Truths within ±50 % of the prior; bias and coverage over all six."""
     mean, covariance = alone(machine)
@@ -164,6 +165,7 @@ def _driven(seed: int) -> tuple[Record, Array]:
     return concatenate(segments), np.log([truth.parameters[name] for name in PARAMETERS])
 
 
+@pytest.mark.coverage
 def test_intervals_cover_on_frames_of_the_virtual_tractor(machine: Machine) -> None:
     """Nonlinear plant, coloured RTK noise, latencies and survey errors that the machine file does not
     have."""

@@ -125,6 +125,7 @@ def _drawn(seed: int) -> tuple[tuple[float, float, float], dict[str, float]]:
     return (float(front), float(rear), float(cart)), nuisances
 
 
+@pytest.mark.coverage
 def test_intervals_hold_what_they_promise() -> None:
     """Monte Carlo over truths, nuisances and noise; 60 runs put ±3 % on the pooled coverage."""
     runs = 60

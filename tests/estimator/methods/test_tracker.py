@@ -275,6 +275,7 @@ def sds(estimate: Estimate) -> Array:
     return np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
 
 
+@pytest.mark.coverage
 def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
     """Nonlinear plant on uneven ground, coloured RTK noise, latencies and survey errors that the machine file
     does not have."""
