@@ -17,8 +17,8 @@ from tilth.estimator.watch.wheel_speed import (
     AGREE,
     AGREEING,
     STAND_NS,
-    RadiusFound,
     Instant,
+    RadiusFound,
     WheelSpeedState,
     floor_of,
 )
