@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from circle import START_NS, demo_machine
+from circle import START_NS
+from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 
 from tilth.estimator import fold
 from tilth.estimator.pose import aligner
@@ -18,77 +19,13 @@ from tilth.estimator.watch.wheel_speed import (
     AGREEING,
     STAND_NS,
     Instant,
-    RadiusFound,
-    WheelSpeedState,
     floor_of,
 )
 from tilth.schemas.flow import Accepted, Origin, VehicleSpeed
 from tilth.schemas.machine import Machine, Quantity
 
-MACHINE = demo_machine()
-FACTOR = 1.02
-SPEED, TURN_SPEED, TURN_RATE = 3.0, 1.9, 0.3  # m/s, m/s, rad/s
-LIFTED = 20.0  # m, of each end of a row
-MOST = 0.12  # slip
 
-
-def with_factor(value: float, sd: float = 0.005) -> Machine:
-    tractor = MACHINE.tractor.model_copy(update={"wheel_speed_factor": Quantity(value=value, sd=sd)})
-    return MACHINE.model_copy(update={"tractor": tractor})
-
-
-class Drive:
-    """Rows and turns. The slip of work wanders about that of the field; on headlands it is small."""
-
-    def __init__(self, seed: int, machine: Machine = MACHINE, row: float = 250.0) -> None:
-        self.state, self.machine, self.t_ns = WheelSpeedState(), machine, START_NS
-        self.factor, self.row = FACTOR, row
-        self._rng = np.random.default_rng(seed)
-        self._wandering = 0.0
-        self.field(0.03)
-
-    def field(self, mean: float) -> None:
-        """Another one, of that mean slip."""
-        self.mean, self._length = mean, float(self._rng.uniform(50.0, 300.0))
-        self._sd, self._light = float(self._rng.uniform(0.01, 0.04)), float(self._rng.uniform(0.002, 0.013))
-
-    def other_fields(self, count: int, minutes: float) -> list[RadiusFound]:
-        """One after the other: the mean slip steps by 5 %."""
-        found = []
-        for _ in range(count):
-            self.field(float(np.clip(self.mean + self._rng.choice([-0.05, 0.05]), 0.01, 0.1)))
-            found += self.drive(minutes)
-        return found
-
-    def stand(self, seconds: float = 600.0) -> None:
-        self.t_ns += round(seconds * 1e9)
-
-    def drive(self, minutes: float) -> list[RadiusFound]:
-        found, end_ns = list[RadiusFound](), self.t_ns + round(minutes * 60e9)
-        poses = round(self.row / (SPEED * 0.2))
-        while self.t_ns < end_ns:
-            for k in range(poses):
-                place = k * SPEED * 0.2
-                lifted = place < LIFTED or self.row - place < LIFTED
-                found += self._pose(SPEED, self._rng.normal(0.0, 0.02), self._slip(lifted))
-            for _ in range(round(math.pi / TURN_RATE / 0.2)):
-                found += self._pose(TURN_SPEED, TURN_RATE, self._light)
-        return found
-
-    def _slip(self, lifted: bool) -> float:
-        keep = math.exp(-SPEED * 0.2 / self._length)
-        self._wandering = keep * self._wandering + self._sd * math.sqrt(1.0 - keep**2) * self._rng.normal()
-        return self._light if lifted else min(max(self.mean + self._wandering, self._light), MOST)
-
-    def _pose(self, speed: float, yaw_rate: float, slip: float) -> list[RadiusFound]:
-        self.t_ns += POSE_NS
-        ground = speed + self._rng.normal(0.0, 0.035)
-        wheels = self.factor * speed / (1.0 - slip) + self._rng.normal(0.0, 0.01)
-        found = wheel_speed.take(self.state, self.machine, Instant(self.t_ns, ground, wheels, yaw_rate))
-        return [] if found is None else [found]
-
-
-def with_other_tyres(drive: Drive, change: float) -> Drive:
+def with_other_tyres(drive: SlippingDrive, change: float) -> SlippingDrive:
     """After twenty minutes, of a radius that differs by `change`; in another field."""
     assert drive.drive(20.0) == []
     drive.stand()
@@ -104,7 +41,7 @@ MACHINES = {"none in the file": MACHINE, "one in the file": with_factor(FACTOR)}
 @pytest.mark.parametrize("stand_s", [0.0, 600.0])
 @pytest.mark.parametrize("seed", range(6))
 def test_slip_that_varies_is_no_other_tyre(seed: int, stand_s: float, machine: Machine) -> None:
-    drive = Drive(seed, machine, row=100.0 + 80.0 * seed)
+    drive = SlippingDrive(seed, machine, row=100.0 + 80.0 * seed)
     found = []
     for _ in range(5):
         found += drive.other_fields(1, 20.0)
@@ -118,7 +55,7 @@ def test_three_percent_are_found_within_ten_minutes_but_on_soils_that_hide_them(
     change: float, machine: Machine
 ) -> None:
     """Light driving slips by up to 1.1 % more or less on the other field here."""
-    drives = [with_other_tyres(Drive(seed, machine, row=200.0), change) for seed in range(12)]
+    drives = [with_other_tyres(SlippingDrive(seed, machine, row=200.0), change) for seed in range(12)]
     found = [drive.drive(10.0) for drive in drives]
     assert all(len(one) <= 1 for one in found) and sum(map(len, found)) >= 11
     for (one,) in filter(None, found):
@@ -132,7 +69,7 @@ def test_three_percent_are_found_within_ten_minutes_but_on_soils_that_hide_them(
 def test_five_percent_are_found_within_ten_minutes_and_over_when_accepted(
     seed: int, change: float, machine: Machine
 ) -> None:
-    drive = with_other_tyres(Drive(seed, machine, row=200.0), change)
+    drive = with_other_tyres(SlippingDrive(seed, machine, row=200.0), change)
     (found,) = drive.drive(10.0)
     assert not found.back and found.change.since_ns == drive.state.since_ns
     assert found.change.before / found.change.now - 1.0 == pytest.approx(change, abs=0.015)
@@ -149,7 +86,7 @@ def test_five_percent_are_found_within_ten_minutes_and_over_when_accepted(
 
 @pytest.mark.parametrize("change", [-0.05, 0.05])
 def test_the_old_tyres_again_are_said_to_be_back(change: float) -> None:
-    drive = Drive(1, row=200.0)
+    drive = SlippingDrive(1, row=200.0)
     for factor in (FACTOR, FACTOR * (1.0 + change), FACTOR):
         drive.factor = factor
         found = drive.drive(20.0)
@@ -160,7 +97,7 @@ def test_the_old_tyres_again_are_said_to_be_back(change: float) -> None:
 def test_larger_tyres_need_no_standstill_and_smaller_ones_do() -> None:
     """More slip all over looks like smaller tyres; no slip looks like larger ones."""
     for factor, expected in ((0.96, [False]), (1.04, [])):
-        drive = Drive(2, with_factor(FACTOR), row=200.0)
+        drive = SlippingDrive(2, with_factor(FACTOR), row=200.0)
         assert drive.drive(20.0) == []
         drive.factor *= factor
         assert [one.back for one in drive.drive(20.0)] == expected
@@ -168,7 +105,7 @@ def test_larger_tyres_need_no_standstill_and_smaller_ones_do() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_short_stop_begins_nothing_anew(seed: int) -> None:
-    drive = Drive(seed, row=200.0)
+    drive = SlippingDrive(seed, row=200.0)
     drive.drive(15.0)
     since_ns = drive.state.since_ns
     drive.stand(STAND_NS * 1e-9 - 5.0)
@@ -181,7 +118,7 @@ def test_a_short_stop_begins_nothing_anew(seed: int) -> None:
 
 @pytest.mark.parametrize("missing", ["ground", "wheels", "yaw_rate"])
 def test_without_one_of_the_speeds_it_learns_nothing(missing: str) -> None:
-    drive = Drive(1)
+    drive = SlippingDrive(1)
     take = wheel_speed.take
     for k in range(2000):
         speeds = {"ground": 3.0, "wheels": 3.1, "yaw_rate": 0.0} | {missing: None}
@@ -214,7 +151,7 @@ def test_only_wheel_based_speed_of_one_sender_is_taken() -> None:
 
 
 def test_a_stored_state_goes_on_alike() -> None:
-    straight, stored = Drive(3, row=200.0), Drive(3, row=200.0)
+    straight, stored = SlippingDrive(3, row=200.0), SlippingDrive(3, row=200.0)
     for drive in (straight, stored):
         drive.drive(20.0)
         drive.stand()
@@ -243,7 +180,7 @@ def test_an_accepted_factor_stands_in_the_machine_file(machine: Machine) -> None
 
 def test_the_fold_says_it_and_learns_on() -> None:
     """No estimate uses the wheels' speed, so that none is withheld."""
-    drive = Drive(4, row=200.0)
+    drive = SlippingDrive(4, row=200.0)
     drive.drive(20.0)
     drive.stand()
     drive.factor *= 0.95
