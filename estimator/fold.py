@@ -28,7 +28,7 @@ from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch
+from tilth.estimator.watch import watch, wheel_speed
 from tilth.estimator.watch.accepted import acceptance, corrected
 from tilth.estimator.watch.watch import WatchState
 from tilth.schemas.channels import TOPIC_OF
@@ -276,6 +276,9 @@ def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
         aligner.leave_out(state.aligner, watch.left_out(state.watch))
         consistency.left_out(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
+    tyres = wheel_speed.observe(state.watch.wheel_speed, state.aligner, pose)
+    if tyres is not None:  # no estimate uses the wheels' speed
+        _publish_event(state, t_ns, watch.EVENT, wheel_speed.message(tyres), out)
 
 
 def accept(state: State, accepted: Accepted) -> list[Publication]:

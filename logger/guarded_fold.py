@@ -102,7 +102,7 @@ class GuardedFold:
     @property
     def moved(self) -> list[tuple[list[str], str]]:
         """(names by which it may be accepted, what and by how much) of what has been found moved."""
-        return [(list(moved.names), watch.describe(moved)) for moved in self.state.watch.moved]
+        return watch.found_now(self.state.watch)
 
     def proposal(self, what: str, t_ns: int) -> Accepted | None:
         """The value that may be accepted by that name now; None if there is none."""

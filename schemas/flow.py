@@ -400,7 +400,9 @@ class Accepted:
 
     t_ns: int
     what: str  # estimator/watch/accepted.py: KNOWN
-    amounts: tuple[float, ...]  # by which it has been moved: forward and right, m; or one angle, rad; or m
+    amounts: tuple[float, ...]
+    """By which it has been moved: forward and right, m; or one angle, rad; or m. Of wheel_speed the factor of
+    the wheel-based speed as it is now, and as it was."""
     sds: tuple[float, ...]
 
 

@@ -71,6 +71,17 @@ class Tractor(_Section):
     kingpin_distance: float | None = Field(
         default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
     )
+    wheel_speed_factor: Annotated[Quantity, _quantity(0.005)] | None = Field(
+        default=None,
+        description="wheel-based speed (PGN 65096) over ground speed at no slip; other tyres change it",
+    )
+
+    @model_validator(mode="after")
+    def _turning_forwards(self) -> Self:
+        factor = self.wheel_speed_factor
+        if factor is not None and factor.value <= 0:
+            raise ValueError(f"wheel_speed_factor = {factor.value:g}: must be above zero")
+        return self
 
 
 class Implement(_Section):

@@ -269,6 +269,20 @@ class Wheel:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class WheelBasedSpeed:
+    """The speed by the driven wheels: the factor of their radius, and slip that varies along the way. In
+    turns and 20 m before and after them the implement is lifted and the tractor runs light."""
+
+    factor: Annotated[float, Field(ge=0.5, le=2)] = 1.02  # wheel-based over ground speed without slip
+    new_tyres_s: NotNegative | None = None  # s, when it gets other tyres
+    new_radius: Annotated[float, Field(ge=0.5, le=2)] = 1.0  # of theirs over that of the old ones
+    slip: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # mean, while working
+    slip_sd: Annotated[float, Field(ge=0, le=0.1)] = 0.0  # about that mean
+    slip_length: Annotated[float, Field(ge=5, le=10_000)] = 100.0  # m, over which it varies
+    light_slip: Annotated[float, Field(ge=0, le=0.1)] = 0.0  # while running light
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class ReceiverLink:
     """How the receivers' reports come through."""
 
@@ -333,6 +347,7 @@ class Scenario:
     spatial: Spatial = Spatial()
     survey: SurveyErrors = SurveyErrors()
     wheel: Wheel = Wheel()
+    wheel_speed: WheelBasedSpeed = WheelBasedSpeed()
     roll_sensor: RollSensor = RollSensor()
     link: ReceiverLink = ReceiverLink()
     noise: NotNegative = 1.0  # factor on every noise and drawn error of the sensors and the survey

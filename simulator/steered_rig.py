@@ -28,6 +28,7 @@ from tilth.simulator.scenario import STEP_S
 from tilth.simulator.steering import Steering
 from tilth.simulator.tractor import Setting, Truth
 from tilth.simulator.traffic import FIRST_EPOCH_S, Arbiter, claims_of, ecu_frames, receiver_frames
+from tilth.simulator.wheel_speed import indicated
 
 Array = NDArray[np.float64]
 
@@ -104,11 +105,17 @@ class LiveDriver:
             sent_s = (first + i) * STEP_S + self._wheel_delay
             self._put(sent_s, self._sensor.can_id, self._sensor.extended, self._sensor.data(angle))
         if k % ECU_SAMPLES == 0:
-            for sent in ecu_frames(k * STEP_S, float(x[AT["u"]]), float(x[AT["r_t"]])):
+            at_s, u = k * STEP_S, float(x[AT["u"]])
+            for sent in ecu_frames(at_s, u, self._by_wheels(at_s, u), float(x[AT["r_t"]])):
                 self._put(*sent)
         if len(self._recent) == self._recent.maxlen:
             self._report(k)
         return float(readings[-1])
+
+    def _by_wheels(self, at_s: float, velocity: float) -> float:
+        """Its way is not known beforehand, so neither is where the slip would vary."""
+        of = self._setting.scenario.wheel_speed
+        return float(indicated(of, np.array(at_s), np.array(velocity), np.array(of.slip)))
 
     def _report(self, k: int) -> None:
         """What the receivers measured LAG samples ago."""

@@ -30,6 +30,7 @@ from tilth.simulator.other_traffic import DEVICES, Sent, other_frames
 from tilth.simulator.receivers import Report, reports, star_fire_like, wheel_readings
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.tractor import Setting, Truth, drive
+from tilth.simulator.wheel_speed import wheel_speeds
 
 FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
 PREFERRED: Final = {True: 28, False: 70}  # source address: StarFire-like, NMEA 2000
@@ -251,17 +252,17 @@ def _wheel_frames(machine: Machine, truth: Truth) -> Iterator[Sent]:
 
 
 def _tractor_ecu(truth: Truth) -> Iterator[Sent]:
-    speeds, rates = truth.tractor.forward_velocity, truth.tractor.yaw_rate
+    speeds, wheels, rates = truth.tractor.forward_velocity, wheel_speeds(truth), truth.tractor.yaw_rate
     for k in range(3, len(truth.time), 10):
-        yield from ecu_frames(float(truth.time[k]), float(speeds[k]), float(rates[k]))
+        yield from ecu_frames(float(truth.time[k]), float(speeds[k]), float(wheels[k]), float(rates[k]))
 
 
-def ecu_frames(at_s: float, velocity: float, yaw_rate: float) -> Iterator[Sent]:
+def ecu_frames(at_s: float, velocity: float, wheels: float, yaw_rate: float) -> Iterator[Sent]:
     """Speed over the wheels and over ground, and the guidance system's curvature, at one instant."""
     speed, direction = abs(velocity), "reverse" if velocity < 0.0 else "forward"
-    wheels: dict[str, Word] = {"speed_mps": 1.02 * speed, "direction": direction}  # they slip
+    turning: dict[str, Word] = {"speed_mps": abs(wheels), "direction": direction}
     ground: dict[str, Word] = {"speed_mps": speed, "direction": direction}
     path: dict[str, Word] = {"curvature_per_m": yaw_rate / max(speed, 0.5)}
-    for pgn, words, destination in ((65096, wheels, 255), (65097, ground, 255), (44032, path, 28)):
+    for pgn, words, destination in ((65096, turning, 255), (65097, ground, 255), (44032, path, 28)):
         for can_id, data in frames_of(pgn, encode(pgn, words), 0xF0, destination):
             yield at_s + 0.004, can_id, True, data

@@ -37,6 +37,7 @@ MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 
 FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
 ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 MOUNTS = tuple(Mount)
+WHEEL_BASED_PGN = 65096
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
 _RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
@@ -50,6 +51,8 @@ class Aligner:
     latency: Latency
     wheel: deque[Sample] = field(default_factory=lambda: deque(maxlen=256))
     wheel_ns: int = 0
+    wheel_speeds: deque[Sample] = field(default_factory=lambda: deque(maxlen=32))  # m/s, of PGN 65096
+    wheel_speeds_of: str = ""  # bus and source address of who sends them; a second sender is not heard
     direction: int = 0  # as the vehicle reports it: +1 forward, -1 reverse; 0 if it does not report it
     direction_ns: int = 0
     origin_deg: tuple[float, float] | None = None
@@ -106,9 +109,7 @@ def take(state: Aligner, measurement: Measurement) -> None:
         state.wheel_ns = measurement.rx_ns
         return
     if isinstance(measurement, VehicleSpeed):
-        if measurement.direction is not None:
-            state.direction = 1 if measurement.direction == "forward" else -1
-            state.direction_ns = measurement.rx_ns
+        _take_vehicle_speed(state, measurement)
         return
     mount = measurement.origin.mount
     if mount is None:
@@ -118,6 +119,18 @@ def take(state: Aligner, measurement: Measurement) -> None:
         _take_position(state, track, measurement)
     elif isinstance(measurement, _RECEIVER_KINDS):
         track.take(measurement)
+
+
+def _take_vehicle_speed(state: Aligner, measurement: VehicleSpeed) -> None:
+    if measurement.direction is not None:
+        state.direction = 1 if measurement.direction == "forward" else -1
+        state.direction_ns = measurement.rx_ns
+    if measurement.pgn != WHEEL_BASED_PGN:
+        return
+    sender = f"{measurement.origin.bus} {measurement.origin.source}"
+    state.wheel_speeds_of = state.wheel_speeds_of or sender
+    if sender == state.wheel_speeds_of:
+        state.wheel_speeds.append((measurement.rx_ns, measurement.speed, 0.0))
 
 
 def _take_position(state: Aligner, track: Track, position: Position) -> None:

@@ -9,7 +9,8 @@ from tilth.schemas.flow import Accepted, Mount
 from tilth.schemas.machine import Machine, Quantity, Receiver
 from tilth.schemas.spread import plus_minus
 
-KNOWN: Final = (*(mount.value for mount in Mount), *PAIRS, WHEEL, DRAWBAR)
+WHEEL_SPEED: Final = "wheel_speed"  # its amounts: wheel-based over ground speed at no slip, now and before
+KNOWN: Final = (*(mount.value for mount in Mount), *PAIRS, WHEEL, DRAWBAR, WHEEL_SPEED)
 """All that may be found moved, and accepted."""
 
 
@@ -26,6 +27,10 @@ def _corrected(machine: Machine, one: Accepted) -> Machine:
         slipped = Quantity(value=zero.value + math.degrees(angle), sd=math.hypot(zero.sd, math.degrees(sd)))
         wheel = machine.wheel_angle.model_copy(update={"zero": slipped})
         return machine.model_copy(update={"wheel_angle": wheel})
+    if one.what == WHEEL_SPEED:
+        factor = Quantity(value=one.amounts[0], sd=one.sds[0])
+        tractor = machine.tractor.model_copy(update={"wheel_speed_factor": factor})
+        return machine.model_copy(update={"tractor": tractor})
     if one.what == DRAWBAR:
         (amount,), (sd,) = one.amounts, one.sds
         d = machine.implement.d
@@ -71,16 +76,26 @@ def in_words(what: str, amounts: Sequence[float], sds: Sequence[float]) -> str:
         if what == WHEEL:
             return f"the wheels' sensor has slipped by {angle}: wheel_angle.zero"
         return f"the pair on the {what.removeprefix('pair_')} has been turned by {angle}"
+    if what == WHEEL_SPEED:
+        return _tyres_in_words(amounts, sds)
     if what == DRAWBAR:
         return f"the drawbar is {plus_minus(-amounts[0], sds[0], 'm')} longer: implement.d or tractor.c"
     forward, right = (plus_minus(a, sd, "m") for a, sd in zip(amounts, sds, strict=True))
     return f"{what} has been moved {forward} forward and {right} to the right"
 
 
+def _tyres_in_words(factors: Sequence[float], sds: Sequence[float]) -> str:
+    (now, before), relative = factors, [sd / factor for sd, factor in zip(sds, factors, strict=True)]
+    larger = plus_minus(100.0 * (before / now - 1.0), 100.0 * math.hypot(*relative), "%")
+    return f"the tyres' radius has changed by {larger}: tractor.wheel_speed_factor"
+
+
 def key_of(what: str) -> str:
     """The key of the machine file that it changes."""
     if what == WHEEL:
         return "wheel_angle.zero"
+    if what == WHEEL_SPEED:
+        return "tractor.wheel_speed_factor"
     if what == DRAWBAR:
         return "implement.d or tractor.c"
     return f"receiver.{what}.position"
@@ -91,6 +106,9 @@ def line_of(machine: Machine, what: str) -> str:
     if what == WHEEL:
         zero = machine.wheel_angle.zero
         return f"[wheel_angle] zero = {{ value = {zero.value:.2f}, sd = {zero.sd:.2f} }}"
+    factor = machine.tractor.wheel_speed_factor
+    if what == WHEEL_SPEED and factor is not None:
+        return f"[tractor] wheel_speed_factor = {{ value = {factor.value:.4f}, sd = {factor.sd:.4f} }}"
     if what == DRAWBAR:
         return f"[implement] d = {machine.implement.d.value:.3f}"
     mounts = _pair(machine, PAIRS.index(what)) if what in PAIRS else [_one(machine, what)]

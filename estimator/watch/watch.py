@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
-from tilth.estimator.watch.accepted import in_words, key_of
+from tilth.estimator.watch import wheel_speed
+from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
 from tilth.estimator.watch.evidence import (
     KINDS,
     Evidence,
@@ -34,6 +35,7 @@ from tilth.estimator.watch.suspects import (
     posterior,
     suspects,
 )
+from tilth.estimator.watch.wheel_speed import WheelSpeedState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine
 
@@ -83,6 +85,7 @@ class WatchState:
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
     suspected_blocks: int = 0  # in a row, in which something was suspected
     moved: list[Moved] = field(default_factory=list)
+    wheel_speed: WheelSpeedState = field(default_factory=WheelSpeedState)  # of the tyres' radius
 
 
 class Found(NamedTuple):
@@ -251,6 +254,14 @@ def message(found: Found, t_ns: int) -> str:
     return f"{describe(moved)}; {minutes:.0f} min ago. It is not used: {accept}"
 
 
+def found_now(state: WatchState) -> list[tuple[list[str], str]]:
+    """(names by which it may be accepted, what and by how much) of all that is not as in the file."""
+    found = [(list(moved.names), describe(moved)) for moved in state.moved]
+    if state.wheel_speed.change is not None:
+        found.append(([WHEEL_SPEED], wheel_speed.describe(state.wheel_speed.change)))
+    return found
+
+
 def left_out(state: WatchState) -> frozenset[str]:
     """Mounts of the receivers that have been moved and are known by name: the others still give poses."""
     return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
@@ -270,6 +281,8 @@ def describe(moved: Moved) -> str:
 
 def proposal(state: WatchState, machine: Machine, what: str, t_ns: int) -> Accepted | None:
     """The value that may be accepted by that name; None where there is none."""
+    if what == WHEEL_SPEED:
+        return wheel_speed.proposal(state.wheel_speed, t_ns)
     moved = next((moved for moved in state.moved if what in moved.names), None)
     if moved is None:
         return None
@@ -284,6 +297,9 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
 
     All that was learned is measured against them from here on.
     """
+    if accepted.what == WHEEL_SPEED:
+        wheel_speed.accept(state.wheel_speed)
+        return
     shift = directions_of(machine, accepted.what) @ np.array(accepted.amounts)
     held = [evidence for moved in state.moved for evidence in (moved.before, moved.after)]
     for evidence in (state.old, *state.blocks, state.block, *held):

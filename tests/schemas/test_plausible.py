@@ -43,7 +43,7 @@ def whole() -> dict[str, Any]:
         receiver |= {**RECEIVER, "roll_sd": 0.5, "latency": {"value": 0.1, "sd": 0.05}}
     for body in ("tractor", "implement"):
         raw[body] |= {"cg_sd": 0.02, "pair_yaw_sd": 0.2}
-    raw["tractor"]["kingpin_distance"] = 1.7
+    raw["tractor"] |= {"kingpin_distance": 1.7, "wheel_speed_factor": {"value": 1.02, "sd": 0.005}}
     raw["wheel_angle"] |= copy.deepcopy(WHEEL)
     return raw
 
