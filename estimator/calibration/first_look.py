@@ -148,9 +148,9 @@ def hitch(view: Pairs) -> Solved:
     if not len(apart):
         return rough
     white = np.linalg.inv(np.linalg.cholesky(_hitch_noise(view, psi, rough.value[[0, 2]])))
-    told = solve(
-        (white @ design).reshape(-1, 5), (white @ apart[..., None]).reshape(-1), prior, NOISE_M, HITCH_BLOCK
-    )
+    rows_white: Array = np.asarray(white @ design, np.float64).reshape(-1, 5)
+    apart_white: Array = np.asarray(white @ apart[..., None], np.float64).reshape(-1)
+    told = solve(rows_white, apart_white, prior, NOISE_M, HITCH_BLOCK)
     return Solved(told.value, told.covariance, rough.sd)
 
 
