@@ -1,8 +1,8 @@
 """What a daemon publishes, live over the Foxglove WebSocket protocol, for Foxglove, Lichtblick and such.
 
-Topics, schemas and bytes are those of the log: one layout serves both. Only what `tilth experiment` prompts is
-in no log, and served as foxglove_prompt.py makes it. Needs the extra `foxglove`; nothing else of this package
-imports this module. Threads of Zenoh's fill it.
+Topics, schemas and bytes are those of the log: one layout serves both. Only what `tilth experiment` prompts
+is in no log, and served as foxglove_prompt.py makes it. Needs the extra `foxglove`; nothing else of this
+package imports this module. Threads of Zenoh's fill it.
 """
 
 import threading
