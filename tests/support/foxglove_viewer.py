@@ -36,10 +36,6 @@ class Viewer:
             self._topics.append(topic)
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": rows}))
 
-    def settle(self) -> None:
-        """Wait until the server has done what it was told: it answers in turn."""
-        assert self._socket.ping().wait(PATIENCE_S)
-
     def hear_until(self, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
