@@ -28,7 +28,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
 from tilth.monitor.foxglove_prompt import prompt_of
-from tilth.monitor.foxglove_server import FoxgloveServer
+from tilth.monitor.foxglove_server import SERVED, FoxgloveServer
 
 BASE = "tilth/jd7930-parker500"
 TOPIC = "/experiment"
@@ -232,9 +232,7 @@ def test_a_countdown_is_rounded_up(count_s: float | None, count: int) -> None:
 def schemas() -> dict[str, Descriptor]:
     """Topic -> schema, as a viewer is told them."""
     with closing_server() as server, viewer_at(f"ws://127.0.0.1:{server.port}") as viewer:
-        viewer.hear_until(
-            lambda: {TOPIC, "/pose", "/rig", "/status"} & {*viewer.channels} >= {TOPIC, "/status"}
-        )
+        viewer.hear_until(lambda: len(viewer.channels) == len(SERVED) + 1)
         return {topic: viewer.schema(topic) for topic in viewer.channels}
 
 
@@ -242,15 +240,15 @@ def field_of(schemas: dict[str, Descriptor], path: str) -> tuple[FieldDescriptor
     """The field that a path ends in, and whether it is of many. Each array but the last needs a slice."""
     topic, *names = re.sub(r"\{[^}]*\}", "", path).split(".")
     at: Descriptor | None = schemas[topic]
-    many = False
+    fields: list[FieldDescriptor] = []
     for k, name in enumerate(names):
         assert at is not None, path
         field = at.fields_by_name[name.removesuffix("[:]")]
         assert field.is_repeated or not name.endswith("[:]"), path
         assert not field.is_repeated or name.endswith("[:]") or k == len(names) - 1, path
-        many = many or field.is_repeated
+        fields.append(field)
         at = field.message_type
-    return field, many
+    return fields[-1], any(field.is_repeated for field in fields)
 
 
 def plot(schemas: dict[str, Descriptor], panel: dict[str, Any]) -> None:
