@@ -16,7 +16,7 @@ from tilth.schemas.invocation import installing
 PORT = 8765  # where such viewers look first
 LOOK_S = 0.5
 MOST_REFUSALS = 50  # said, of who is not let in
-LAYOUT = "foxglove/tilth.json"
+LAYOUTS = {"foxglove/tilth.json": "", "foxglove/experiment.json": ", beside `tilth experiment`"}
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
     for url in urls("ws", args.host, server.port):
         print(f"{url}   open this connection in Foxglove or Lichtblick", flush=True)
     say_who_reaches(args.host, "may see what is served")
-    print(f"and import this layout: {resources.files('tilth.deploy').joinpath(LAYOUT)}", flush=True)
+    for layout, when in LAYOUTS.items():
+        print(f"and import this layout{when}: {resources.files('tilth.deploy').joinpath(layout)}", flush=True)
     try:
         if not base:
             print(f"looking for a daemon at {args.config or args.connect} …", flush=True)

@@ -1,7 +1,8 @@
 """What a daemon publishes, live over the Foxglove WebSocket protocol, for Foxglove, Lichtblick and such.
 
-Topics, schemas and bytes are those of the log: one layout serves both. Needs the extra `foxglove`; nothing
-else of this package imports this module. Threads of Zenoh's fill it.
+Topics, schemas and bytes are those of the log: one layout serves both. Only what `tilth experiment` prompts
+is in no log, and served as foxglove_prompt.py makes it. Needs the extra `foxglove`; nothing else of this
+package imports this module. Threads of Zenoh's fill it.
 """
 
 import threading
@@ -17,15 +18,19 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import Descriptor
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 
-from tilth.client.received import LARGEST
+from tilth.client.received import LARGEST, Refused, parse
+from tilth.monitor.foxglove_prompt import nobody_prompts, prompt_of
 from tilth.monitor.gate import Gate, hidden_host
 from tilth.monitor.origin import Refusal
 from tilth.schemas import channels
+from tilth.schemas.proto import tilth_pb2 as pb
 
 # The rig is said once, when a daemon begins, and would be missed; viewers have the drawing instead.
 SERVED: Final = tuple(row for row in channels.CHANNELS if row.key is not None and row.logged)
+PROMPT_TOPIC: Final = "/experiment"
+SILENT_NS: Final = 2_000_000_000  # without a prompt, of which ten come a second: nobody prompts any more
 BACK_NS: Final = 5_000_000_000  # further back than any message is late: another run, or a clock that stepped
 DESKTOP: Final = ("file://",)  # viewers with a window of their own; no page of a network has this origin
 LATEST_NS: Final = 1 << 63
@@ -45,6 +50,7 @@ class FoxgloveServer:
         self._context = context = Context()  # it ends with its last reference, and all channels with it
         self.served, self.refused = 0, Counter[str]()
         self._now_ns = 0  # of the daemon's clock
+        self._prompted_ns = 0  # when the last prompt came; 0: nobody prompts
         self._lock = threading.Lock()
         self._subscribers: list[zenoh.Subscriber[None]] = []
         hidden = hidden_host()
@@ -60,13 +66,15 @@ class FoxgloveServer:
             self._server.stop()
             raise
         self.port = self._gate.port
-        self._channels = {row.topic: _channel(row, context) for row in SERVED}
+        self._channels = {row.topic: _channel(row.topic, row.message, context) for row in SERVED}
+        self._channels[PROMPT_TOPIC] = _channel(PROMPT_TOPIC, pb.ExperimentPrompt, context)
 
     def follow(self, session: zenoh.Session, base: str) -> None:
         """Serve what is said on the keys of a machine from now on."""
         for row in SERVED:
             take = partial(self._take, row)
             self._subscribers.append(session.declare_subscriber(f"{base}/{row.key}", take))
+        self._subscribers.append(session.declare_subscriber(f"{base}/experiment", self._take_prompt))
 
     def stop(self) -> None:
         """Before the session is closed."""
@@ -82,19 +90,39 @@ class FoxgloveServer:
             except ValueError as refusal:
                 self.refused[f"{row.topic}: {refusal}"] += 1
                 return
-            if not self._now_ns - BACK_NS < t_ns <= self._now_ns:
-                self._now_ns = t_ns
-                self._server.broadcast_time(t_ns)
-            self._channels[row.topic].log(data, log_time=t_ns)
-            self.served += 1
+            self._log(row.topic, data, t_ns)
+            if self._prompted_ns and abs(self._now_ns - self._prompted_ns) > SILENT_NS:
+                self._prompted_ns = 0
+                self._log(PROMPT_TOPIC, nobody_prompts(self._now_ns).SerializeToString(), self._now_ns)
+
+    def _take_prompt(self, sample: zenoh.Sample) -> None:
+        with self._lock:
+            try:
+                state = parse(pb.ExperimentState, sample.payload.to_bytes(), str(sample.encoding))
+            except Refused:
+                self.refused[f"{PROMPT_TOPIC}: not an ExperimentState"] += 1
+                return
+            t_ns = state.t_ns or self._now_ns  # before the first pose it says what is to be done, too
+            if not 0 < t_ns < LATEST_NS:
+                self.refused[f"{PROMPT_TOPIC}: without a time"] += 1
+                return
+            self._log(PROMPT_TOPIC, prompt_of(state, t_ns).SerializeToString(), t_ns)
+            self._prompted_ns = self._now_ns
+
+    def _log(self, topic: str, data: bytes, t_ns: int) -> None:
+        if not self._now_ns - BACK_NS < t_ns <= self._now_ns:
+            self._now_ns = t_ns
+            self._server.broadcast_time(t_ns)
+        self._channels[topic].log(data, log_time=t_ns)
+        self.served += 1
 
 
-def _channel(row: channels.Channel, context: Context) -> Channel:
-    descriptor = cast(Descriptor, row.message.DESCRIPTOR)
+def _channel(topic: str, message: type[Message], context: Context) -> Channel:
+    descriptor = cast(Descriptor, message.DESCRIPTOR)
     schema = Schema(
         name=descriptor.full_name, encoding="protobuf", data=channels.file_descriptor_set(descriptor)
     )
-    return Channel(row.topic, message_encoding="protobuf", schema=schema, context=context)
+    return Channel(topic, message_encoding="protobuf", schema=schema, context=context)
 
 
 def _checked(row: channels.Channel, sample: zenoh.Sample) -> tuple[bytes, int]:

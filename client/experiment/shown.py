@@ -29,6 +29,7 @@ def shown(prompt: Prompt, course: Course) -> pb.ExperimentState:
     state = pb.ExperimentState(
         plan=course.plan.name, phase=prompt.phase, done=prompt.at, of=len(course.drives),
         text=prompt.said or "Arm the first run when you are ready: it starts nothing by itself.",
+        t_ns=round(1e9 * max(prompt.now_s, 0.0)),
         attempts=[pb.ExperimentAttempt(**one._asdict()) for one in prompt.attempts[-ATTEMPTS:]],
     )  # fmt: skip
     measured = prompt.track[-1].wheel_angle if prompt.track else math.nan

@@ -561,7 +561,7 @@ class RunListings(_message.Message):
     def __init__(self, rows: _Optional[_Iterable[_Union[RunListing, _Mapping]]] = ...) -> None: ...
 
 class ExperimentState(_message.Message):
-    __slots__ = ("plan", "phase", "drive", "done", "of", "text", "conditions", "count_s", "at_s", "length_s", "wanted", "measured", "ahead", "largest", "speed", "attempts", "learned", "commands")
+    __slots__ = ("plan", "phase", "drive", "done", "of", "text", "conditions", "count_s", "at_s", "length_s", "wanted", "measured", "ahead", "largest", "speed", "attempts", "learned", "commands", "t_ns")
     PLAN_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     DRIVE_FIELD_NUMBER: _ClassVar[int]
@@ -580,6 +580,7 @@ class ExperimentState(_message.Message):
     ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
     LEARNED_FIELD_NUMBER: _ClassVar[int]
     COMMANDS_FIELD_NUMBER: _ClassVar[int]
+    T_NS_FIELD_NUMBER: _ClassVar[int]
     plan: str
     phase: str
     drive: str
@@ -598,7 +599,34 @@ class ExperimentState(_message.Message):
     attempts: _containers.RepeatedCompositeFieldContainer[ExperimentAttempt]
     learned: _containers.RepeatedScalarFieldContainer[str]
     commands: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, plan: _Optional[str] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., done: _Optional[int] = ..., of: _Optional[int] = ..., text: _Optional[str] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ..., count_s: _Optional[float] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., wanted: _Optional[float] = ..., measured: _Optional[float] = ..., ahead: _Optional[_Iterable[float]] = ..., largest: _Optional[float] = ..., speed: _Optional[float] = ..., attempts: _Optional[_Iterable[_Union[ExperimentAttempt, _Mapping]]] = ..., learned: _Optional[_Iterable[str]] = ..., commands: _Optional[_Iterable[str]] = ...) -> None: ...
+    t_ns: int
+    def __init__(self, plan: _Optional[str] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., done: _Optional[int] = ..., of: _Optional[int] = ..., text: _Optional[str] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ..., count_s: _Optional[float] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., wanted: _Optional[float] = ..., measured: _Optional[float] = ..., ahead: _Optional[_Iterable[float]] = ..., largest: _Optional[float] = ..., speed: _Optional[float] = ..., attempts: _Optional[_Iterable[_Union[ExperimentAttempt, _Mapping]]] = ..., learned: _Optional[_Iterable[str]] = ..., commands: _Optional[_Iterable[str]] = ..., t_ns: _Optional[int] = ...) -> None: ...
+
+class ExperimentPrompt(_message.Message):
+    __slots__ = ("t_ns", "phase", "drive", "text", "count", "wanted_deg", "measured_deg", "ahead_deg", "left_end_deg", "right_end_deg", "conditions")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    DRIVE_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    WANTED_DEG_FIELD_NUMBER: _ClassVar[int]
+    MEASURED_DEG_FIELD_NUMBER: _ClassVar[int]
+    AHEAD_DEG_FIELD_NUMBER: _ClassVar[int]
+    LEFT_END_DEG_FIELD_NUMBER: _ClassVar[int]
+    RIGHT_END_DEG_FIELD_NUMBER: _ClassVar[int]
+    CONDITIONS_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    phase: str
+    drive: str
+    text: str
+    count: int
+    wanted_deg: float
+    measured_deg: float
+    ahead_deg: _containers.RepeatedScalarFieldContainer[float]
+    left_end_deg: float
+    right_end_deg: float
+    conditions: _containers.RepeatedCompositeFieldContainer[ExperimentCondition]
+    def __init__(self, t_ns: _Optional[int] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., text: _Optional[str] = ..., count: _Optional[int] = ..., wanted_deg: _Optional[float] = ..., measured_deg: _Optional[float] = ..., ahead_deg: _Optional[_Iterable[float]] = ..., left_end_deg: _Optional[float] = ..., right_end_deg: _Optional[float] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ...) -> None: ...
 
 class ExperimentCondition(_message.Message):
     __slots__ = ("name", "met", "text")

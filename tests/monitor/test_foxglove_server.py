@@ -1,13 +1,10 @@
 """`tilth foxglove` between processes: a real daemon, the server, a client that knows only the protocol."""
 
 import base64
-import json
 import signal
 import socket
-import struct
 import subprocess
 import sys
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -21,10 +18,8 @@ from client_daemon import Publisher, until
 from field_rig import FieldRig
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from foxglove_viewer import viewer_at
 from loopback import PATIENCE_S, messages, session
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
 from tilth.cli import main
 from tilth.client.link import open_session
@@ -37,68 +32,9 @@ from tilth.monitor.foxglove_server import FoxgloveServer
 from tilth.monitor.gate import hidden_host
 
 BASE = "tilth/jd7930-parker500"
-MESSAGE, TIME = 1, 2  # opcodes of binary messages
 WANTED = (
     "/pose", "/drawing/frames", "/drawing/bodies", "/gnss/tractor_front", "/soil_tire", "/status",
 )  # fmt: skip
-
-
-class Viewer:
-    """Speaks the protocol; knows nothing of Tilth."""
-
-    def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
-        self.info: dict[str, Any] = {}
-        self.channels: dict[str, dict[str, Any]] = {}  # by topic
-        self.heard: dict[str, list[tuple[int, bytes]]] = defaultdict(list)  # topic -> time, message
-        self.times: list[int] = []
-        self._topics: list[str] = []  # by subscription
-
-    def subscribe(self, *topics: str) -> None:
-        rows = []
-        for topic in topics:
-            rows.append({"id": len(self._topics), "channelId": self.channels[topic]["id"]})
-            self._topics.append(topic)
-        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": rows}))
-
-    def hear_until(self, condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline, {topic: len(rows) for topic, rows in self.heard.items()}
-            self._take(self._socket.recv(timeout=PATIENCE_S))
-
-    def _take(self, result: str | bytes) -> None:
-        if isinstance(result, str):
-            output = json.loads(result)
-            if output["op"] == "serverInfo":
-                self.info = output
-            elif output["op"] == "advertise":
-                self.channels |= {row["topic"]: row for row in output["channels"]}
-        elif result[0] == MESSAGE:
-            subscription, t_ns = struct.unpack_from("<IQ", result, 1)
-            self.heard[self._topics[subscription]].append((t_ns, result[13:]))
-        elif result[0] == TIME:
-            self.times.append(struct.unpack_from("<Q", result, 1)[0])
-
-    def decoded(self, topic: str) -> list[Any]:
-        """By the schema that the server told."""
-        row, pool = self.channels[topic], descriptor_pool.DescriptorPool()
-        assert (row["encoding"], row["schemaEncoding"]) == ("protobuf", "protobuf")
-        for file in descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(row["schema"])).file:
-            pool.Add(file)
-        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(row["schemaName"]))
-        return [kind.FromString(data) for _, data in self.heard[topic]]
-
-    def misbehave(self) -> None:
-        for nonsense in ("nonsense", '{"op": "subscribe"}', b"\x63", b""):
-            self._socket.send(nonsense)
-
-
-@contextmanager
-def viewer_at(address: str) -> Iterator[Viewer]:
-    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket:
-        assert socket.subprotocol == "foxglove.sdk.v1"
-        yield Viewer(socket)
 
 
 @contextmanager
@@ -146,7 +82,7 @@ def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
         assert process.stdout is not None
         out = process.stdout.read()
         assert process.wait(PATIENCE_S) == 0
-        assert f"hears {BASE}" in out and "foxglove/tilth.json" in out
+        assert f"hears {BASE}" in out and "foxglove/tilth.json" in out and "foxglove/experiment.json" in out
         rig.stop()
         # By the log, which loses nothing: a listener of the test's own may miss some on a busy computer.
         for topic, logged in _logged(rig.folder).items():
@@ -253,7 +189,9 @@ def serving() -> Iterator[tuple[FoxgloveServer, zenoh.Session]]:
 
 def _served() -> dict[str, str]:
     rows = [row for row in CHANNELS if row.key is not None and row.logged]
-    return {row.topic: row.message.DESCRIPTOR.full_name for row in rows}
+    return {row.topic: row.message.DESCRIPTOR.full_name for row in rows} | {
+        "/experiment": "tilth.ExperimentPrompt"
+    }
 
 
 def _logged(folder: Path) -> dict[str, set[bytes]]:
