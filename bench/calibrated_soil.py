@@ -100,7 +100,7 @@ def _sure(machine: Machine) -> Machine:
     receivers = [
         r.model_copy(
             update={
-                "survey_sd": 0.002, "latency": Quantity(value=r.latency.value, sd=0.001),
+                "survey_sd": 0.002, "latency": Quantity(value=r.latency.value, sd=0.005),
                 "roll_zero": Quantity(value=r.roll_zero.value if r.roll_zero else 0.0, sd=0.02),
             }
         )
