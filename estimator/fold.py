@@ -288,9 +288,10 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
     watch.accept(state.watch, state.machine, accepted)
     state.accepted.append(accepted)
-    state.machine = state.aligner.machine = machine
+    state.machine = machine
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
+    aligner.use(state.aligner, machine)
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     record_builder.clock_stepped(state.record)  # its poses, and wheel angles still held, have the value before
     state.consistency = consistency.initial(state.machine)

@@ -134,6 +134,7 @@ def test_all_that_is_learned_begins_from_the_file_with_the_value(name: str) -> N
     for frame in frames:
         fold.step(state, frame)
     assert state.previous_run and state.record.knots
+    latencies = state.aligner.latency.tau.tolist()
     said = accepted(name, frames[-1].t_ns, 0.0)
     fold.accept(state, said)
     now = corrected(MACHINE, [said])
@@ -141,4 +142,6 @@ def test_all_that_is_learned_begins_from_the_file_with_the_value(name: str) -> N
         assert again.machine == now and again.record.knots == [] and not again.consistency.confirmed
         for row in rows_for(now):
             assert row.to_json(again.estimators[row.method]) == row.to_json(row.initial(now))
+    kept = state.aligner.latency.tau.tolist() == latencies
+    assert kept == (name == WHEEL)  # it is no length, which would have been taken for latency
     assert state.previous_run == {}  # what is discarded later does not bring it back either
