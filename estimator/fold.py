@@ -293,7 +293,7 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     state.decoder.load(before.dump())
     aligner.use(state.aligner, machine)
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
-    record_builder.clock_stepped(state.record)  # its poses, and wheel angles still held, have the value before
+    record_builder.clock_stepped(state.record)  # poses and wheel angles so far have the value before
     state.consistency = consistency.initial(state.machine)
     state.previous_run = {}
     _reset_estimators(state, t_ns)
