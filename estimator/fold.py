@@ -282,15 +282,23 @@ def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
 
 
 def accept(state: State, accepted: Accepted) -> list[Publication]:
-    """Use a value that the watch has found and the operator accepted; the caller has logged it."""
+    """Use a value that the watch has found and the operator accepted; the caller has logged it.
+
+    What was learned by then fits the value before, also that of the run before: its wheel zero and its yaw of
+    pairs are far surer than the new value. Resumed, its tyres would take the error, or be given up as other
+    soil. So the methods begin from the machine file's priors.
+    """
     out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
     watch.accept(state.watch, state.machine, accepted)
     state.accepted.append(accepted)
-    state.machine = state.aligner.machine = machine
+    state.machine = machine
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
+    aligner.use(state.aligner, machine)
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
+    record_builder.clock_stepped(state.record)  # poses and wheel angles so far have the value before
     state.consistency = consistency.initial(state.machine)
+    state.previous_run = {}
     _reset_estimators(state, t_ns)
     _publish_event(state, t_ns, "accepted", acceptance(machine, accepted), out)
     return out

@@ -77,6 +77,16 @@ def initial(machine: Machine) -> Aligner:
     )
 
 
+def use(state: Aligner, machine: Machine) -> None:
+    """Another description of the same rig, from now on.
+
+    Where its lengths are others, latencies were learned to explain the difference: they begin from the prior.
+    """
+    before, state.machine = state.machine, machine
+    if (machine.receiver, machine.implement) != (before.receiver, before.implement):
+        state.latency = initial(machine).latency
+
+
 def leave_out(state: Aligner, mounts: Collection[str]) -> None:
     """Do not use these receivers for poses, but all others; what was found with them is forgotten."""
     for index, mount in enumerate(MOUNTS):
