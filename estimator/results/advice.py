@@ -200,8 +200,10 @@ def information(
     _, prior_sd = unknowns.prior(machine)
     active = np.array([k for k in range(len(NAMES)) if prior_sd[k] > 0 and not NOISE.start <= k < NOISE.stop])
     found = likelihood.innovations(record, setup, np.zeros(N_STATES), point, active)
-    whitened = found.de / np.sqrt(found.S)[:, None]
     information_matrix = np.zeros((len(NAMES), len(NAMES)))
+    if not (np.all(found.S > 0.0) and np.isfinite(found.de).all()):
+        return information_matrix  # a rig that runs away in it: nobody should drive that to learn
+    whitened = found.de / np.sqrt(found.S)[:, None]
     information_matrix[np.ix_(active, active)] = whitened.T @ whitened
     return information_matrix
 

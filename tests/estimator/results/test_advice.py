@@ -343,3 +343,18 @@ def test_a_running_advisor_computes_one_candidate_at_a_time_and_continues_from_j
     )
     advice.renew(state, MACHINE, MEAN, covariance, 2 * SPEED, later + advice.EVERY_NS)
     assert len(state.table) == 1  # of another speed
+
+
+@pytest.mark.parametrize("speed", [2.0, 5.0, 8.0])
+@pytest.mark.parametrize(
+    "off", [(-0.70, 0.39, 2.91, -0.43, 2.06, -2.51), (2.33, -0.78, 2.98, 2.01, 1.35, -2.59)]
+)
+def test_a_rig_that_runs_away_in_a_manoeuvre_learns_nothing_by_it(
+    off: tuple[float, ...], speed: float
+) -> None:
+    """Far from any soil variances of innovations were negative, and advice was no number."""
+    point = MEAN.copy()
+    point[SIX] += off
+    for candidate in advice.CANDIDATES:
+        found = advice.information(MACHINE, point, speed, candidate)
+        assert np.isfinite(found).all() and np.diag(found).min() >= 0.0
