@@ -70,10 +70,8 @@ def seen(drive: DriveGrid, machine: Machine, roll: Array, late: Array) -> Pairs:
         good = np.isfinite(psi)
         psi[good] = np.unwrap(psi[good])
         heading[:, body] = psi
-        ahead, right = (
-            np.column_stack([np.cos(psi), np.sin(psi)]),
-            np.column_stack([-np.sin(psi), np.cos(psi)]),
-        )
+        ahead = np.column_stack([np.cos(psi), np.sin(psi)])
+        right = np.column_stack([-np.sin(psi), np.cos(psi)])
         heights = [0.0 if r.roll_corrected else r.position[2] for r in pair]
         lean, back = (float(np.mean(heights)) * np.sin(tilt[:, body]) for tilt in (roll, pitch))
         middle[:, body] = at[:, [front, rear]].mean(axis=1) - lean[:, None] * right + back[:, None] * ahead
@@ -131,7 +129,7 @@ def hitch(view: Pairs) -> Solved:
     the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i.
 
     What a wrong heading does to the far end of a body is several times what positions are wrong by along it,
-    so rows count by what they know (`_hitch_noise`): else lateness was 10 ms off, and the hitch 3 cm.
+    so rows count by what they know (`_hitch_noise`).
     """
     rows = view.known
     rows = rows & np.isfinite(view.middle).all((1, 2))
