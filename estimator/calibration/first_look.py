@@ -126,11 +126,7 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> Array:
 
 def hitch(view: Pairs) -> Solved:
     """(forward, right) of the hitch from the tractor's middle and from the implement's, m, and by how much
-    the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i.
-
-    What a wrong heading does to the far end of a body is several times what positions are wrong by along it,
-    so rows count by what they know (`_hitch_noise`).
-    """
+    the implement's receivers are later than the tractor's, s: (5,). p_t + R_t h_t = p_i + R_i h_i."""
     rows = view.known
     rows = rows & np.isfinite(view.middle).all((1, 2))
     apart = view.middle[rows, 1] - view.middle[rows, 0]
@@ -140,26 +136,8 @@ def hitch(view: Pairs) -> Solved:
         forward, right = (np.cos, np.sin)[axis], (lambda a: -np.sin(a), np.cos)[axis]
         columns = [forward(psi[:, 0]), right(psi[:, 0]), -forward(psi[:, 1]), -right(psi[:, 1])]
         blocks.append(np.column_stack([*columns, -u * forward(psi[:, 1])]))
-    design = np.stack(blocks, axis=1)
-    prior = np.array([6.0, 1.0, 10.0, 1.0, 0.15])
-    rough = solve(design.reshape(-1, 5), apart.reshape(-1), prior, NOISE_M, HITCH_BLOCK)
-    if not len(apart):
-        return rough
-    white = np.linalg.inv(np.linalg.cholesky(_hitch_noise(view, psi, rough.value[[0, 2]])))
-    rows_white: Array = np.asarray(white @ design, np.float64).reshape(-1, 5)
-    apart_white: Array = np.asarray(white @ apart[..., None], np.float64).reshape(-1)
-    told = solve(rows_white, apart_white, prior, NOISE_M, HITCH_BLOCK)
-    return Solved(told.value, told.covariance, rough.sd)
-
-
-def _hitch_noise(view: Pairs, psi: Array, reach: Array) -> Array:
-    """Covariance of the hitch by one body less that by the other, over the square of a position's sd, (n, 2,
-    2). psi: (n, 2), headings; reach: (2,), m from the middles to the hitch."""
-    found = np.tile(np.eye(2), (len(psi), 1, 1))  # of two means of two positions
-    for body, length in enumerate(np.nanmedian(view.lengths[view.known], axis=0)):
-        right = np.stack([-np.sin(psi[:, body]), np.cos(psi[:, body])], axis=1)
-        found += 2.0 * (reach[body] / length) ** 2 * right[:, :, None] * right[:, None, :]
-    return found
+    design = np.stack(blocks, axis=1).reshape(-1, 5)
+    return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
 
 
 def crab(view: Pairs, body: int) -> Solved:
