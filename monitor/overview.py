@@ -31,8 +31,9 @@ class Overview:
         traces.added()
         return traces
 
-    def events_to(self, at_s: float) -> list[Fields]:
-        return [event for place_s, event in self.events if place_s <= at_s]
+    def events_between(self, from_s: float, to_s: float) -> list[Fields]:
+        """Later than the first, up to the second with it."""
+        return [event for place_s, event in self.events if from_s < place_s <= to_s]
 
 
 def ask_overview(daemon_data: DaemonData) -> Overview:

@@ -56,6 +56,12 @@ class View:
         self._asking = ThreadPoolExecutor(1, "tilth.overview")
         self._asked: Future[Overview] | None = None
         self._overview: Overview | None = None  # of the run that is played, if one is
+        self._events_to_s = 0.0  # place in that run up to which its events are taken
+
+    @property
+    def has_overview(self) -> bool:
+        """Of a run that is played: all its events are known; its place tells which of them are shown."""
+        return self._overview is not None
 
     def whole(self, now_s: float) -> str:
         """For a page that opens, or that has to forget what it had."""
@@ -76,13 +82,16 @@ class View:
         for kind, message, sent_s in heard:
             self._received_s[kind] = sent_s
             if kind == "event":
-                events.append(message)
-                self._events.append(message)
+                if self._overview is None:  # it has them all; a network may drop what is published once
+                    events.append(message)
                 continue
-            if kind == "player" and self._jumped(message):
-                anew = True
+            if kind == "player":
+                if self._jumped(message):
+                    anew, events = True, []
+                events += self._passed(message["at_s"])
             anew |= self._take(kind, message)
             changed[kind] = self._messages[kind]
+        self._events.extend(events)
         anew |= self._take_overview()
         if "soil_tire" in self._messages and ("soil_tire" in changed or "rig" in changed):
             changed["shown"] = page_estimate(self._messages["soil_tire"], self._messages.get("rig"))
@@ -117,6 +126,13 @@ class View:
         self._go_to(player["at_s"])
         return True
 
+    def _passed(self, at_s: float) -> list[Fields]:
+        """Events of the run that is played between the place before and this one."""
+        if self._overview is None:
+            return []
+        from_s, self._events_to_s = self._events_to_s, at_s
+        return self._overview.events_between(from_s, at_s)
+
     def _take_overview(self) -> bool:
         if self._asked is None or not self._asked.done():
             return False
@@ -137,8 +153,9 @@ class View:
         overview = self._overview
         self._traces = overview.traces(at_s) if overview is not None else Traces()
         self._events.clear()
+        self._events_to_s = at_s
         if overview is not None:
-            self._events.extend(overview.events_to(at_s))
+            self._events.extend(overview.events_between(-math.inf, at_s))
 
     def _forget(self, but: Sequence[str] = ()) -> None:
         for kind in set(self._messages).difference(but):

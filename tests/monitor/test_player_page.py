@@ -8,7 +8,7 @@ from contextlib import closing
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from client_daemon import until
@@ -20,7 +20,12 @@ from recorded_run import MARKS, SECOND, START_NS, write_run
 from stage import Monitor
 
 from tilth.cli import main
+from tilth.client.link import Alive
+from tilth.monitor.daemon_data import DaemonData, Heard
+from tilth.monitor.json_safe import plain
 from tilth.monitor.player_page import order_of
+from tilth.monitor.view import View
+from tilth.schemas.proto import tilth_pb2 as pb
 
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 SOON_MS = 60_000
@@ -84,6 +89,54 @@ def test_what_the_page_asks_for_over_its_own_server(several: Monitor) -> None:
 def test_what_is_no_order_is_refused(said: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"an order is|are numbers"):
         order_of(said)
+
+
+class Lossy:
+    """What a view takes of a player whose events the network drops, or says twice."""
+
+    followed = Alive(True, MACHINE.name)
+
+    def __init__(self, events: list[tuple[float, pb.Event]]) -> None:
+        self._rows = [pb.Place(at_s=at_s, kind="event", data=e.SerializeToString()) for at_s, e in events]
+        self.heard: list[Heard] = []
+
+    def choose(self, now_s: float) -> bool:
+        return False
+
+    def alive(self) -> tuple[bool, list[str]]:
+        return True, [MACHINE.name]
+
+    def ask_player(self, what: str, message: type[pb.Places]) -> pb.Places:
+        return message(run=RUN, rows=self._rows)
+
+    def take(self) -> list[Heard]:
+        heard, self.heard = self.heard, []
+        return heard
+
+
+@pytest.mark.parametrize("dropped", [True, False], ids=["dropped", "heard"])
+def test_each_event_that_a_player_passes_is_there_once(dropped: bool) -> None:
+    events = [(at_s, pb.Event(t_ns=round(at_s * 1e9), kind="mark", text=text)) for at_s, text in MARKS]
+    player = Lossy(events)
+    view = View(cast(DaemonData, player), "")
+
+    def at(at_s: float, jumps: int = 1, said: str = "") -> list[str]:
+        state = pb.PlayerState(run=RUN, state="playing", rate=50.0, at_s=at_s, jumps=jumps)
+        player.heard = [Heard("player", plain(state), 0.0)]
+        if not dropped:
+            player.heard += [Heard("event", plain(event), 0.0) for _, event in events if event.text == said]
+        view.turn(0.0)
+        return [event["text"] for event in json.loads(view.whole(0.0))["whole"]["events"]]
+
+    assert at(0.0) == []
+    until(lambda: at(0.5) == [] and view.has_overview)
+    (first, one), (second, two) = MARKS
+    assert at(first - 1) == []
+    assert at(first + 1, said=one) == [one]
+    assert at(second, said=two) == [one, two]
+    assert at(120.0) == [one, two]
+    assert at(second - 1, jumps=2) == [one]
+    assert at(second + 1, jumps=2, said=two) == [one, two]
 
 
 def test_a_daemon_that_runs_is_no_player(capsys: pytest.CaptureFixture[str], logs: Path) -> None:
