@@ -7,6 +7,7 @@ wrong. The log holds each frame, also those of before somebody began to watch, a
 import io
 import math
 import os
+import struct
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,12 +16,25 @@ from typing import Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Metadata
+from mcap.records import Header, Metadata
 
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, body_of, unpacked, walk
+from tilth.logger.log.mcap_file import (
+    DAMAGE,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    UNREADABLE,
+    RecordPlace,
+    body_of,
+    is_finished,
+    next_chunk,
+    place_at,
+    unpacked,
+    walk,
+)
 from tilth.logger.log.runs import stored_runs
 from tilth.replay.readers.any_log import open_log
-from tilth.replay.readers.log import EmptyLog, OpenLog
+from tilth.replay.readers.log import EmptyLog, OpenLog, Record
 from tilth.replay.readers.mcap_reader import MACHINE, Channels, from_summary
 from tilth.replay.readers.rig import on_buses_of
 from tilth.schemas.decode import Decoder
@@ -29,7 +43,12 @@ from tilth.schemas.machine import Machine
 
 RECENT_NS: Final = 12 * 3600 * 1_000_000_000  # a run that began so long before the present one counts
 DAMAGED: Final = "{}: damaged and left out: {}. All else counts."
-_FRAMES: Final = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+AWAITED: Final = (
+    "{}: its beginning is damaged, where it is said which frames are of which bus. What follows counts once "
+    "this file has ended."
+)
+NO_MACHINE: Final = "{} does not count: it is damaged at its beginning, where its machine file stood."
+_INDEX_HEAD: Final = struct.Struct("<HI")  # channel id, bytes of its rows: of a message index
 
 
 @dataclass(slots=True)
@@ -50,7 +69,9 @@ class GrowingLog:
         self._channels = Channels(self._log)
         from_summary(self._channels, self._file)  # of a whole file: its first chunk may be damaged
         self._at = len(MAGIC)
+        self._looked_at = 0  # bytes of the file, when all of them had been read
         self.finished = False
+        self.waits_for_end = False  # only the index at its end tells what the next chunk holds
 
     @property
     def skipped(self) -> dict[str, int]:
@@ -58,48 +79,118 @@ class GrowingLog:
         return dict(self._log.skipped)
 
     def frames(self) -> Iterator[Frame]:
-        """Those that have been written since the last call."""
+        """Those that have been written since the last call. Raises OSError."""
         if self.finished:
             return
         size = os.fstat(self._file.fileno()).st_size
-        for place in walk(self._file, size, self._at) if size > self._at else ():
-            self._at = place.end
-            if place.opcode == Opcode.FOOTER:
-                self.finished = True
-                self._file.close()
-                return
-            if place.opcode not in _FRAMES:
-                continue
-            body = body_of(self._file, place)
-            try:
-                data = (
-                    unpacked(body)
-                    if place.opcode == Opcode.CHUNK
-                    else HEAD.pack(place.opcode, len(body)) + body
-                )
-                found = self._channels.records(data)
-            except DAMAGE:
-                self._log.skip("damaged_chunk")
-                continue
-            yield from (record for record in found if isinstance(record, Frame))
+        if size == self._looked_at:
+            return
+        self._log.size, self.waits_for_end = size, False
+        while not self.finished and self._at < size:
+            place = place_at(self._file, self._at, size)
+            found = None if place is None else self._records(place)
+            if place is not None and found is not None:
+                self._at = place.end
+                if place.opcode == Opcode.DATA_END:  # what follows tells where things are, and no frame
+                    self._finish()
+                yield from (record for record in found if isinstance(record, Frame))
+            elif self.waits_for_end or not self._pass_over(place, size):
+                break
+        self._looked_at = size
+
+    def _records(self, place: RecordPlace) -> list[Record] | None:
+        """What a record holds; None where it is damaged, or waits_for_end. Raises OSError."""
+        body = body_of(self._file, place)
+        try:
+            match place.opcode:
+                case Opcode.CHUNK:
+                    data = unpacked(body)
+                    if self._log.skipped and not self._can_read(data):
+                        return None
+                    return self._channels.records(data)
+                case Opcode.MESSAGE_INDEX:
+                    # One that is too long by its head takes chunks with it that nobody would miss.
+                    whole = _INDEX_HEAD.unpack_from(body)[1] == len(body) - _INDEX_HEAD.size
+                case Opcode.DATA_END:
+                    whole = len(body) == 4
+                case Opcode.HEADER | Opcode.METADATA:
+                    stream = ReadDataStream(io.BytesIO(body))
+                    (Header if place.opcode == Opcode.HEADER else Metadata).read(stream)
+                    whole = stream.count == len(body)
+                case other:
+                    whole = other == UNREADABLE
+        except DAMAGE:
+            return None
+        return [] if whole else None
+
+    def _can_read(self, data: bytes) -> bool:
+        """Whether all channels of a chunk are known, or as many as ever will be: a damaged one before it may
+        have defined them."""
+        used, start = set[int](), 0
+        padded = data + bytes(MESSAGE.size)
+        while start < len(data):
+            opcode, length, channel, *_ = MESSAGE.unpack_from(padded, start)
+            stop = start + HEAD.size + length
+            if opcode == Opcode.MESSAGE:
+                used.add(channel)
+            else:
+                self._channels.definition(opcode, data[start + HEAD.size : stop])
+            start = stop
+        if used <= self._channels.defined or from_summary(self._channels, self._file):
+            return True
+        self.waits_for_end = not is_finished(self._file, self._log.size)
+        return not self.waits_for_end
+
+    def _pass_over(self, place: RecordPlace | None, size: int) -> bool:
+        """Go on behind damage, which is counted; False where a record may only not be written yet.
+
+        place: of the record whose content is damaged; None where none is whole. A whole chunk behind it tells
+        the one from the other: the daemon writes one record after another.
+        """
+        at = next_chunk(self._file, self._at + 1, size)
+        ends = at == size and is_finished(self._file, size)  # nothing more will come
+        if place is not None and (place.end == size or place_at(self._file, place.end, size) is not None):
+            at = min(at, place.end)  # its length is right
+        elif at == size and not ends:
+            return False
+        self._log.skip("damaged_chunk")
+        self._at = at
+        if at == size and ends:
+            self._finish()
+        return True
+
+    def _finish(self) -> None:
+        self.finished = True
+        self._file.close()
 
     def close(self) -> None:
         self._file.close()
 
 
 def opening_machine(path: Path) -> str | None:
-    """The text of the machine file at the beginning of a log of Tilth's; None where it is not there, or not
-    yet. Raises OSError."""
+    """The text of the machine file at the beginning of a log of Tilth's; None where it is not there, not yet,
+    or damaged. Raises OSError."""
     with path.open("rb") as file:
         for place in walk(file, path.stat().st_size):
             if place.opcode == Opcode.CHUNK:
                 return None
             if place.opcode == Opcode.METADATA:
-                record = Metadata.read(ReadDataStream(io.BytesIO(body_of(file, place))))
+                body = body_of(file, place)
+                try:
+                    record = Metadata.read(ReadDataStream(io.BytesIO(body)))
+                except DAMAGE:
+                    continue
                 if record.name == MACHINE:
                     text: str | None = record.metadata.get("toml")
                     return text
     return None
+
+
+def _has_chunk(path: Path) -> bool:
+    """Whether frames stand in it, which a machine file comes before. Raises OSError."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        return next_chunk(file, 0, size) < size
 
 
 class FollowedLogs:
@@ -136,8 +227,13 @@ class FollowedLogs:
     @property
     def notes(self) -> list[str]:
         """What does not count, in sentences."""
-        damaged = ((one.path.name, sum(one.log.skipped.values())) for one in self._files.values())
-        return [*self._notes, *(DAMAGED.format(name, count) for name, count in damaged if count)]
+        found = list(self._notes)
+        for one in self._files.values():
+            if one.log.waits_for_end:
+                found.append(AWAITED.format(one.path.name))
+            elif count := sum(one.log.skipped.values()):
+                found.append(DAMAGED.format(one.path.name, count))
+        return found
 
     @property
     def paths(self) -> list[Path]:
@@ -195,10 +291,12 @@ class FollowedLogs:
             if key in self._looked or any(path.samefile(one) for one in self._given):
                 return
             text = opening_machine(path)
-            if text is None:
+            if text is None and not _has_chunk(path):
                 return  # not yet
             self._looked.add(key)
-            if text == self._text:
+            if text is None:
+                self._notes.append(NO_MACHINE.format(path.name))
+            elif text == self._text:
                 self._files[key] = _Followed(path, GrowingLog(path))
             else:
                 self._notes.append(_other(path, text, self._machine))

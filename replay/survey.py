@@ -13,9 +13,19 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, MESSAGE, body_of, is_finished, place_at, unpacked
+from tilth.logger.log.mcap_file import (
+    DAMAGE,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    UNREADABLE,
+    body_of,
+    is_finished,
+    place_at,
+    unpacked,
+)
 from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
-from tilth.logger.log.recovery import UNREADABLE, is_being_written, is_ours
+from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.logger.log.runs import file_name
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb

@@ -23,8 +23,12 @@ MAGIC: bytes = MCAP0_MAGIC
 HEAD = struct.Struct("<BQ")  # opcode, length
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel id, sequence, log_time, publish_time
 FOOTER_SIZE = HEAD.size + 20
+UNREADABLE = 0x80  # opcode: private, passed over by every reader; what `tilth recover` covers damage with
 # What damaged bytes raise in the parsers of records and in the decompressors.
 DAMAGE = (McapError, DecodeError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, OSError)
+_SIGNATURE = b"\4\0\0\0zstd"  # of a chunk as it is written here
+_SIGNATURE_AT = HEAD.size + 28  # in a chunk's record
+_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,36 @@ def body_of(file: BinaryIO, place: RecordPlace) -> bytes:
     """The bytes of a record. Raises OSError."""
     file.seek(place.body)
     return file.read(place.end - place.body)
+
+
+def next_chunk(file: BinaryIO, start: int, size: int) -> int:
+    """Where after `start` the next whole chunk begins, its checksum verified, or the file's size: where to go
+    on behind damage. Raises OSError."""
+    file.seek(start)
+    before = b""
+    while block := file.read(_BLOCK):
+        after, block_at = file.tell(), file.tell() - len(block) - len(before)
+        block = before + block
+        found = block.find(_SIGNATURE)
+        while found >= 0:
+            at = block_at + found - _SIGNATURE_AT
+            if at >= start and _is_chunk(file, at, size):
+                return at
+            found = block.find(_SIGNATURE, found + 1)
+        before = block[-len(_SIGNATURE) + 1 :]
+        file.seek(after)
+    return size
+
+
+def _is_chunk(file: BinaryIO, start: int, size: int) -> bool:
+    place = place_at(file, start, size)
+    if place is None or place.opcode != Opcode.CHUNK:
+        return False
+    try:
+        unpacked(body_of(file, place))
+    except DAMAGE:
+        return False
+    return True
 
 
 def is_finished(file: BinaryIO, size: int) -> bool:

@@ -34,19 +34,18 @@ from tilth.logger.log.mcap_file import (
     HEAD,
     MAGIC,
     MESSAGE,
+    UNREADABLE,
     RecordPlace,
     body_of,
     is_finished,
+    next_chunk,
     place_at,
     unpacked,
     walk,
 )
 from tilth.logger.log.mcap_index import Content, ending
 
-UNREADABLE = 0x80  # opcode: private, passed over by every reader
 _CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # start, end, size, crc, 4, "zstd", length
-_SIGNATURE = b"\4\0\0\0zstd"  # of a chunk as it is written here
-_SIGNATURE_AT = HEAD.size + 28  # in a chunk's record
 _BLOCK = 1 << 20
 _LONGEST_HEADER = 1 << 16
 
@@ -162,7 +161,7 @@ def _survey(path: Path, file: BinaryIO, size: int) -> Content:
         if place is not None and _ends_data(file, place, size):
             break
         if place is None or not _take(content, file, place):
-            start, at = at, _next_chunk(file, at + 1, size)
+            start, at = at, next_chunk(file, at + 1, size)
             if place is not None and place.end < at and place_at(file, place.end, size):
                 at = place.end  # damaged, but it ends where another record begins
             if at < size:
@@ -176,7 +175,7 @@ def _survey(path: Path, file: BinaryIO, size: int) -> Content:
 def _ends_data(file: BinaryIO, place: RecordPlace, size: int) -> bool:
     """Whether what follows is the index, whole or not, which is written anew."""
     ends = (place.opcode, place.end - place.body) == (Opcode.DATA_END, 4)
-    return ends and _next_chunk(file, place.end, size) == size
+    return ends and next_chunk(file, place.end, size) == size
 
 
 def _take(content: Content, file: BinaryIO, place: RecordPlace) -> bool:
@@ -281,35 +280,6 @@ def _complete_definitions(content: Content, file: BinaryIO, start: int, size: in
     for channel in content.channels.values():
         if channel.schema_id and channel.schema_id not in content.schemas:
             channel.schema_id = 0
-
-
-def _next_chunk(file: BinaryIO, start: int, size: int) -> int:
-    """Where after `start` the next whole chunk begins, or the file's size."""
-    file.seek(start)
-    before = b""
-    while block := file.read(_BLOCK):
-        after, block_at = file.tell(), file.tell() - len(block) - len(before)
-        block = before + block
-        found = block.find(_SIGNATURE)
-        while found >= 0:
-            at = block_at + found - _SIGNATURE_AT
-            if at >= start and _is_chunk(file, at, size):
-                return at
-            found = block.find(_SIGNATURE, found + 1)
-        before = block[-len(_SIGNATURE) + 1 :]
-        file.seek(after)
-    return size
-
-
-def _is_chunk(file: BinaryIO, start: int, size: int) -> bool:
-    place = place_at(file, start, size)
-    if place is None or place.opcode != Opcode.CHUNK:
-        return False
-    try:
-        unpacked(body_of(file, place))
-    except DAMAGE:
-        return False
-    return True
 
 
 def _is_zero(file: BinaryIO, start: int, end: int) -> bool:

@@ -41,8 +41,11 @@ class Channels:
         self.schemas: dict[int, str] = {}
         self.buses: dict[int, str] = {}  # channel -> bus
         self.others: dict[int, str] = {}  # channel -> topic, of snapshots and of the results asked for
+        self.defined: set[int] = set()  # channels of schemas that are known
 
     def add(self, channel: Channel) -> None:
+        if channel.schema_id in self.schemas:
+            self.defined.add(channel.id)
         is_frame = self.schemas.get(channel.schema_id) == CanFrame.DESCRIPTOR.full_name
         if channel.topic.startswith(CAN_TOPIC) and is_frame:
             self.buses[channel.id] = channel.topic.removeprefix(CAN_TOPIC)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
 from logs import chunk_ends
+from mcap.opcode import Opcode
 from paths import ROOT
 
 from tilth.cli import main
+from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
@@ -146,7 +148,7 @@ def test_without_the_time_only_what_the_daemon_names_counts(log: Path, tmp_path:
 @pytest.mark.parametrize("number", [0, 1, -1])
 def test_a_damaged_chunk_costs_only_itself(log: Path, tmp_path: Path, number: int) -> None:
     path = _written(tmp_path / f"{RUNS[0]}_001.mcap", list(frames(log))[:2000])
-    whole = list(GrowingLog(path).frames())
+    whole = _drained(path)
     data = bytearray(path.read_bytes())
     ends = chunk_ends(bytes(data))
     assert len(ends) > 5
@@ -161,3 +163,118 @@ def test_a_damaged_chunk_costs_only_itself(log: Path, tmp_path: Path, number: in
     assert growing.skipped == {"damaged_chunk": 1} and growing.finished
     gone = [row for row in whole if row not in left]
     assert 0 < len(gone) <= len(whole) // 4 and [row for row in whole if row not in gone] == left
+
+
+def _drained(path: Path) -> list[Frame]:
+    growing = GrowingLog(path)
+    found = list(growing.frames())
+    growing.close()
+    return found
+
+
+def _places(path: Path, opcode: int) -> list[RecordPlace]:
+    with path.open("rb") as file:
+        return [place for place in walk(file, path.stat().st_size) if place.opcode == opcode]
+
+
+def _with_length(path: Path, place: RecordPlace, length: int) -> bytes:
+    """The file's bytes, that record's length damaged."""
+    data = bytearray(path.read_bytes())
+    HEAD.pack_into(data, place.start, place.opcode, length)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.MESSAGE_INDEX])
+@pytest.mark.parametrize("change", [1 << 62, 1 << 30, 3000, 7, -5])
+def test_a_damaged_length_stops_nothing(log: Path, tmp_path: Path, opcode: int, change: int) -> None:
+    """Of a record in the middle, met while the log grows: what comes behind it is read once it is there."""
+    path = _written(tmp_path / "whole.mcap", list(frames(log))[:2000])
+    places, chunks = _places(path, opcode), _places(path, Opcode.CHUNK)
+    place, almost = places[len(places) // 2], chunks[-2].end
+    damaged = _with_length(path, place, place.end - place.body + change)
+    growing = tmp_path / "growing.mcap"
+    growing.write_bytes(path.read_bytes()[:almost])
+    whole, until = _drained(path), _drained(growing)
+    growing.write_bytes(damaged[: place.start])
+    following, found = GrowingLog(growing), list[Frame]()
+    for end in (place.end, *(one.end for one in chunks if place.end < one.end <= almost), len(damaged)):
+        found += following.frames()
+        with growing.open("ab") as file:
+            file.write(damaged[growing.stat().st_size : end])
+        if end == almost:
+            found += following.frames()
+            assert found[-1] == until[-1]
+    found += following.frames()
+    gone = [row for row in whole if row not in found]
+    assert [row for row in whole if row not in gone] == found and following.finished
+    assert len(gone) <= 2 * len(whole) // len(chunks) and (opcode == Opcode.MESSAGE_INDEX or gone)
+    assert 1 <= following.skipped["damaged_chunk"] <= 2
+
+
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.METADATA, Opcode.DATA_END])
+def test_a_damaged_length_at_the_end_is_not_waited_for(log: Path, tmp_path: Path, opcode: int) -> None:
+    """Of the last record of its kind in a part: its run goes on in the next one, and it is said."""
+    rows = list(frames(log))[:2000]
+    path, after = (tmp_path / f"{RUNS[0]}_00{part}.mcap" for part in (1, 2))
+    _written(path, rows[:1000])
+    path.write_bytes(_with_length(path, _places(path, opcode)[-1], 1 << 40))
+    kept = _drained(path)
+    assert kept == rows[: len(kept)]
+    assert 900 < len(kept) < 1000 if opcode == Opcode.CHUNK else len(kept) == 1000
+    followed = FollowedLogs(MACHINE, [], {}, _written(after, rows[1000:]))
+    assert list(followed.measurements()) == _measured([*kept, *rows[1000:]])
+    assert followed.notes == [f"{path.name}: damaged and left out: 1. All else counts."]
+    followed.close()
+
+
+def test_a_record_that_is_half_written_is_waited_for(log: Path, tmp_path: Path) -> None:
+    path = _written(tmp_path / "whole.mcap", list(frames(log))[:1000])
+    whole, data = _drained(path), path.read_bytes()
+    place = _places(path, Opcode.CHUNK)[2]
+    growing = tmp_path / "growing.mcap"
+    growing.write_bytes(data[: place.start + 1])
+    following = GrowingLog(growing)
+    found = list(following.frames())
+    for end in (place.body, place.body + 200, place.end - 1):
+        with growing.open("ab") as file:
+            file.write(data[growing.stat().st_size : end])
+        assert list(following.frames()) == [] and not following.skipped
+    with growing.open("ab") as file:
+        file.write(data[place.end - 1 :])
+    assert found + list(following.frames()) == whole and not following.skipped and following.finished
+
+
+def test_a_damaged_first_chunk_is_made_up_for_at_the_end(log: Path, tmp_path: Path) -> None:
+    """It says which frames are of which bus; so does the index at the end of the file."""
+    rows = list(frames(log))[:1000]
+    path = _written(tmp_path / f"{RUNS[0]}_001.mcap", rows)
+    first, *_, last = _places(path, Opcode.CHUNK)
+    data = bytearray(path.read_bytes())
+    data[first.end - 20] ^= 0xFF
+    path.write_bytes(data[: last.end])
+    followed = FollowedLogs(MACHINE, [], {}, path)
+    assert list(followed.measurements()) == []
+    assert followed.notes == [
+        f"{path.name}: its beginning is damaged, where it is said which frames are of which bus. What "
+        "follows counts once this file has ended."
+    ]
+    with path.open("ab") as file:
+        file.write(data[last.end :])
+    kept = rows[len(rows) - len(_drained(path)) :]
+    assert list(followed.measurements()) == _measured(kept) and 900 < len(kept) < 1000
+    assert followed.notes == [f"{path.name}: damaged and left out: 1. All else counts."]
+    followed.close()
+
+
+def test_a_part_without_its_machine_file_is_named(log: Path, tmp_path: Path) -> None:
+    rows = list(frames(log))[:1000]
+    path, here = (tmp_path / f"{RUNS[0]}_00{part}.mcap" for part in (1, 2))
+    _written(path, rows[:500])
+    path.write_bytes(_with_length(path, _places(path, Opcode.METADATA)[0], 1 << 40))
+    followed = FollowedLogs(MACHINE, [], {}, _written(here, rows[500:]))
+    assert followed.paths == [here] and list(followed.measurements()) == _measured(rows[500:])
+    followed.rescan()
+    assert followed.notes == [
+        f"{path.name} does not count: it is damaged at its beginning, where its machine file stood."
+    ]
+    followed.close()
