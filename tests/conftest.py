@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
@@ -15,6 +16,9 @@ from loopback import Sender
 from paths import ROOT
 
 from tilth.logger import compiling
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 # Many tests start processes, which would each compile all that they import: three times the computing.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -56,6 +60,15 @@ def sender() -> Iterator[Sender]:
     """Of frames, over loopback."""
     with Sender() as process:
         yield process
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """For pages, with `chromium.with_browser`."""
+    from chromium import launched  # a browser's library: only who asks pays for it
+
+    with launched() as one:
+        yield one
 
 
 @pytest.fixture

@@ -1,13 +1,13 @@
 """What `tilth calibrate` refuses: a sentence, an exit status, and the old file as it was."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from logs import MACHINE, MACHINE_TEXT
+from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump
 
 from tilth.cli import main
 from tilth.estimator.calibration.drive import MOUNTS
@@ -15,13 +15,12 @@ from tilth.schemas.can_id import split
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.scenario import Fault, Scenario, parse_scenario
-from tilth.simulator.simulate import Candump, SimulationInput, simulate_to
+from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate
 
 ROWS = parse_scenario("seconds = 70.0\nsteering = [[70.0, 0.0]]\nspeed = 3.0\n")
 SHORT_S = 10.0
 FLOATING = Scenario(faults=tuple(Fault(mount, 0.0, SHORT_S, "rtk_float") for mount in MOUNTS))
-OTHER_TEXT = re.sub(r'(name = "[0-9A-F]{13})[0-9A-F](..")', r"\g<1>A\2", MACHINE_TEXT)  # other numbers
 CLAIM = 60928
 OLD = "# what was there before\n"
 
@@ -33,27 +32,19 @@ class Driven(NamedTuple):
     frames: list[Frame]
 
 
-def _log(path: Path, frames: Iterable[Frame]) -> Path:
-    writer = Candump(path)
-    for frame in frames:
-        writer.frame(frame)
-    writer.close()
-    return path
-
-
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> Driven:
     frames = list(simulate(MACHINE, 3, ROWS.seconds, ROWS))
-    return Driven(_log(tmp_path_factory.mktemp("rows") / "rows.log", frames), frames)
+    return Driven(write_candump(tmp_path_factory.mktemp("rows") / "rows.log", frames), frames)
 
 
 def _short(at: Path, rows: Driven) -> list[Path]:
     last_ns = rows.frames[0].t_ns + round(SHORT_S * 1e9)
-    return [_log(at / "short.log", (frame for frame in rows.frames if frame.t_ns < last_ns))]
+    return [write_candump(at / "short.log", (frame for frame in rows.frames if frame.t_ns < last_ns))]
 
 
 def _floating(at: Path, rows: Driven) -> list[Path]:
-    return [_log(at / "floating.log", simulate(MACHINE, 3, SHORT_S, FLOATING))]
+    return [write_candump(at / "floating.log", simulate(MACHINE, 3, SHORT_S, FLOATING))]
 
 
 def _then_another(at: Path, rows: Driven) -> list[Path]:
@@ -64,7 +55,7 @@ def _then_another(at: Path, rows: Driven) -> list[Path]:
         for frame in rows.frames
         if split(frame.can_id).pgn != CLAIM
     )
-    return [_log(at / "both.log", (*rows.frames, *others))]
+    return [write_candump(at / "both.log", (*rows.frames, *others))]
 
 
 def _of_two_files(at: Path, rows: Driven) -> list[Path]:

@@ -1,13 +1,12 @@
 """`tilth experiment --propose --from LOG`: what a log has told counts, and what none tells is said."""
 
 import gzip
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT
+from logs import MACHINE, MACHINE_FILE, OTHER_TEXT, write_candump
 from numpy.typing import NDArray
 from recorded_run import write_run
 
@@ -16,7 +15,6 @@ from tilth.cli import main
 from tilth.schemas.experiment import parse_plan
 from tilth.schemas.flow import PARAMETERS
 from tilth.simulator.scenario import Scenario
-from tilth.simulator.simulate import Candump
 from tilth.simulator.traffic import simulate
 
 STEP = Scenario(other_traffic=False, speed=4.5, steering=((4.0, 0.0), (9.0, 7.0), (8.0, 0.0)))
@@ -31,12 +29,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
 @pytest.fixture(scope="module")
 def step(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One step, as another program logs it."""
-    path = tmp_path_factory.mktemp("step") / "step.log"
-    writer = Candump(path)
-    for frame in simulate(MACHINE, 3, SECONDS, STEP):
-        writer.frame(frame)
-    writer.close()
-    return path
+    return write_candump(tmp_path_factory.mktemp("step") / "step.log", simulate(MACHINE, 3, SECONDS, STEP))
 
 
 def proposed(out: Path, logs: Sequence[Path] = (), machine: Path = MACHINE_FILE) -> int:
@@ -124,8 +117,7 @@ def test_a_log_of_another_rig_by_its_devices_alone(
 ) -> None:
     """A log of another program names no rig; none of the machine file's receivers is in it."""
     other = tmp_path / "other.toml"
-    numbers = r'(name = "[0-9A-F]{13})[0-9A-F](..")'
-    other.write_text(re.sub(numbers, r"\g<1>A\2", MACHINE_TEXT), encoding="utf-8")
+    other.write_text(OTHER_TEXT, encoding="utf-8")
     assert proposed(tmp_path / "plan.toml", [step], other) == 1
     assert "there are no poses in these logs" in capsys.readouterr().err
     assert not (tmp_path / "plan.toml").exists()

@@ -3,30 +3,28 @@
 `pytest -m browser --refresh` writes the pictures of docs/pictures anew.
 """
 
-import os
 import re
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import SOON_MS, serious, with_browser
 from client_daemon import until
 from field_rig import FieldRig
 from loopback import PATIENCE_S
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect
 from stage import Monitor, Stage
 
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
 
-CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = ROOT / "docs/pictures"
 SIZES: dict[str, dict[str, Any]] = {
     "desktop": {"viewport": {"width": 1440, "height": 900}},
@@ -34,7 +32,6 @@ SIZES: dict[str, dict[str, Any]] = {
     "phone": {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True},
 }
 MOUNTS = ("Tractor front", "Tractor rear", "Implement front", "Implement rear", "Wheel angle")
-SOON_MS = 60_000  # a busy computer takes its time; a quiet one does not wait
 REPORT_MS = 3 * SOON_MS  # behind all else
 COLOURS_OF_THE_MAP = """(() => {
     const map = document.querySelector("#map"), seen = new Set();
@@ -45,18 +42,7 @@ COLOURS_OF_THE_MAP = """(() => {
 
 expect.set_options(timeout=SOON_MS)
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
-]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=CHROMIUM)
-        yield one
-        one.close()
+pytestmark = [pytest.mark.browser, with_browser]
 
 
 @pytest.fixture(scope="module")
@@ -214,32 +200,20 @@ def test_a_checker_of_accessibility_finds_nothing_serious(
     expect_run(page, "RECORDING", "good")
     stage[0].order(lost="implement_rear", event="lost", text="implement_rear gives no usable position")
     expect(state_of(page, "Implement rear")).to_have_attribute("data-state", "bad", timeout=SOON_MS)
-    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-    found = [_serious(page, axe)]
+    found = [serious(page)]
     stage[0].order(invalid="why", preparing="compiling", refusal="the disk is full")
     expect(page.locator("#withdrawn")).to_be_visible(timeout=SOON_MS)
     page.locator("[data-mark=soft]").click()
     expect(page.locator("#marks-told")).to_contain_text("the disk is full")
-    found.append(_serious(page, axe))
+    found.append(serious(page))
     stage[0].order(silent=True, invalid="", preparing="", refusal="")
     expect(page.locator("#soil[data-old]")).to_be_visible(timeout=SOON_MS)
-    found.append(_serious(page, axe))
+    found.append(serious(page))
     page.locator("#mark").click()
-    found.append(_serious(page, axe))
+    found.append(serious(page))
     stage[0].order(lost="", silent=False)
     page.context.close()
     assert found == [[]] * 4
-
-
-def _serious(page: Page, axe: str) -> list[str]:
-    page.evaluate(f"() => {{ {axe} }}")
-    violations = page.evaluate("axe.run().then((found) => found.violations)")
-    return [
-        f"{one['id']}: {node['target']} {node['failureSummary']}"
-        for one in violations
-        if one["impact"] in ("serious", "critical")
-        for node in one["nodes"]
-    ]
 
 
 def test_a_mark_by_keyboard_and_by_touch(browser: Browser, stage: tuple[Stage, Monitor]) -> None:

@@ -3,42 +3,27 @@
 `pytest -m browser --refresh` writes the picture of docs/pictures anew.
 """
 
-import os
 import re
-from collections.abc import Iterator
 from contextlib import closing
-from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import SOON_MS, serious, with_browser
 from field_rig import FieldRig
 from live_rig import PARKED, calibrating, drive_before
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from stage import Monitor
 
-CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURE = ROOT / "docs/pictures/page-calibration.png"
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
-SOON_MS = 60_000
 
 expect.set_options(timeout=SOON_MS)
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
-]
+pytestmark = [pytest.mark.browser, with_browser]
 SHARES = "(bars) => bars.map((bar) => bar.value)"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=CHROMIUM)
-        yield one
-        one.close()
 
 
 def opened(browser: Browser, monitor: Monitor, faults: list[str], **options: Any) -> Page:
@@ -109,10 +94,7 @@ def _picture(page: Page) -> None:
 
 
 def _readable(page: Page) -> None:
-    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-    page.evaluate(f"() => {{ {axe} }}")
-    found = page.evaluate("axe.run('#calibration').then((found) => found.violations)")
-    assert [one["id"] for one in found if one["impact"] in ("serious", "critical")] == []
+    assert serious(page, "#calibration") == []
 
 
 def _finished(phone: Page) -> None:

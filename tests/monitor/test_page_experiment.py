@@ -4,33 +4,27 @@
 """
 
 import json
-import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from importlib import resources
 from io import BytesIO
 from pathlib import Path
 
 import pytest
+from chromium import SOON_MS, serious, with_browser
 from loopback import PATIENCE_S
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 from stage import Monitor, Stage
 
-CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURES = ROOT / "docs/pictures"
 PHONE: ViewportSize = {"width": 390, "height": 844}
-SOON_MS = 60_000
 
 expect.set_options(timeout=SOON_MS)
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
-]
+pytestmark = [pytest.mark.browser, with_browser]
 
 PLAN = """
 name = "in-the-browser"
@@ -52,14 +46,6 @@ DRAWN = """() => {
     for (let i = 0; i < dots.length; i += 4) seen.add(dots.slice(i, i + 4).join());
     return seen.size;
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=CHROMIUM)
-        yield one
-        one.close()
 
 
 @pytest.fixture
@@ -139,10 +125,7 @@ def test_it_is_readable_and_an_order_to_nobody_is_refused(
     monitor, prompter = prompted
     page = opened(browser.new_context(), monitor)
     expect(page.locator("#experiment")).to_be_visible()
-    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-    page.evaluate(f"() => {{ {axe} }}")
-    found = page.evaluate("axe.run('#experiment').then((found) => found.violations)")
-    assert [one["id"] for one in found if one["impact"] in ("serious", "critical")] == []
+    assert serious(page, "#experiment") == []
     headers = {"content_type": "application/json"}
     status, answer, _ = monitor.ask("/experiment", b'{"kind": "dance"}', **headers)
     assert (status, "no order; there are arm, stop, skip" in answer) == (200, True)

@@ -1,21 +1,20 @@
 """Recorded runs on the page: `tilth monitor LOG…` over real sockets, and in a real browser."""
 
 import json
-import os
 import re
 from collections.abc import Iterator
 from contextlib import closing
-from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from chromium import SOON_MS, serious, with_browser
 from client_daemon import until
 from logs import MACHINE
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 from recorded_run import MARKS, SECOND, START_NS, write_run
 from stage import Monitor
 
@@ -27,15 +26,10 @@ from tilth.monitor.player_page import order_of
 from tilth.monitor.view import View
 from tilth.schemas.proto import tilth_pb2 as pb
 
-CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
-SOON_MS = 60_000
 RUN = f"{MACHINE.name}_20261121T080000Z"
 SHORT = "another-rig_20261121T090000Z"
 
 expect.set_options(timeout=SOON_MS)
-with_browser = pytest.mark.skipif(
-    not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"
-)
 
 
 @pytest.fixture(scope="module")
@@ -142,14 +136,6 @@ def test_each_event_that_a_player_passes_is_there_once(dropped: bool) -> None:
 def test_a_daemon_that_runs_is_no_player(capsys: pytest.CaptureFixture[str], logs: Path) -> None:
     assert main(["monitor", "--port", "0", "--replay", str(logs)]) == 2
     assert "leave them out where you give logs" in capsys.readouterr().err
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM)
-        yield chromium
-        chromium.close()
 
 
 def opened(browser: Browser, monitor: Monitor, **options: Any) -> tuple[Page, list[str]]:
@@ -289,10 +275,6 @@ def test_a_checker_of_accessibility_finds_nothing_serious(
     expect(page.locator(".place").first).to_be_visible()
     page.locator("#runs-part summary").click()
     expect(page.locator("#runs tr")).to_have_count(1)
-    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-    page.evaluate(f"() => {{ {axe} }}")
-    found = page.evaluate("axe.run().then((found) => found.violations)")
-    serious = [row for row in found if row["impact"] in ("serious", "critical")]
-    assert [(row["id"], row["nodes"][0]["failureSummary"]) for row in serious] == []
+    assert serious(page) == []
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     page.context.close()

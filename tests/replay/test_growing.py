@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
-from logs import chunk_ends
+from logs import chunk_ends, write_mcap
 from mcap.opcode import Opcode
 from paths import ROOT
 
 from tilth.cli import main
 from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
-from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
@@ -70,19 +69,6 @@ def test_a_log_of_before_counts_once(log: Path) -> None:
     without.close()
 
 
-def _written(path: Path, rows: Sequence[Frame], text: str = TEXT, finish: bool = True) -> Path:
-    log = MACHINE.log.model_copy(update={"chunk_kilobytes": 2})
-    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart("run", 1, 0))
-    for row in rows:
-        writer.frame(row)
-    if finish:
-        writer.close()
-    else:
-        writer.flush()
-        writer.abandon()
-    return path
-
-
 def _measured(rows: Sequence[Frame]) -> list[Measurement]:
     decoder = Decoder(MACHINE)
     return [one for row in rows for one in decoder.measurements(row)]
@@ -96,15 +82,15 @@ def test_parts_and_a_daemon_that_is_started_again_go_on(log: Path, tmp_path: Pat
         tmp_path / name
         for name in (f"{RUNS[0]}_001.mcap", f"{RUNS[0]}_002.mcap", f"{RUNS[1]}_001.mcap", "by-hand.mcap")
     )
-    _written(first, parts[0])
+    write_mcap(first, parts[0])
     followed = FollowedLogs(MACHINE, [], {}, first)
     found = list(followed.measurements())
-    _written(second, parts[1], finish=False)  # killed
+    write_mcap(second, parts[1], finish=False)  # killed
     followed.rescan()
     found += followed.measurements()
-    followed.writes(_written(anew, parts[2]))
+    followed.writes(write_mcap(anew, parts[2]))
     found += followed.measurements()
-    followed.writes(_written(named, parts[3]))
+    followed.writes(write_mcap(named, parts[3]))
     found += followed.measurements()
     assert found == _measured(rows) and followed.paths == [first, second, anew, named]
     assert followed.notes == [] and list(followed.measurements()) == []
@@ -113,11 +99,11 @@ def test_parts_and_a_daemon_that_is_started_again_go_on(log: Path, tmp_path: Pat
 
 def test_what_is_of_another_rig_or_of_another_day_does_not_count(log: Path, tmp_path: Path) -> None:
     rows = list(frames(log))[:200]
-    here = _written(tmp_path / f"{RUNS[1]}_001.mcap", rows)
+    here = write_mcap(tmp_path / f"{RUNS[1]}_001.mcap", rows)
     other = TEXT.replace('name = "jd7930-parker500"', 'name = "mt700"', 1)
-    _written(tmp_path / f"{RUNS[0]}_001.mcap", rows, other)
-    _written(tmp_path / f"{RUNS[0]}_002.mcap", rows, TEXT + "# surveyed since\n")
-    _written(tmp_path / f"{LONG_AGO}_001.mcap", rows)
+    write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", rows, text=other)
+    write_mcap(tmp_path / f"{RUNS[0]}_002.mcap", rows, text=TEXT + "# surveyed since\n")
+    write_mcap(tmp_path / f"{LONG_AGO}_001.mcap", rows)
     followed = FollowedLogs(MACHINE, [], {}, here)
     assert followed.paths == [here] and list(followed.measurements()) == _measured(rows)
     assert followed.notes == [
@@ -133,13 +119,13 @@ def test_what_is_of_another_rig_or_of_another_day_does_not_count(log: Path, tmp_
 def test_without_the_time_only_what_the_daemon_names_counts(log: Path, tmp_path: Path) -> None:
     """The clock of a computer without a battery; then the time is known, and the file gets its right name."""
     rows = list(frames(log))[:200]
-    here = _written(tmp_path / f"{NO_TIME[1]}_001.mcap", rows)
+    here = write_mcap(tmp_path / f"{NO_TIME[1]}_001.mcap", rows)
     for run in (NO_TIME[0], LONG_AGO):
-        _written(tmp_path / f"{run}_001.mcap", rows)
+        write_mcap(tmp_path / f"{run}_001.mcap", rows)
     followed = FollowedLogs(MACHINE, [], {}, here)
     assert followed.paths == [here]
     here = here.rename(tmp_path / f"{RUNS[1]}_001.mcap")
-    earlier = _written(tmp_path / f"{RUNS[0]}_001.mcap", rows)
+    earlier = write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", rows)
     followed.writes(here)
     assert sorted(followed.paths) == [earlier, here]
     followed.close()
@@ -147,7 +133,7 @@ def test_without_the_time_only_what_the_daemon_names_counts(log: Path, tmp_path:
 
 @pytest.mark.parametrize("number", [0, 1, -1])
 def test_a_damaged_chunk_costs_only_itself(log: Path, tmp_path: Path, number: int) -> None:
-    path = _written(tmp_path / f"{RUNS[0]}_001.mcap", list(frames(log))[:2000])
+    path = write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", list(frames(log))[:2000])
     whole = _drained(path)
     data = bytearray(path.read_bytes())
     ends = chunk_ends(bytes(data))
@@ -188,7 +174,7 @@ def _with_length(path: Path, place: RecordPlace, length: int) -> bytes:
 @pytest.mark.parametrize("change", [1 << 62, 1 << 30, 3000, 7, -5])
 def test_a_damaged_length_stops_nothing(log: Path, tmp_path: Path, opcode: int, change: int) -> None:
     """Of a record in the middle, met while the log grows: what comes behind it is read once it is there."""
-    path = _written(tmp_path / "whole.mcap", list(frames(log))[:2000])
+    path = write_mcap(tmp_path / "whole.mcap", list(frames(log))[:2000])
     places, chunks = _places(path, opcode), _places(path, Opcode.CHUNK)
     place, almost = places[len(places) // 2], chunks[-2].end
     damaged = _with_length(path, place, place.end - place.body + change)
@@ -216,19 +202,19 @@ def test_a_damaged_length_at_the_end_is_not_waited_for(log: Path, tmp_path: Path
     """Of the last record of its kind in a part: its run goes on in the next one, and it is said."""
     rows = list(frames(log))[:2000]
     path, after = (tmp_path / f"{RUNS[0]}_00{part}.mcap" for part in (1, 2))
-    _written(path, rows[:1000])
+    write_mcap(path, rows[:1000])
     path.write_bytes(_with_length(path, _places(path, opcode)[-1], 1 << 40))
     kept = _drained(path)
     assert kept == rows[: len(kept)]
     assert 900 < len(kept) < 1000 if opcode == Opcode.CHUNK else len(kept) == 1000
-    followed = FollowedLogs(MACHINE, [], {}, _written(after, rows[1000:]))
+    followed = FollowedLogs(MACHINE, [], {}, write_mcap(after, rows[1000:]))
     assert list(followed.measurements()) == _measured([*kept, *rows[1000:]])
     assert followed.notes == [f"{path.name}: damaged and left out: 1. All else counts."]
     followed.close()
 
 
 def test_a_record_that_is_half_written_is_waited_for(log: Path, tmp_path: Path) -> None:
-    path = _written(tmp_path / "whole.mcap", list(frames(log))[:1000])
+    path = write_mcap(tmp_path / "whole.mcap", list(frames(log))[:1000])
     whole, data = _drained(path), path.read_bytes()
     place = _places(path, Opcode.CHUNK)[2]
     growing = tmp_path / "growing.mcap"
@@ -247,7 +233,7 @@ def test_a_record_that_is_half_written_is_waited_for(log: Path, tmp_path: Path) 
 def test_a_damaged_first_chunk_is_made_up_for_at_the_end(log: Path, tmp_path: Path) -> None:
     """It says which frames are of which bus; so does the index at the end of the file."""
     rows = list(frames(log))[:1000]
-    path = _written(tmp_path / f"{RUNS[0]}_001.mcap", rows)
+    path = write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", rows)
     first, *_, last = _places(path, Opcode.CHUNK)
     data = bytearray(path.read_bytes())
     data[first.end - 20] ^= 0xFF
@@ -269,9 +255,9 @@ def test_a_damaged_first_chunk_is_made_up_for_at_the_end(log: Path, tmp_path: Pa
 def test_a_part_without_its_machine_file_is_named(log: Path, tmp_path: Path) -> None:
     rows = list(frames(log))[:1000]
     path, here = (tmp_path / f"{RUNS[0]}_00{part}.mcap" for part in (1, 2))
-    _written(path, rows[:500])
+    write_mcap(path, rows[:500])
     path.write_bytes(_with_length(path, _places(path, Opcode.METADATA)[0], 1 << 40))
-    followed = FollowedLogs(MACHINE, [], {}, _written(here, rows[500:]))
+    followed = FollowedLogs(MACHINE, [], {}, write_mcap(here, rows[500:]))
     assert followed.paths == [here] and list(followed.measurements()) == _measured(rows[500:])
     followed.rescan()
     assert followed.notes == [

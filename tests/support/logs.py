@@ -1,8 +1,9 @@
 """Logs for the tests of replay: written as the daemon writes them, read back whole."""
 
+import re
 import struct
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +20,13 @@ from tilth.replay.readers.log import Logged, OpenLog
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.simulate import Candump
 
 DATA = SHARED / "data"
 MACHINE_FILE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 MACHINE, MACHINE_TEXT = read_machine(MACHINE_FILE)
+OTHER_TEXT = re.sub(r'(name = "[0-9A-F]{13})[0-9A-F](..")', r"\g<1>A\2", MACHINE_TEXT)
+"""The machine file of a rig like it, whose devices have other numbers."""
 SECOND = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND
 SECONDS = 18.0  # of the simulated run
@@ -44,11 +48,16 @@ def some_frames(count: int, seed: int = 7) -> list[Frame]:
     ]
 
 
-def write_mcap(path: Path, rows: list[Frame], chunk_kilobytes: int = 1, finish: bool = True) -> Path:
+def write_mcap(
+    path: Path,
+    rows: Iterable[Frame],
+    chunk_kilobytes: int = 1,
+    finish: bool = True,
+    text: str = MACHINE_TEXT,
+) -> Path:
+    """As the daemon does; where it does not finish, as a kill leaves it. text: of the machine file in it."""
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
-    writer = LogWriter(
-        path, MACHINE.model_copy(update={"log": log}), MACHINE_TEXT, RunPart("run", 1, START_NS)
-    )
+    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart("run", 1, START_NS))
     for row in rows:
         writer.frame(row)
     if finish:
@@ -56,6 +65,15 @@ def write_mcap(path: Path, rows: list[Frame], chunk_kilobytes: int = 1, finish: 
     else:
         writer.flush()
         writer.abandon()
+    return path
+
+
+def write_candump(path: Path, rows: Iterable[Frame]) -> Path:
+    """As another program logs them."""
+    writer = Candump(path)
+    for row in rows:
+        writer.frame(row)
+    writer.close()
     return path
 
 

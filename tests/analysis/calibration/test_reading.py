@@ -1,22 +1,20 @@
 """Logs of two rigs are refused in a sentence; one more receiver on the rig is not."""
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from logs import MACHINE, MACHINE_TEXT
+from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump
 
 from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
-from tilth.simulator.simulate import Candump, SimulationInput, simulate_to
+from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate
 
-OTHER_TEXT = re.sub(r'(name = "[0-9A-F]{13})([0-9A-F])(..")', r"\g<1>A\3", MACHINE_TEXT)  # other numbers
 AWAY = parse_scenario("seconds = 45.0\nsteering = [[45.0, 0.0]]\nspeed = 4.0\n")
 PARKED = parse_scenario("seconds = 45.0\nsteering = [[45.0, 0.0]]\nspeed = 0.0\n")
 
@@ -29,11 +27,7 @@ def _frames(text: str, scenario: Scenario, addresses: int = 0) -> list[Frame]:
 
 
 def _log(path: Path, frames: Iterable[Frame]) -> Path:
-    writer = Candump(path)
-    for frame in sorted(frames, key=lambda one: one.t_ns):
-        writer.frame(frame)
-    writer.close()
-    return path
+    return write_candump(path, sorted(frames, key=lambda one: one.t_ns))
 
 
 def _read(*paths: Path) -> LogHeard:

@@ -3,41 +3,27 @@
 `pytest -m browser --refresh` writes the picture of docs/pictures anew.
 """
 
-import os
-from collections.abc import Iterator
-from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import violations, with_browser
 from paths import ROOT
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 from report_parts import everything
 
 from tilth.analysis.report.build import report_of
 from tilth.analysis.report.page import page
 
-CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
 PICTURE = ROOT / "docs/pictures/report.png"
 ON_PAPER = 688  # px between the margins of A4
 TOO_WIDE = """(most) => [...document.querySelectorAll("table, svg")]
     .filter((one) => one.getBoundingClientRect().right > most + 1).map((one) => one.id)"""
 WIDTHS = {"desktop": 1100, "phone": 390}
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"),
-]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=CHROMIUM)
-        yield one
-        one.close()
+pytestmark = [pytest.mark.browser, with_browser]
 
 
 @pytest.fixture
@@ -66,9 +52,7 @@ def test_a_checker_of_accessibility_finds_nothing(
     browser: Browser, file: Path, size: str, scheme: str
 ) -> None:
     shown, faults = opened(browser, file, WIDTHS[size], scheme)
-    axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-    shown.evaluate(f"() => {{ {axe} }}")
-    found = shown.evaluate("axe.run().then((found) => found.violations)")
+    found = violations(shown)
     shown.context.close()
     assert [f"{one['id']}: {node['target']}" for one in found for node in one["nodes"]] == []
     assert faults == []
