@@ -14,7 +14,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib import resources
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import uvicorn
 from starlette.applications import Starlette
@@ -71,6 +71,9 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/uplot/uPlot.min.css", "uplot/uPlot.min.css", "text/css"),
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
 )
+
+Answer = Callable[[Request], Awaitable[Response]]
+T = TypeVar("T")
 
 
 class Viewers:
@@ -159,9 +162,8 @@ class Guard:
 
 
 def application(daemon_data: DaemonData, view: View) -> ASGIApp:
-    """The page, its live stream and the query for marks, for any ASGI server."""
+    """The page, its live stream, the query for marks and the orders, for any ASGI server."""
     viewers = Viewers(view)
-    folder = resources.files("tilth.monitor") / "page"
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -169,42 +171,27 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         yield
         turning.cancel()
 
-    def logged(ask: Callable[[str], MarkAnswer]) -> Callable[[Request], Awaitable[Response]]:
-        async def answer(request: Request) -> Response:
-            try:
-                text = await _mark_text(request)
-            except ValueError as error:
-                return _answer(MarkAnswer(False, str(error)), 400)
-            return _answer(await run_in_threadpool(ask, text), 200)
+    folder = resources.files("tilth.monitor") / "page"
+    files = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
+    routes = [*files, *_orders(daemon_data), *_asked(daemon_data), WebSocketRoute("/live", viewers.serve)]
+    return Guard(Starlette(routes=routes, lifespan=lifespan))
 
-        return answer
 
-    async def order(request: Request) -> Response:
-        try:
-            wanted = order_of(await _json(request, "an order"))
-        except ValueError as error:
-            return JSONResponse({"done": False, "text": str(error)}, 400)
-        refused = await run_in_threadpool(daemon_data.order, wanted)
-        return JSONResponse({"done": not refused, "text": refused})
+def _orders(daemon_data: DaemonData) -> list[Route]:
+    """What a page sends: marks, and orders to whoever runs beside the daemon."""
+    answers = {
+        "/mark": _noted(daemon_data.mark),
+        "/accept": _noted(daemon_data.accept),
+        "/player": _ordered(order_of, daemon_data.order),
+        "/experiment": _ordered(_kind, daemon_data.experiment),
+        "/calibration": _ordered(_kind, daemon_data.calibration),
+        "/report": _ordered(lambda sent: None, lambda _: daemon_data.make_report(), "a request for a report"),
+    }
+    return [Route(path, answer, methods=["POST"]) for path, answer in answers.items()]
 
-    def ordered(ask: Callable[[str], str]) -> Callable[[Request], Awaitable[Response]]:
-        async def answer(request: Request) -> Response:
-            try:
-                kind = str((await _json(request, "an order")).get("kind", ""))
-            except ValueError as error:
-                return JSONResponse({"done": False, "text": str(error)}, 400)
-            refused = await run_in_threadpool(ask, kind)
-            return JSONResponse({"done": not refused, "text": refused})
 
-        return answer
-
-    async def make_report(request: Request) -> Response:
-        try:
-            await _json(request, "a request for a report")
-        except ValueError as error:
-            return JSONResponse({"done": False, "text": str(error)}, 400)
-        refused = await run_in_threadpool(daemon_data.make_report)
-        return JSONResponse({"done": not refused, "text": refused})
+def _asked(daemon_data: DaemonData) -> list[Route]:
+    """What a page asks for, beside its own files."""
 
     async def report_file(request: Request) -> Response:
         try:
@@ -213,17 +200,42 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
             return PlainTextResponse(f"{refused}\n", 503)
         return Response(data, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
 
-    routes = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
-    for path, ask in (("/mark", daemon_data.mark), ("/accept", daemon_data.accept)):
-        routes.append(Route(path, logged(ask), methods=["POST"]))
-    routes.append(Route("/player", order, methods=["POST"]))
-    for path, tell in (("/experiment", daemon_data.experiment), ("/calibration", daemon_data.calibration)):
-        routes.append(Route(path, ordered(tell), methods=["POST"]))
-    routes += [Route("/report", make_report, methods=["POST"]), Route("/report.html", report_file)]
-    for name, asked in (("runs", runs_of), ("places", places_of)):
-        routes.append(Route(f"/player/{name}", _told(daemon_data, asked)))
-    app = Starlette(routes=[*routes, WebSocketRoute("/live", viewers.serve)], lifespan=lifespan)
-    return Guard(app)
+    told = [
+        Route(f"/player/{name}", _told(daemon_data, ask))
+        for name, ask in (("runs", runs_of), ("places", places_of))
+    ]
+    return [Route("/report.html", report_file), *told]
+
+
+def _noted(ask: Callable[[str], MarkAnswer]) -> Answer:
+    async def answer(request: Request) -> Response:
+        try:
+            text = await _mark_text(request)
+        except ValueError as error:
+            return _answer(MarkAnswer(False, str(error)), 400)
+        return _answer(await run_in_threadpool(ask, text), 200)
+
+    return answer
+
+
+def _ordered(
+    wanted: Callable[[dict[str, Any]], T], ask: Callable[[T], str], what: str = "an order"
+) -> Answer:
+    """wanted: makes the order of what was sent, or raises ValueError. ask: gives why it is refused, or ""."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            order = wanted(await _json(request, what))
+        except ValueError as error:
+            return JSONResponse({"done": False, "text": str(error)}, 400)
+        refused = await run_in_threadpool(ask, order)
+        return JSONResponse({"done": not refused, "text": refused})
+
+    return answer
+
+
+def _kind(sent: dict[str, Any]) -> str:
+    return str(sent.get("kind", ""))
 
 
 def _file(path: str, data: bytes, kind: str) -> Route:
@@ -237,9 +249,7 @@ def _answer(mark: MarkAnswer, status: int) -> Response:
     return JSONResponse({"noted": mark.noted, "text": mark.text}, status)
 
 
-def _told(
-    daemon_data: DaemonData, ask: Callable[[DaemonData], Any]
-) -> Callable[[Request], Awaitable[Response]]:
+def _told(daemon_data: DaemonData, ask: Callable[[DaemonData], Any]) -> Answer:
     async def answer(request: Request) -> Response:
         try:
             return JSONResponse(await run_in_threadpool(ask, daemon_data))
