@@ -71,6 +71,7 @@ class BackgroundEstimates:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(ENDING_S)
             self._process = None
+            self.so_far.busy, self.so_far.text = False, self._told
         for file in self._files or ():
             file.close()
         self._files = None
@@ -94,7 +95,6 @@ class BackgroundEstimates:
         assert self._files is not None
         answer, said = (_text(file) for file in self._files)
         self.close()
-        self.so_far.busy = False
         took = time.monotonic() - self._began_s
         try:
             found: dict[str, Any] = json.loads(answer)

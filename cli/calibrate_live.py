@@ -16,7 +16,7 @@ from tilth.cli.calibrate_computing import BackgroundEstimates
 from tilth.cli.calibrate_screen import KEYS, line, panel
 from tilth.cli.daemon_order import client_config, daemon_of, of_key
 from tilth.cli.live_screen import Screen
-from tilth.client.calibration.shown import DRIVING, FINISHING, STOPPED, shown
+from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, shown
 from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused, parse
@@ -54,17 +54,26 @@ def run_live(args: argparse.Namespace) -> int:
             stack.callback(wires.close)
             machine, logs = _logs(args, machine, wires)
             stack.callback(logs.close)
-            finished = _watch(LiveCalibration(wires, logs, machine, _estimates(args, stack)))
-        if finished:
-            from tilth.cli.calibrate_logs import run_logs  # the desk: only now
-
-            status = run_logs(argparse.Namespace(**{**vars(args), "logs": logs.paths}))
-        else:
-            _say(STOPPED_TEXT)
+            live = LiveCalibration(wires, logs, machine, _estimates(args, stack))
+            stack.callback(live.end)
+            if _watch(live):
+                status = _last_estimate(args, live, logs.paths)
+            else:
+                _say(STOPPED_TEXT)
     except KeyboardInterrupt:
         _say(STOPPED_TEXT)
     if status:
         _say_how_to_go_on(args, [] if logs is None else logs.paths)
+    return status
+
+
+def _last_estimate(args: argparse.Namespace, live: "LiveCalibration", logs: list[Path]) -> int:
+    """The exit status. The wires are still open: the page is told how it ended."""
+    live.estimates.close()
+    from tilth.cli.calibrate_logs import run_logs  # the desk: only now
+
+    status = run_logs(argparse.Namespace(**{**vars(args), "logs": logs}))
+    live.phase = FINISHED
     return status
 
 
@@ -136,10 +145,19 @@ class LiveCalibration:
         behind = self._read(now_s + READING_S)
         if not behind:
             self.estimates.turn(self.fold, self._logs.paths)
+        return self._show(self._trouble(now_s, behind))
+
+    def end(self) -> None:
+        """The last word, whatever ended it: the page keeps it for a while."""
+        self.estimates.close()
+        if self.phase != FINISHED:
+            self.phase = STOPPED
+        self._show("")
+
+    def _show(self, trouble: str) -> pb.CalibrationState:
         state = shown(
-            self._machine.name, self.fold, self.estimates.so_far, self._logs.notes,
-            self._trouble(now_s, behind), self.phase,
-        )  # fmt: skip
+            self._machine.name, self.fold, self.estimates.so_far, self._logs.notes, trouble, self.phase
+        )
         self.wires.show(state)
         return state
 
@@ -203,8 +221,9 @@ def _watch(live: LiveCalibration) -> bool:
                 finished = FINISH in orders
                 break
             time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
-    live.phase = FINISHING if finished else STOPPED
-    live.turn()
+    if finished:
+        live.phase = FINISHING
+        live.turn()
     return finished
 
 

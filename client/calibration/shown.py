@@ -11,13 +11,15 @@ from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import half_alone, plus_minus
 
-DRIVING, FINISHING, STOPPED = "driving", "finishing", "stopped"
+DRIVING, FINISHING, FINISHED, STOPPED = "driving", "finishing", "finished", "stopped"
 ALL_DRIVEN: Final = "All stages are driven."
 ENOUGH: Final = f"{ALL_DRIVEN} Every number is known as well as is wanted: finish when you like."
 PHASE_TEXT: Final = {
     FINISHING: "Finished. The last estimate is made now, where this was started; there it asks before a file "
     "is changed.",
-    STOPPED: "Stopped. What was driven is kept: start it again to go on.",
+    FINISHED: "Finished. The last estimate is made: what it says stands where this was started.",
+    STOPPED: "Stopped before the last estimate was made. What was driven is kept: start `tilth calibrate "
+    "--live` again to go on, or compute with the logs; both commands stand where this was started.",
 }
 LONGEST: Final = 500  # characters of a sentence
 MOST: Final = 12  # sentences

@@ -13,7 +13,15 @@ from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
 from tilth.cli import main
 from tilth.cli.calibrate_computing import EVERY_S, LEAST_S, SOON_S, BackgroundEstimates
 from tilth.client.calibration import shown as screen
-from tilth.client.calibration.shown import ALL_DRIVEN, DRIVING, FINISHING, STOPPED, ComputedSoFar, shown
+from tilth.client.calibration.shown import (
+    ALL_DRIVEN,
+    DRIVING,
+    FINISHED,
+    FINISHING,
+    STOPPED,
+    ComputedSoFar,
+    shown,
+)
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
 from tilth.estimator.calibration.stage_words import STAGES
@@ -86,7 +94,7 @@ def test_numbers_are_shown_as_before_and_now() -> None:
     assert all(row.before.startswith("±") and row.before != row.now for row in state.numbers)
 
 
-@pytest.mark.parametrize("phase", [FINISHING, STOPPED])
+@pytest.mark.parametrize("phase", [FINISHING, FINISHED, STOPPED])
 def test_the_end_has_its_own_sentence(phase: str) -> None:
     state = _shown(_fold(STANDS), {}, phase)
     assert state.text == screen.PHASE_TEXT[phase] and ALL_DRIVEN not in state.text and not state.happening

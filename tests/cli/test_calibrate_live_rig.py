@@ -75,6 +75,7 @@ def test_who_may_order_has_it_computed_and_finished(key_folder: Path, tmp_path: 
             _ordered(page, reader, out)
             said, complained = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, complained
+        until(lambda: page.states[-1].phase == "finished")
         assert rig.file.read_text() == rig.text
     assert "yaw of the tractor's pair" in said and "written: " in complained
     assert parse_machine(out.read_text()) != rig.machine and "# calibrate 20" in out.read_text()
@@ -109,6 +110,8 @@ def test_it_outlives_the_daemon_and_tells_how_to_go_on_when_it_is_ended(tmp_path
                 _restarted(rig, page)
                 process.send_signal(signal.SIGINT)
                 _, complained = process.communicate(timeout=PATIENCE_S)
+            until(lambda: page.states[-1].phase == "stopped")
+            assert "start `tilth calibrate --live` again to go on" in page.states[-1].text
     assert process.returncode == 1 and out.read_text() == rig.text
     first, go_on, compute = complained.splitlines()[-3:]
     assert "nothing was changed, and what was driven is in the logs" in first
