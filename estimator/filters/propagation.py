@@ -287,15 +287,23 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
             out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
         out.rates_x[i, X_SPEED] = slopes[BY_INPUT + W_U] / plant.scale
         out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
-    for j in range(na):
+    unknown_slopes(plant, active, out.rates_unknowns)
+
+
+@inner_kernel
+def unknown_slopes(plant: Plant, active: Active, out: Array) -> None:
+    """Fill the rows of out (12, a), the rates' derivatives by the active unknowns, that are not zero, from
+    plant.motion."""
+    motion = plant.motion
+    for j in range(active.places.shape[0]):
         for k in range(P_CONSTANTS):
             part = plant.p_unknowns[j, k] / plant.scale
             if part != 0.0:
                 for i in range(3):
-                    out.rates_unknowns[i, j] += part * motion.right_by_parameter[1 + i, k]
-                    out.rates_unknowns[X_ALPHA + i, j] += part * motion.slip_by_parameter[i, k]
+                    out[i, j] += part * motion.right_by_parameter[1 + i, k]
+                    out[X_ALPHA + i, j] += part * motion.slip_by_parameter[i, k]
                 for i in range(2):
-                    out.rates_unknowns[X_ROLL + 2 + i, j] += part * motion.right_by_parameter[4 + i, k]
+                    out[X_ROLL + 2 + i, j] += part * motion.right_by_parameter[4 + i, k]
 
 
 @inner_kernel
@@ -338,6 +346,30 @@ def linearise(
     rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
     integrate_exponential(step)
     joint_jacobian(step)
+
+
+@inner_kernel
+def slopes_of_steering(
+    model: Array, drive: DriveInputs, plant: Plant, active: Active, count: int, step: Transition
+) -> None:
+    """Renew the columns of the first `count` active unknowns of F_unknowns, as they are where the rig would
+    be by steering alone: `model`, (27,), a state that no measurement has moved.
+
+    The ground's pushes are in the estimated state and in the innovations: slopes taken there are correlated
+    with what they are compared with, and the tyres come out too soft. Those of steering are not: an
+    instrumental variable (Soderstrom and Stoica 1983, chapter 3).
+    """
+    state_rates(model, drive, plant, step.rates)
+    rate_slopes_by_parameter(plant.x, plant.w, plant.p, plant.motion)
+    step.rates_unknowns[:] = 0.0
+    unknown_slopes(plant, active, step.rates_unknowns)
+    for j in range(count):
+        for i in range(X_PUSH):
+            total = 0.0
+            for k in range(X_PUSH):
+                total += step.held[i, k] * step.rates_unknowns[k, j]
+            step.F_unknowns[i, j] = total
+            step.F_driven[i, N_STATES + j] = step.F_driven_T[N_STATES + j, i] = total
 
 
 @inner_kernel

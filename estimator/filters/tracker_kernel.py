@@ -26,10 +26,13 @@ from tilth.estimator.filters.propagation import (
     empty_plant,
     linearise,
     propagate,
+    propagate_mean,
     set_geometry_slopes,
     set_plant,
     set_processes,
     set_wheel_noise,
+    slopes_of_steering,
+    state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, X_PUSH, X_UNEVEN, Places, Point
@@ -62,6 +65,7 @@ class JointEstimate(NamedTuple):
     P_xx: Array  # (27, 27)
     P_xtheta: Array  # (27, n), of x with the unknowns
     P_theta: Array  # (n, n)
+    model: Array  # (27,), x as it would be by steering alone
 
 
 class RowTally(NamedTuple):
@@ -153,6 +157,10 @@ def track_segment(
     h, H, work = np.zeros(n), np.zeros(n), empty_work(1, n)
     error, variance = np.zeros(1), np.zeros(1)
     row, m = 0, rows.shape[0]
+    model_next = np.zeros(N_STATES)
+    tyres = 0
+    while tyres < na and places[tyres] < 6:
+        tyres += 1
     for k in range(first, first + length):
         for i in range(6):
             point.theta[i] = math.exp(unknowns[i])
@@ -162,6 +170,10 @@ def track_segment(
             set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
+            slopes_of_steering(estimate.model, drive, plant, active, tyres, step)
+        state_rates(estimate.model, drive, plant, step.rates)
+        propagate_mean(estimate.model, drive.u, step, model_next)
+        estimate.model[:] = model_next
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
             obs = observation(ticks, rows[row], k, drive.u)

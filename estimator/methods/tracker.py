@@ -97,6 +97,7 @@ class TrackerState:
     prior_mean: Array
     prior_sd: Array
     x: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    model: Array = field(default_factory=lambda: np.zeros(N_STATES))  # x as it would be by steering alone
     P_xx: Array = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_STATES, len(NAMES))))
     residual_ratio: Array = field(default_factory=lambda: np.ones(SENSORS))
@@ -214,7 +215,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
-        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance),
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.model),
         setup, active, considered, ground, tally,
     )  # fmt: skip
     state.counts += tally.counts
@@ -236,6 +237,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
+    state.model = state.x.copy()
     state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
