@@ -159,7 +159,7 @@ def track_segment(
     row, m = 0, rows.shape[0]
     model_next = np.zeros(N_STATES)
     tyres = 0
-    while tyres < na and places[tyres] < 6:
+    while tyres < na and places[tyres] < 999:
         tyres += 1
     for k in range(first, first + length):
         for i in range(6):
