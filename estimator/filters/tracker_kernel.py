@@ -65,7 +65,7 @@ class JointEstimate(NamedTuple):
     P_xx: Array  # (27, 27)
     P_xtheta: Array  # (27, n), of x with the unknowns
     P_theta: Array  # (n, n)
-    model: Array  # (27,), x as it would be by steering alone
+    steered: Array  # (27,), x as it would be by steering alone
 
 
 class RowTally(NamedTuple):
@@ -145,7 +145,7 @@ def track_segment(
     learned.
     """
     ticks, first, length, rows = segment
-    x, unknowns, counts = estimate.x, estimate.unknowns, tally.counts
+    x, unknowns, steered, counts = estimate.x, estimate.unknowns, estimate.steered, tally.counts
     na = places.shape[0]
     P, n = pack_covariance(estimate, places), N_STATES + na
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na, 1)
@@ -157,10 +157,6 @@ def track_segment(
     h, H, work = np.zeros(n), np.zeros(n), empty_work(1, n)
     error, variance = np.zeros(1), np.zeros(1)
     row, m = 0, rows.shape[0]
-    model_next = np.zeros(N_STATES)
-    tyres = 0
-    while tyres < na and places[tyres] < 999:
-        tyres += 1
     for k in range(first, first + length):
         for i in range(6):
             point.theta[i] = math.exp(unknowns[i])
@@ -170,10 +166,10 @@ def track_segment(
             set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
-            slopes_of_steering(estimate.model, drive, plant, active, tyres, step)
-        state_rates(estimate.model, drive, plant, step.rates)
-        propagate_mean(estimate.model, drive.u, step, model_next)
-        estimate.model[:] = model_next
+            slopes_of_steering(steered, drive, plant, active, step)
+        state_rates(steered, drive, plant, step.rates)
+        propagate_mean(steered, drive.u, step, following)
+        steered[:] = following
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
             obs = observation(ticks, rows[row], k, drive.u)

@@ -31,7 +31,7 @@ from tilth.estimator.filters.tracker_kernel import (
     track_segment,
 )
 from tilth.estimator.filters.unknowns import AT, AT_ROLL_MODES, N_ROLL_MODES, NAMES, NOISE, SIX
-from tilth.estimator.record.record import PSI, Record, Segment, U
+from tilth.estimator.record.record import PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
@@ -59,13 +59,8 @@ STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
 TIGHT_SHARE: Final = 0.1
-"""In tight turns (fit_covariance.TIGHT) the joint filter follows the motion, but learns no tyres: one
-linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
-that was their beginnings and ends, and errors of the model are as in them."""
-TIGHT_SD: Final = 0.35
-"""Sd of each of the six logarithms from errors of the model in such driving: slow, with wheels that turn
-fast, and one linearisation at a time. In fields of the planar virtual tractor they came out a third too
-low."""
+"""Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of the
+model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
@@ -97,7 +92,8 @@ class TrackerState:
     prior_mean: Array
     prior_sd: Array
     x: Array = field(default_factory=lambda: np.zeros(N_STATES))
-    model: Array = field(default_factory=lambda: np.zeros(N_STATES))  # x as it would be by steering alone
+    steered: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    """x as it would be by steering alone, with the unknowns as they are estimated."""
     P_xx: Array = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_STATES, len(NAMES))))
     residual_ratio: Array = field(default_factory=lambda: np.ones(SENSORS))
@@ -114,8 +110,8 @@ class TrackerState:
     segments_since_checkpoint: int = 0
     counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
     distance: float = 0.0  # m, over which it has run
-    tight_s: float = 0.0  # duration of tight turns since the last change of soil
     window_s: float = 0.0  # duration of what was learned from since the last change of soil
+    tight_s: float = 0.0  # duration of tight turns in it
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
@@ -215,7 +211,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
-        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.model),
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
         setup, active, considered, ground, tally,
     )  # fmt: skip
     state.counts += tally.counts
@@ -232,12 +228,13 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         _detect_soil_change(state)
         state.informed_ns = record.end_ns
         state.window_s += count * DT
+        state.tight_s += count * DT if _is_tight(state, record) else 0.0
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
-    state.model = state.x.copy()
+    state.steered = state.x.copy()
     state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
@@ -246,25 +243,24 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Groun
 
 def _check_learnable(state: TrackerState, record: Record) -> bool:
     """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
-    wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
+    wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
     state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
-    articulation = record.ticks[:, PSI] - record.ticks[:, PSI + 1]
     if state.segments_since_start <= SETTLES:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
-    elif (
-        float(np.abs(wheel).max()) > fit_covariance.TIGHT
-        or float(np.abs(articulation).max()) > fit_covariance.TIGHT
-    ):
-        state.tight_s += len(record.ticks) * DT
-        _refuse(state, "in a tight turn")
     return not state.reason
 
 
+def _is_tight(state: TrackerState, record: Record) -> bool:
+    wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
+    articulation = record.ticks[:, PSI] - record.ticks[:, PSI + 1]
+    return float(max(np.abs(wheel).max(), np.abs(articulation).max())) > fit_covariance.TIGHT
+
+
 def _is_sound(state: TrackerState) -> bool:
-    values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
+    values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta, state.steered)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
     plausible = np.abs(state.mean[SIX] - state.prior_mean[SIX]) < LARGEST_DEVIATION * state.prior_sd[SIX]
@@ -350,8 +346,7 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    sds = fit_covariance.model_sd(tight, math.sqrt(state.push[3]))
-    errors = np.diag(np.maximum(sds, TIGHT_SD if tight else 0.0) ** 2)
+    errors = np.diag(fit_covariance.model_sd(tight, math.sqrt(state.push[3])) ** 2)
     return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
 
 
