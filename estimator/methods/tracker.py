@@ -18,7 +18,7 @@ from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES, X_ROLL, X_SLOPE
+from tilth.estimator.filters.states import DT, N_STATES, START, X_PSI, X_PUSH, X_ROLL, X_SLOPE
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -62,6 +62,8 @@ TIGHT_SHARE: Final = 0.1
 """Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of the
 model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
+FAR_OFF: Final = 3.0 * np.array(START[:X_ROLL])
+"""How far v, yaw rates, slip angles and articulation by steering alone may be from the estimated ones."""
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
@@ -199,6 +201,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
+    _keep_near(state)
     _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
     first, count = len(state.ticks_before), len(record.ticks)
     ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
@@ -241,6 +244,15 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Groun
     state.restarts += 1
 
 
+def _keep_near(state: TrackerState) -> None:
+    """Begin `steered` anew where it has run away from x: with some tyres, a rig turns round by itself."""
+    off = state.steered - state.x
+    articulation = off[X_PSI] - off[X_PSI + 1]
+    if np.any(np.abs(off[:X_ROLL]) > FAR_OFF) or abs(articulation) > FAR_OFF[1]:
+        state.steered[:] = 0.0
+        state.steered[:X_PUSH] = state.x[:X_PUSH]
+
+
 def _check_learnable(state: TrackerState, record: Record) -> bool:
     """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
     wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
@@ -260,7 +272,7 @@ def _is_tight(state: TrackerState, record: Record) -> bool:
 
 
 def _is_sound(state: TrackerState) -> bool:
-    values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta, state.steered)
+    values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
     plausible = np.abs(state.mean[SIX] - state.prior_mean[SIX]) < LARGEST_DEVIATION * state.prior_sd[SIX]
