@@ -137,7 +137,7 @@ def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
 @kernel
 def track_segment(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
-    ground: GroundNoise, tally: RowTally,
+    ground: GroundNoise, tally: RowTally, by_steering: bool,
 ) -> None:  # fmt: skip
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
@@ -166,7 +166,8 @@ def track_segment(
             set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
-            slopes_of_steering(steered, drive, plant, active, step)
+            if by_steering:
+                slopes_of_steering(steered, drive, plant, active, step)
         state_rates(steered, drive, plant, step.rates)
         propagate_mean(steered, drive.u, step, following)
         steered[:] = following

@@ -62,6 +62,8 @@ TIGHT_SHARE: Final = 0.1
 """Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of the
 model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
+FIRST_LOOK_S: Final = 5.0
+FIRST_LOOK_SD: Final = 0.3
 FAR_OFF: Final = 3.0 * np.array(START[:X_ROLL])
 """How far v, yaw rates, slip angles and articulation by steering alone may be from the estimated ones."""
 SETTLES: Final = 5
@@ -215,7 +217,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
-        setup, active, considered, ground, tally,
+        setup, active, considered, ground, tally, state.window_s >= FIRST_LOOK_S,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -230,7 +232,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if learnable:
         _detect_soil_change(state)
         state.informed_ns = record.end_ns
-        state.window_s += count * DT
+        _count(state, count * DT)
         state.tight_s += count * DT if _is_tight(state, record) else 0.0
 
 
@@ -263,6 +265,17 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
     return not state.reason
+
+
+def _count(state: TrackerState, seconds: float) -> None:
+    """Count what was learned from; when the first look is over, it is where to begin, and tells no more."""
+    before, state.window_s = state.window_s, state.window_s + seconds
+    if before < FIRST_LOOK_S <= state.window_s:
+        sds = np.clip(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD, None)
+        state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
+        state.covariance[SIX, SIX] = np.diag(sds**2)
+        state.P_xtheta[:, SIX] = 0.0
+        state.checkpoints.clear()
 
 
 def _is_tight(state: TrackerState, record: Record) -> bool:
