@@ -142,7 +142,7 @@ def track_segment(
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (27 + a,), 1.0 for what may not be
-    learned.
+    learned. by_steering: whether slopes by the unknowns are those of `propagation.slopes_of_steering`.
     """
     ticks, first, length, rows = segment
     x, unknowns, steered, counts = estimate.x, estimate.unknowns, estimate.steered, tally.counts

@@ -59,22 +59,24 @@ STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
 TIGHT_SHARE: Final = 0.1
-"""Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of the
-model are as in them."""
+"""Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
+the model are as in them."""
+LARGEST_ARTICULATION: Final = math.radians(40.0)
+"""Beyond it the motion is followed, but no tyres are learned: in fields of the planar virtual tractor the
+intervals held 88 % with what turns to 60 degrees tell, 94 % without it."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
-FIRST_LOOK_S: Final = 5.0
+FIRST_LOOK_S: Final = 10.0
 FIRST_LOOK_SD: Final = 0.3
+"""Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
+lost. So what is learned from first, for so long, takes slopes where the rig is estimated to be, and after it
+the six have at least this sd and are correlated with nothing."""
 FAR_OFF: Final = 3.0 * np.array(START[:X_ROLL])
 """How far v, yaw rates, slip angles and articulation by steering alone may be from the estimated ones."""
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; the slower the rig, the longer
-PUSH_SPEED: Final = 3.0  # m/s: below it, the pushes last longer still, with the square of the speed
-"""From what pem finds: 0.1 s at 4.5 m/s, 0.3 s and more in headland turns. With 0.45 m at any speed
-stiffnesses came out 40 % low in fields of the planar plant, so 35 %; longer at 3 m/s, one rig in twelve was
-lost."""
+PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; pem finds 0.1 s at 4.5 m/s
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
 FIRST_PUSHES: Final = 15.0
@@ -198,8 +200,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
     speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
-    memory_s = PUSH_LENGTH / speed * max(1.0, PUSH_SPEED / speed) ** 2
-    ground = GroundNoise(sds[:3], memory_s, float(sds[3]))
+    ground = GroundNoise(sds[:3], PUSH_LENGTH / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
@@ -232,8 +233,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if learnable:
         _detect_soil_change(state)
         state.informed_ns = record.end_ns
-        _count(state, count * DT)
-        state.tight_s += count * DT if _is_tight(state, record) else 0.0
+        _count(state, record)
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
@@ -264,24 +264,36 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
+    elif _articulation(record) > LARGEST_ARTICULATION:
+        _refuse(state, "sharply articulated")
     return not state.reason
 
 
-def _count(state: TrackerState, seconds: float) -> None:
-    """Count what was learned from; when the first look is over, it is where to begin, and tells no more."""
+def _count(state: TrackerState, record: Record) -> None:
+    """Count what was learned from. When the first look is over, it is where to begin, and tells no more."""
+    seconds = len(record.ticks) * DT
     before, state.window_s = state.window_s, state.window_s + seconds
+    state.tight_s += seconds if _is_tight(state, record) else 0.0
     if before < FIRST_LOOK_S <= state.window_s:
-        sds = np.clip(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD, None)
-        state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
-        state.covariance[SIX, SIX] = np.diag(sds**2)
-        state.P_xtheta[:, SIX] = 0.0
-        state.checkpoints.clear()
+        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD)
+        _decorrelate_six(state, sds)
+
+
+def _decorrelate_six(state: TrackerState, sds: Array) -> None:
+    """Give the six these sds, (6,), and no correlation with anything."""
+    state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
+    state.covariance[SIX, SIX] = np.diag(sds**2)
+    state.P_xtheta[:, SIX] = 0.0
+    state.checkpoints.clear()
+
+
+def _articulation(record: Record) -> float:
+    return float(np.abs(record.ticks[:, PSI] - record.ticks[:, PSI + 1]).max())
 
 
 def _is_tight(state: TrackerState, record: Record) -> bool:
-    wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
-    articulation = record.ticks[:, PSI] - record.ticks[:, PSI + 1]
-    return float(max(np.abs(wheel).max(), np.abs(articulation).max())) > fit_covariance.TIGHT
+    wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
+    return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
 
 
 def _is_sound(state: TrackerState) -> bool:
@@ -343,11 +355,8 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
     factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -LARGEST_REPORTED_LOG, LARGEST_REPORTED_LOG))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
-    state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
-    state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
-    state.P_xtheta[:, SIX] = 0.0
+    _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
-    state.checkpoints.clear()
     state.changes += 1
     state.changed_ns = state.last_pose_ns
     state.window_s = state.tight_s = 0.0
