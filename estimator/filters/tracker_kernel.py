@@ -26,10 +26,13 @@ from tilth.estimator.filters.propagation import (
     empty_plant,
     linearise,
     propagate,
+    propagate_mean,
     set_geometry_slopes,
     set_plant,
     set_processes,
     set_wheel_noise,
+    slopes_of_steering,
+    state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PSI, X_PUSH, X_UNEVEN, Places, Point
@@ -62,6 +65,7 @@ class JointEstimate(NamedTuple):
     P_xx: Array  # (27, 27)
     P_xtheta: Array  # (27, n), of x with the unknowns
     P_theta: Array  # (n, n)
+    steered: Array  # (27,), x as it would be by steering alone
 
 
 class RowTally(NamedTuple):
@@ -133,15 +137,15 @@ def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
 @kernel
 def track_segment(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
-    ground: GroundNoise, tally: RowTally,
+    ground: GroundNoise, tally: RowTally, by_steering: bool,
 ) -> None:  # fmt: skip
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (27 + a,), 1.0 for what may not be
-    learned.
+    learned. by_steering: whether slopes by the unknowns are those of `propagation.slopes_of_steering`.
     """
     ticks, first, length, rows = segment
-    x, unknowns, counts = estimate.x, estimate.unknowns, tally.counts
+    x, unknowns, steered, counts = estimate.x, estimate.unknowns, estimate.steered, tally.counts
     na = places.shape[0]
     P, n = pack_covariance(estimate, places), N_STATES + na
     active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na, 1)
@@ -162,6 +166,11 @@ def track_segment(
             set_plant(plant, point, setup, active)
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
+            if by_steering:
+                slopes_of_steering(steered, drive, plant, active, step)
+        state_rates(steered, drive, plant, step.rates)
+        propagate_mean(steered, drive.u, step, following)
+        steered[:] = following
         propagate(x, drive, plant, active, step, following)
         while row < m and rows[row, TICK] <= k - first:
             obs = observation(ticks, rows[row], k, drive.u)

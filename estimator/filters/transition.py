@@ -109,7 +109,7 @@ def integrate_exponential(step: Transition) -> None:
 def joint_jacobian(step: Transition) -> None:
     """Fill the Jacobians from the rates' ones, except for the position's rows and the columns of wheel zero,
     gain and latency."""
-    held, F, F_unknowns = step.held, step.F, step.F_unknowns
+    held, F = step.held, step.F
     multiply(held, step.rates_x, step.change)
     for i in range(X_PUSH):
         step.wheel[i] = 0.0
@@ -119,8 +119,7 @@ def joint_jacobian(step: Transition) -> None:
         for j in range(X_POSITION):
             F[i, j] = step.change[i, j]
         F[i, i] += 1.0
-    if F_unknowns.shape[1] > 0:
-        multiply(held, step.rates_unknowns, F_unknowns[:X_PUSH])
+    unknowns_jacobian(step)
     for i in range(X_PUSH, N_STATES):
         F[i, i] = step.decay[0, i]
     for k in range(4):
@@ -128,6 +127,14 @@ def joint_jacobian(step: Transition) -> None:
         for j in range(2):
             F[i, (X_SLOPE, X_SLOPE_RATE)[j] + k % 2] = step.slope[k // 2, j]
     set_driven(step, 0, X_PUSH)
+
+
+@inner_kernel
+def unknowns_jacobian(step: Transition) -> None:
+    """Fill F_unknowns from the rates' slopes, except for the position's rows and the columns of wheel zero,
+    gain and latency."""
+    if step.F_unknowns.shape[1] > 0:
+        multiply(step.held, step.rates_unknowns, step.F_unknowns[:X_PUSH])
 
 
 @inner_kernel

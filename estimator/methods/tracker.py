@@ -18,7 +18,7 @@ from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES, X_ROLL, X_SLOPE
+from tilth.estimator.filters.states import DT, N_STATES, START, X_PSI, X_PUSH, X_ROLL, X_SLOPE
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -31,7 +31,7 @@ from tilth.estimator.filters.tracker_kernel import (
     track_segment,
 )
 from tilth.estimator.filters.unknowns import AT, AT_ROLL_MODES, N_ROLL_MODES, NAMES, NOISE, SIX
-from tilth.estimator.record.record import PSI, Record, Segment, U
+from tilth.estimator.record.record import PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
@@ -59,23 +59,24 @@ STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
 TIGHT_SHARE: Final = 0.1
-"""In tight turns (fit_covariance.TIGHT) the joint filter follows the motion, but learns no tyres: one
-linearisation at a time errs there. Where they last longer than this share of what was learned from, most of
-that was their beginnings and ends, and errors of the model are as in them."""
-TIGHT_SD: Final = 0.35
-"""Sd of each of the six logarithms from errors of the model in such driving: slow, with wheels that turn
-fast, and one linearisation at a time. In fields of the planar virtual tractor they came out a third too
-low."""
+"""Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
+the model are as in them."""
+LARGEST_ARTICULATION: Final = math.radians(40.0)
+"""Beyond it the motion is followed, but no tyres are learned: in fields of the planar virtual tractor the
+intervals held 88 % with what turns to 60 degrees tell, 94 % without it."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
+FIRST_LOOK_S: Final = 10.0
+FIRST_LOOK_SD: Final = 0.3
+"""Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
+lost. So what is learned from first, for so long, takes slopes where the rig is estimated to be, and after it
+the six have at least this sd and are correlated with nothing."""
+FAR_OFF: Final = 3.0 * np.array(START[:X_ROLL])
+"""How far v, yaw rates, slip angles and articulation by steering alone may be from the estimated ones."""
 SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; the slower the rig, the longer
-PUSH_SPEED: Final = 3.0  # m/s: below it, the pushes last longer still, with the square of the speed
-"""From what pem finds: 0.1 s at 4.5 m/s, 0.3 s and more in headland turns. With 0.45 m at any speed
-stiffnesses came out 40 % low in fields of the planar plant, so 35 %; longer at 3 m/s, one rig in twelve was
-lost."""
+PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; pem finds 0.1 s at 4.5 m/s
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
 PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
 FIRST_PUSHES: Final = 15.0
@@ -97,6 +98,8 @@ class TrackerState:
     prior_mean: Array
     prior_sd: Array
     x: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    steered: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    """x as it would be by steering alone, with the unknowns as they are estimated."""
     P_xx: Array = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
     P_xtheta: Array = field(default_factory=lambda: np.zeros((N_STATES, len(NAMES))))
     residual_ratio: Array = field(default_factory=lambda: np.ones(SENSORS))
@@ -113,8 +116,8 @@ class TrackerState:
     segments_since_checkpoint: int = 0
     counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
     distance: float = 0.0  # m, over which it has run
-    tight_s: float = 0.0  # duration of tight turns since the last change of soil
     window_s: float = 0.0  # duration of what was learned from since the last change of soil
+    tight_s: float = 0.0  # duration of tight turns in it
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
@@ -197,11 +200,11 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     setup = rig_setup(machine)
     sds = np.sqrt(state.push)
     speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
-    memory_s = PUSH_LENGTH / speed * max(1.0, PUSH_SPEED / speed) ** 2
-    ground = GroundNoise(sds[:3], memory_s, float(sds[3]))
+    ground = GroundNoise(sds[:3], PUSH_LENGTH / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
+    _keep_near(state)
     _drift(state, float(np.sum(np.abs(record.ticks[:, 1]))) * DT)
     first, count = len(state.ticks_before), len(record.ticks)
     ticks = np.concatenate([state.ticks_before, record.ticks, record.ticks[:0] if after is None else after])
@@ -214,8 +217,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
-        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance),
-        setup, active, considered, ground, tally,
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
+        setup, active, considered, ground, tally, state.window_s >= FIRST_LOOK_S,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -230,35 +233,67 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if learnable:
         _detect_soil_change(state)
         state.informed_ns = record.end_ns
-        state.window_s += count * DT
+        _count(state, record)
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
+    state.steered = state.x.copy()
     state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
     state.restarts += 1
 
 
+def _keep_near(state: TrackerState) -> None:
+    """Begin `steered` anew where it has run away from x: with some tyres, a rig turns round by itself."""
+    off = state.steered - state.x
+    articulation = off[X_PSI] - off[X_PSI + 1]
+    if np.any(np.abs(off[:X_ROLL]) > FAR_OFF) or abs(articulation) > FAR_OFF[1]:
+        state.steered[:] = 0.0
+        state.steered[:X_PUSH] = state.x[:X_PUSH]
+
+
 def _check_learnable(state: TrackerState, record: Record) -> bool:
     """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
-    wheel = record.ticks[:, 0] - state.mean[AT["wheel_zero"]]
+    wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
     state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
-    articulation = record.ticks[:, PSI] - record.ticks[:, PSI + 1]
     if state.segments_since_start <= SETTLES:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
-    elif (
-        float(np.abs(wheel).max()) > fit_covariance.TIGHT
-        or float(np.abs(articulation).max()) > fit_covariance.TIGHT
-    ):
-        state.tight_s += len(record.ticks) * DT
-        _refuse(state, "in a tight turn")
+    elif _articulation(record) > LARGEST_ARTICULATION:
+        _refuse(state, "sharply articulated")
     return not state.reason
+
+
+def _count(state: TrackerState, record: Record) -> None:
+    """Count what was learned from. When the first look is over, it is where to begin, and tells no more."""
+    seconds = len(record.ticks) * DT
+    before, state.window_s = state.window_s, state.window_s + seconds
+    state.tight_s += seconds if _is_tight(state, record) else 0.0
+    if before < FIRST_LOOK_S <= state.window_s:
+        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD)
+        _decorrelate_six(state, sds)
+
+
+def _decorrelate_six(state: TrackerState, sds: Array) -> None:
+    """Give the six these sds, (6,), and no correlation with anything."""
+    state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
+    state.covariance[SIX, SIX] = np.diag(sds**2)
+    state.P_xtheta[:, SIX] = 0.0
+    state.checkpoints.clear()
+
+
+def _articulation(record: Record) -> float:
+    return float(np.abs(record.ticks[:, PSI] - record.ticks[:, PSI + 1]).max())
+
+
+def _is_tight(state: TrackerState, record: Record) -> bool:
+    wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
+    return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
 
 
 def _is_sound(state: TrackerState) -> bool:
@@ -320,11 +355,8 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
     factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -LARGEST_REPORTED_LOG, LARGEST_REPORTED_LOG))
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
-    state.covariance[SIX, :] = state.covariance[:, SIX] = 0.0
-    state.covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
-    state.P_xtheta[:, SIX] = 0.0
+    _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
-    state.checkpoints.clear()
     state.changes += 1
     state.changed_ns = state.last_pose_ns
     state.window_s = state.tight_s = 0.0
@@ -348,8 +380,7 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    sds = fit_covariance.model_sd(tight, math.sqrt(state.push[3]))
-    errors = np.diag(np.maximum(sds, TIGHT_SD if tight else 0.0) ** 2)
+    errors = np.diag(fit_covariance.model_sd(tight, math.sqrt(state.push[3])) ** 2)
     return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
 
 

@@ -168,9 +168,10 @@ def half_a_stretch(
     P_xtheta = np.zeros((N_STATES, len(point)))
     track_segment(
         SegmentArrays(ticks, first, size, np.zeros((0, 6))),
-        JointEstimate(x, point, P_xx, P_xtheta, covariance),
+        JointEstimate(x, point, P_xx, P_xtheta, covariance, x.copy()),
         setup._replace(sds=np.zeros(4)), ACTIVE, np.zeros(N_STATES + len(ACTIVE)),
         GroundNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2))),
+        False,
     )  # fmt: skip
     return x, P_xx, P_xtheta
 
