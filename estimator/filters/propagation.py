@@ -331,6 +331,17 @@ def set_geometry_slopes(point: Point, active: Active) -> None:
 
 
 @inner_kernel
+def find_middle(x: Array, ticks: Array, k: int, point: Point, plant: Plant, step: Transition) -> None:
+    """Fill step.middle, roughly x in the middle of EVERY ticks from tick k on."""
+    middle = step.middle
+    for i in range(N_STATES):
+        middle[i] = x[i]
+    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
+    for i in range(X_PUSH):
+        middle[i] += 0.5 * EVERY * DT * step.rates[i]
+
+
+@inner_kernel
 def linearise(
     x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:
@@ -339,20 +350,15 @@ def linearise(
 
     At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
     """
-    middle = step.middle
-    for i in range(N_STATES):
-        middle[i] = x[i]
-    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
-    for i in range(X_PUSH):
-        middle[i] += 0.5 * EVERY * DT * step.rates[i]
-    rate_jacobians(middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
+    find_middle(x, ticks, k, point, plant, step)
+    rate_jacobians(step.middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
     integrate_exponential(step)
     joint_jacobian(step)
 
 
 @inner_kernel
 def slopes_of_steering(
-    steered: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition
+    steered: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:
     """Renew F_unknowns after `linearise`, with the slopes where the rig would be by steering alone: at
     `steered`, (27,), a state that no measurement has moved.
@@ -361,7 +367,8 @@ def slopes_of_steering(
     correlated with what they are compared with, and tyres came out up to 40 % too soft in slow turns. These
     are an instrumental variable, as in refined instrumental variables for time series (P. C. Young 1976).
     """
-    state_rates(steered, drive, plant, step.rates)
+    find_middle(steered, ticks, k, point, plant, step)
+    state_rates(step.middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, step.rates)
     rate_slopes_by_parameter(plant.x, plant.w, plant.p, plant.motion)
     step.rates_unknowns[:] = 0.0
     unknown_slopes(plant, active, step.rates_unknowns)

@@ -167,7 +167,7 @@ def track_segment(
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
             if by_steering:
-                slopes_of_steering(steered, drive, plant, active, step)
+                slopes_of_steering(steered, ticks, k, point, plant, active, step)
         state_rates(steered, drive, plant, step.rates)
         propagate_mean(steered, drive.u, step, following)
         steered[:] = following

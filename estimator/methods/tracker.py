@@ -231,9 +231,13 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.running = False
         _refuse(state, "most samples are beyond belief")
     if learnable:
-        _detect_soil_change(state)
+        tight = _is_tight(state, record)
+        if tight:  # there errors of the model look like another soil
+            state.checkpoints.clear()
+        else:
+            _detect_soil_change(state)
         state.informed_ns = record.end_ns
-        _count(state, record)
+        _count(state, len(record.ticks) * DT, tight)
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
@@ -269,11 +273,10 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     return not state.reason
 
 
-def _count(state: TrackerState, record: Record) -> None:
+def _count(state: TrackerState, seconds: float, tight: bool) -> None:
     """Count what was learned from. When the first look is over, it is where to begin, and tells no more."""
-    seconds = len(record.ticks) * DT
     before, state.window_s = state.window_s, state.window_s + seconds
-    state.tight_s += seconds if _is_tight(state, record) else 0.0
+    state.tight_s += seconds if tight else 0.0
     if before < FIRST_LOOK_S <= state.window_s:
         sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD)
         _decorrelate_six(state, sds)

@@ -64,7 +64,7 @@ from tilth.estimator.record.record import (
 from tilth.estimator.results import reporting
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.simulator import scenario
-from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
+from tilth.simulator.scenario import DrivenManoeuvre, Fieldwork, HeadlandTurn, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
@@ -77,6 +77,11 @@ ROUGH = scenario.Ground(roll_sd_deg=0.7, force_sd=0.015)
 RANDOM = Scenario(
     seconds=30.0, steering=DrivenManoeuvre("random"), soil=FIELD, ground=ROUGH, other_traffic=False
 )
+HEADLANDS = Scenario(
+    seconds=400.0, speed=((400.0, 2.0),), soil=FIELD, ground=ROUGH, other_traffic=False,
+    steering=Fieldwork(length=60.0, turns=(HeadlandTurn(18.0, 8.9), HeadlandTurn(6.1, 4.8))),
+    steering_limit_deg=32.5,
+)  # fmt: skip
 SETUP = rig_setup(MACHINE)
 ACTIVE = np.flatnonzero(np.diag(tracker.initial(MACHINE).covariance) > 0.0)
 KINDS = (
@@ -160,18 +165,20 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
 def half_a_stretch(
     x: Array, point: Array, covariance: Array, P_xx: Array,
     readings: Array = READINGS, first: int = 20, size: int = 5, setup: RigSetup = SETUP,
+    steered: Array | None = None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """(x, its covariance, that with the unknowns) after `size` ticks of turning without a measurement."""
+    """(x, its covariance, that with the unknowns) after `size` ticks of turning without a measurement. Slopes
+    are by steering alone where it is said where that would lead."""
     ticks = np.zeros((len(readings), 8))
     ticks[:, 0], ticks[:, 1] = readings, 4.5
     x, point, P_xx = x.copy(), point.copy(), P_xx.copy()
     P_xtheta = np.zeros((N_STATES, len(point)))
     track_segment(
         SegmentArrays(ticks, first, size, np.zeros((0, 6))),
-        JointEstimate(x, point, P_xx, P_xtheta, covariance, x.copy()),
+        JointEstimate(x, point, P_xx, P_xtheta, covariance, (x if steered is None else steered).copy()),
         setup._replace(sds=np.zeros(4)), ACTIVE, np.zeros(N_STATES + len(ACTIVE)),
         GroundNoise(np.zeros(3), 0.25, 0.0), RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2))),
-        False,
+        steered is not None,
     )  # fmt: skip
     return x, P_xx, P_xtheta
 
@@ -217,6 +224,55 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
     whole = by_x @ by_x.T + by_point @ by_point.T
     sd = np.sqrt(np.diag(whole))
     np.testing.assert_allclose(P_xx / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
+
+
+def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
+    x, point = somewhere(2)
+    covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
+    steered = x.copy()
+    steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
+    steered[X_PUSH:X_PAIR] = 0.0
+    own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+    by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
+    there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+    scale = np.abs(there).max(axis=0)
+    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.15)
+    assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
+
+
+@pytest.mark.parametrize(("place", "by", "kept"), [
+    (X_V, 1.0, True), (X_V, 1.4, False), (X_R, -0.4, False), (X_ALPHA + 2, 0.4, False), (X_PSI, 3.0, False),
+    (X_ROLL, 1.0, True), (X_POSITION, 100.0, True),
+])  # fmt: skip
+def test_what_steering_alone_would_do_begins_anew_where_it_runs_away(
+    place: int, by: float, kept: bool
+) -> None:
+    state = tracker.initial(MACHINE)
+    state.x, _ = somewhere(1)
+    state.steered = state.x.copy()
+    state.steered[place] += by
+    before = state.steered.copy()
+    tracker._keep_near(state)
+    if kept:
+        np.testing.assert_array_equal(state.steered, before)
+        return
+    np.testing.assert_array_equal(state.steered[:X_PUSH], state.x[:X_PUSH])
+    assert not state.steered[X_PUSH:].any()
+
+
+def test_the_first_look_is_where_to_begin_and_tells_no_more() -> None:
+    _, given, _, _ = driven(RANDOM, 0)
+    state, widened = tracker.initial(MACHINE), 0
+    for pose, segment in given:
+        before, mean = state.window_s, state.mean[SIX].copy()
+        tracker.take(state, MACHINE, pose, segment)
+        if before < tracker.FIRST_LOOK_S <= state.window_s:
+            widened += 1
+            six, others = state.covariance[SIX, SIX], np.delete(state.covariance[SIX], range(6), axis=1)
+            assert np.all(np.sqrt(np.diag(six)) >= tracker.FIRST_LOOK_SD)
+            assert not others.any() and not (six - np.diag(np.diag(six))).any()
+            assert np.all(np.abs(state.mean[SIX] - mean) < 0.2)
+    assert widened == 1 and np.all(np.sqrt(np.diag(state.covariance)[SIX]) < tracker.FIRST_LOOK_SD)
 
 
 @pytest.mark.parametrize(("kind", "place"), KINDS)
@@ -288,11 +344,30 @@ def test_intervals_cover_on_frames_of_the_virtual_tractor() -> None:
         assert estimate.rank == 6
         assert events == []
         scores.append((np.log([p.value or 1.0 for p in estimate.parameters]) - truth) / sds(estimate))
-        assert np.all(sds(estimate) < 0.2)
+        assert np.all(sds(estimate) < 0.25)
     z = np.array(scores)
     assert np.mean(np.abs(z) < 1.96) > 0.8  # of 30; 97 % of many
     assert np.all(np.abs(z) < 3.5)
     assert np.sqrt(np.mean(z**2)) > 0.3
+
+
+@pytest.mark.coverage
+def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In slow turns what the ground does is as large as what steering does; with slopes where the rig is
+    estimated to be, tyres came out a third too soft there."""
+    errors, scores, own = [], [], []
+    for seed in range(4):
+        _, given, events, truth = driven(HEADLANDS, seed)
+        assert events == []
+        state = learned(given)
+        errors.append(state.mean[SIX] - truth)
+        scores.append(errors[-1] / np.sqrt(np.diag(tracker.reported_covariance(state))))
+        with monkeypatch.context() as patch:
+            patch.setattr(tracker, "FIRST_LOOK_S", math.inf)
+            own.append(learned(given).mean[SIX] - truth)
+    assert np.mean(np.abs(scores) < 1.96) > 0.9  # of 24
+    assert np.mean(errors, axis=0)[:3].mean() > -0.3
+    assert np.mean(own, axis=0)[:3].mean() < -0.4
 
 
 def test_the_fold_and_its_stretches_give_the_same() -> None:
