@@ -12,6 +12,7 @@ from loopback import rig, until
 from tilth.logger import live_estimation
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
+from tilth.logger.log.run_files import RunFiles
 from tilth.logger.run_summary import RunSummary
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, ReplaySummary, replay
@@ -177,6 +178,20 @@ def test_a_log_of_another_run_is_taken_from_its_first_frame_on(tmp_path: Path, t
     ready = other.end().log_files
     replayed, _, _ = other.again((*waiting, *ready))
     assert replayed.estimates["tracker"].t_ns > 0
+
+
+def test_a_disk_that_has_not_made_the_first_file_yet_ends_nothing(
+    tmp_path: Path, talker: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = Drive(tmp_path, talker)
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFiles, "paths", property(lambda files: []))
+        drive.send(SENT[:HALF])
+        shown = len(drive.shown.statuses)
+        until(lambda: len(drive.shown.statuses) > shown + 1, drive.daemon.turn)
+    assert drive.shown.statuses[-1].recording and drive.shown.statuses[-1].log_file == ""
+    until(lambda: bool(drive.shown.statuses[-1].log_file), drive.daemon.turn)
+    assert drive.end().log_files
 
 
 def test_ready_while_ignition_is_off_the_next_run_is_estimated_from_its_first_frame(
