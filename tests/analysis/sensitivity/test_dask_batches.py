@@ -124,7 +124,7 @@ def test_what_is_no_address(address: str, tmp_path: Path) -> None:
 def test_a_scheduler_without_workers(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 2.0)
+    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 6.0)
     with pytest.raises(DaskProblem, match="has no worker"):
         run(PLAN, tmp_path, on_dask(cluster.address))
 

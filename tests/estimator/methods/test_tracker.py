@@ -356,7 +356,7 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
     """In slow turns what the ground does is as large as what steering does; with slopes where the rig is
     estimated to be, tyres came out a third too soft there."""
     errors, scores, own = [], [], []
-    for seed in range(4):
+    for seed in range(3):
         _, given, events, truth = driven(HEADLANDS, seed)
         assert events == []
         state = learned(given)
@@ -365,7 +365,7 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
         with monkeypatch.context() as patch:
             patch.setattr(tracker, "FIRST_LOOK_S", math.inf)
             own.append(learned(given).mean[SIX] - truth)
-    assert np.mean(np.abs(scores) < 1.96) > 0.9  # of 24
+    assert np.mean(np.abs(scores) < 1.96) > 0.9  # of 18
     assert np.mean(errors, axis=0)[:3].mean() > -0.3
     assert np.mean(own, axis=0)[:3].mean() < -0.4
 
