@@ -38,7 +38,7 @@ def into_steady_state(state: SteadyState, learned: Learned) -> None:
 
 def of_tracker(state: TrackerState) -> Learned:
     """What this method has learned, from its state."""
-    counts = {"window_s": float(state.window_s), "distance": float(state.distance)}
+    counts = {"window_s": state.window_s, "tight_s": state.tight_s, "distance": state.distance}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
@@ -46,6 +46,7 @@ def into_tracker(state: TrackerState, learned: Learned) -> None:
     """Put what was learned into a fresh state."""
     state.mean, state.covariance = learned.mean, learned.covariance
     state.window_s = _counted(learned, "window_s")
+    state.tight_s = _counted(learned, "tight_s")  # what was learned in them stays as uncertain
     state.distance = _counted(learned, "distance")
 
 

@@ -11,7 +11,7 @@ from logs import MACHINE
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
-from tilth.estimator.filters import soil_change, unknowns
+from tilth.estimator.filters import fit_covariance, soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
 from tilth.estimator.filters.propagation import Active, GroundNoise, set_geometry_slopes
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
@@ -46,6 +46,7 @@ from tilth.estimator.filters.tracker_kernel import (
 )
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods import tracker
+from tilth.estimator.methods.learned import into_tracker, of_tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import GEOMETRY
@@ -478,6 +479,15 @@ def test_what_is_said_of_other_unknowns_has_room_for_errors_of_the_model() -> No
     for name, room in reporting.NUISANCE_MODEL_SD.items():
         least = min(room, state.prior_sd[AT[name]])
         assert 0.999 * least <= said[name][1] <= 1.1 * least, name
+
+
+def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:
+    before, after = tracker.initial(MACHINE), tracker.initial(MACHINE)
+    before.covariance[SIX, SIX] = 1e-4 * np.eye(6)
+    before.window_s, before.tight_s = 60.0, 20.0
+    into_tracker(after, of_tracker(before))
+    for state in (before, after):
+        assert np.all(np.sqrt(np.diag(tracker.reported_covariance(state))) >= fit_covariance.TIGHT_SD)
 
 
 def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
