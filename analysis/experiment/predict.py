@@ -99,9 +99,8 @@ def _on_average(known: Known, terms: Terms) -> Terms:
     if known.before is not None:
         whiteness = float(np.mean([one.whiteness for told in known.before.told for one in told]))
     return replace(
-        terms, gradient=np.zeros_like(terms.gradient), scores=terms.information,
-        steering_scores=terms.by_steering, whiteness=whiteness,
-    )  # fmt: skip
+        terms, gradient=np.zeros_like(terms.gradient), scores=terms.information, whiteness=whiteness
+    )
 
 
 def _rows(known: Known, count: int) -> Array:

@@ -119,17 +119,15 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
     shared = places(machine)
     sd, away = prior_sd[shared], (all_of.point - prior_mean)[shared]
     mean = -away  # of the change from the common point
-    weight, covariance = np.diag(sd**2), np.diag(sd**2)  # by the likelihood, by steering
+    covariance = np.diag(sd**2)
     for k, segment in enumerate(told):
         if k:
             share = retained_share(between[k - 1])
             mean[SIX] = share * (mean[SIX] + away[SIX]) - away[SIX]
-            for one in (weight, covariance):
-                drift(one, np.arange(6), share, sd)
-        before = _inverse(weight)
-        weight = _inverse(before + _information(segment))
-        covariance = _inverse(_inverse(covariance) + sum(one.by_steering for one in segment))
-        mean = weight @ (before @ mean - sum(one.gradient for one in segment))
+            drift(covariance, np.arange(6), share, sd)
+        before = _inverse(covariance)
+        covariance = _inverse(before + _information(segment))
+        mean = covariance @ (before @ mean - sum(one.gradient for one in segment))
     agreement = agree(machine, told, between)
     covariance = _published(covariance, told, sd, agreement)
     whole_mean, whole = prior_mean.copy(), np.zeros((len(NAMES), len(NAMES)))
@@ -144,16 +142,16 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
-def _information(segment: Told) -> Array:
-    return np.asarray(sum(one.information for one in segment))
+def _information(windows: Sequence[Terms]) -> Array:
+    return np.asarray(sum(one.information for one in windows))
 
 
 def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement) -> Array:
     """Widened as a fit's is (fit_covariance.published), and by the spread where segments do not agree."""
     every = [one for segment in told for one in segment]
     prior = np.diag(sd**-2.0)
-    still = _inverse(prior + sum(one.by_steering for one in every))  # without drift
-    wide = fit_covariance.widened(still, prior + sum(one.steering_scores for one in every))
+    still = _inverse(prior + _information(every))  # without drift
+    wide = fit_covariance.widened(still, prior + sum(one.scores for one in every))
     by = np.sqrt(np.diag(wide) / np.diag(still))
     out = covariance * np.outer(by, by)
     colour = 1.0 + fit_covariance.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)

@@ -1,12 +1,7 @@
 """What a window of driving says of the unknowns near a common point: the terms that add up over windows.
 
-Where the windows' maximum is, the likelihood says; how sure of it one is, only what the known wheel angles
-explain (likelihood.by_steering), as in pem. Noise levels stay as each window's own fit has them.
-
-A fit of pem goes on from the likelihood's maximum to where innovations are not correlated with what steering
-explains, and comes back if that is too far away. Over several windows it went too far unnoticed: of 12 times
-three runs of chapter7.json the joint C_af was up to 4.7 sds off and worse than any of its members, with up to
-1,800 nats less likelihood of a run; the maximum over the same windows was within 2.2 sds of all true values.
+As in pem, the ground's shaking may tell of other tyres than steering does (likelihood.apart_from_ground).
+Noise levels stay as each window's own fit has them.
 """
 
 from collections.abc import Sequence
@@ -39,8 +34,6 @@ class Terms:
     scores: Array  # (a, a), covariance of the gradient with its correlation over time
     whiteness: float
     model_sd: Array  # (6,)
-    by_steering: Array  # (a, a), information of what known steering explains
-    steering_scores: Array  # (a, a), as scores, of that
 
 
 def places(machine: Machine) -> NDArray[np.int64]:
@@ -62,12 +55,11 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     here[NOISE] = window.noise
     search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
     _leave_out_outliers(search, here)
-    at = likelihood.with_gains(search, likelihood.evaluate(search, here))
-    scores = likelihood.scores_at(search, at)
-    gradient, information = likelihood.gradient_and_information(search, at, scores)
-    known = likelihood.by_steering(search, at, here, likelihood.response_to_steering(search, here))
-    steering = likelihood.scores_at(search, known)
-    _, by_steering = likelihood.gradient_and_information(search, known, steering)
+    at = likelihood.evaluate(search, here)
+    driven = likelihood.response_to_steering(search, here)
+    known, information = likelihood.apart_from_ground(search, at, here, driven)
+    scores = likelihood.scores_at(search, known)
+    gradient, _ = likelihood.gradient_and_information(search, known, scores)
     away = (here - mean)[shared]
     return Terms(
         gradient - search.prior_information @ away,
@@ -75,8 +67,6 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
         fit_covariance.scores_covariance(search, scores),
         fit_covariance.whiteness(search.record.rows, search.scored, at.e, at.S),
         fit_covariance.model_sd_of(window.record, here),
-        by_steering - search.prior_information,
-        fit_covariance.scores_covariance(search, steering),
     )
 
 

@@ -1,5 +1,5 @@
-"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then by
-what the known steering explains.
+"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then with
+room for what the model of the ground has wrong.
 """
 
 import math
@@ -13,7 +13,7 @@ from tilth.estimator.filters.fit_covariance import published, whiteness
 from tilth.estimator.filters.likelihood import (
     Iterate,
     Search,
-    by_steering,
+    apart_from_ground,
     evaluate,
     gradient_and_information,
     inverse,
@@ -42,10 +42,11 @@ ROUGHLY_FLAT: Final = 0.2  # the same where equations by steering follow
 SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 ARRIVED_STEP: Final = 0.3
 """Of a posterior sd of the six: remaining step with which a search that has stopped counts as converged."""
-STEERING_STEPS: Final = 8  # at most, of `_settle_by_steering`; the later ones are halved: no cost falls
+STEPS_APART: Final = 8  # at most, of `_apart`; the later ones are halved: no cost falls
 FURTHEST: Final = 3.0
-"""Sds of any of the six by which steering may leave the likelihood's maximum. Its equations can have another
-solution far away: on a side slope at 4 and more sds, with C_ar half too high. Right ones were within 2.7."""
+"""Sds of any of the six by which `_apart` may leave the likelihood's maximum. Where the wheels turn little a
+relaxation length that has become short enough has no effect any more: sigma_i came out at a tenth in one of 16
+fields."""
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
@@ -99,12 +100,12 @@ def maximise_posterior(
         minimum = _minimise(search, minimum.at, exact=True)
     found, converged = minimum.at, minimum.left < ARRIVED_STEP
     _, information = gradient_and_information(search, found, scores_at(search, found))
+    counted = information
     if setup.scale == 1.0:
-        found, settled = _settle_by_steering(search, found)
+        found, counted, settled = _apart(search, found)
         converged |= settled
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     scores = scores_at(search, found)
-    _, counted = gradient_and_information(search, found, scores)
     record_information = np.zeros_like(covariance)
     record_information[np.ix_(search.active, search.active)] = information - search.prior_information
     return Posterior(
@@ -156,40 +157,33 @@ def _descend(
     return np.zeros(len(search.active)), TRIES, None
 
 
-def _settle_by_steering(search: Search, at: Iterate) -> tuple[Iterate, bool]:
-    """(where what the known wheel angles explain is uncorrelated with the innovations, whether that was
-    found). Noise levels stay.
-
-    The likelihood's own maximum is drawn to what the ground's forces seem to say, which is as wrong as the
-    model of those forces: at 3 m/s it put C_af 8 % low and C_ar 7 % high. These equations are right with any
-    spectrum of the ground (refined instrumental variables: Young, Recursive Estimation and Time-Series
-    Analysis, 2011).
-    """
+def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
+    """(the likelihood's maximum with `apart_from_ground`, the information there, whether it was found). Noise
+    levels stay."""
     places, of_motion = search.active[search.of_motion], search.of_motion
     of_six, limits = places < 6, _step_limits(search)[search.of_motion]
-    driven = response_to_steering(search, at.point)
-    found = start = by_steering(search, at, at.point, driven)
-    renewed, size, moved = found.point, math.inf, 0.0
-    for k in range(STEERING_STEPS):
-        gradient, information = gradient_and_information(search, found, scores_at(search, found))
+    driven, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
+    found, information = start = apart_from_ground(search, at, at.point, driven)
+    for k in range(STEPS_APART):
+        gradient, _ = gradient_and_information(search, found, scores_at(search, found))
         newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
-        share = 1.0 if k < STEERING_STEPS // 2 else 0.5
+        share = 1.0 if k < STEPS_APART // 2 else 0.5
         step = share * _limited(np.asarray(newton, np.float64), limits)
         point = found.point.copy()
         point[places] += step
         sds = _sds(information)[of_motion]
-        size, moved, since = (
+        size, since, moved = (
             float(np.max((np.abs(change) / sds)[of_six], initial=0.0))
-            for change in (step, (point - at.point)[places], (point - renewed)[places])
+            for change in (step, (point - renewed)[places], (point - at.point)[places])
         )
         if since > ARRIVED_STEP:
             driven, renewed = response_to_steering(search, point), point
-        found = by_steering(search, at, point, driven)
+        found, information = apart_from_ground(search, at, point, driven)
         if size < SETTLED_STEP or not math.isfinite(found.cost):
             break
     if math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST:
-        return found, True
-    return start, False  # nothing better than the likelihood's maximum is known
+        return found, information, True
+    return *start, False  # nothing better than the likelihood's maximum is known
 
 
 def _sds(information: Array) -> Array:

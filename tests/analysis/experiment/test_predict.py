@@ -42,7 +42,7 @@ def test_more_runs_tell_more_but_no_model_is_better_than_it_is() -> None:
 
 def test_to_either_side_tells_alike() -> None:
     assert sds(KNOWN, [told(1)]) == pytest.approx(sds(KNOWN, [told(2)]), rel=0.05)
-    both = [told(k)[0].by_steering for k in (1, 2)]
+    both = [told(k)[0].information for k in (1, 2)]
     assert np.diag(both[0])[SIX] == pytest.approx(np.diag(both[1])[SIX], rel=0.1)
 
 

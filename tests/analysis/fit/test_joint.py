@@ -25,7 +25,7 @@ def told(change: Floats, root: Floats, rng: np.random.Generator, model_sd: Float
     observed = root @ change + rng.normal(size=len(root))
     information = root.T @ root
     gradient = -root.T @ observed
-    return (Terms(gradient, information, information, 0.0, model_sd, information, information),)
+    return (Terms(gradient, information, information, 0.0, model_sd),)
 
 
 def around(segments: list[Told], between_m: float = 0.0) -> Linearised:
@@ -93,23 +93,11 @@ def test_soil_that_is_far_away_tells_less() -> None:
     assert machine == pytest.approx(np.diag(near.covariance)[LEARNED[6:]], rel=0.6)  # that does not drift
 
 
-def test_only_steering_makes_it_sure() -> None:
-    """What the ground's forces seem to tell moves the mean and narrows nothing."""
-    rng = np.random.default_rng(6)
-    (one,) = told(drawn(rng), root_of(rng, 60, 10.0), rng)
-    joint, less = (
-        join(MACHINE, around([(row,)])) for row in (one, replace(one, by_steering=0.25 * one.by_steering))
-    )
-    assert np.array_equal(joint.mean, less.mean)
-    narrow, wide = (np.diag(found.covariance)[:6] - np.diag(masses())[:6] for found in (joint, less))
-    assert np.all(wide > 2.0 * narrow)
-
-
 def test_scores_that_vary_more_than_white_noise_widen() -> None:
     rng = np.random.default_rng(5)
     (one,) = told(drawn(rng), root_of(rng, 60, 10.0), rng)
     spread = 4.0 * one.information
-    coloured = replace(one, scores=spread, steering_scores=spread, whiteness=0.2)
+    coloured = replace(one, scores=spread, whiteness=0.2)
     white, wide = (np.diag(join(MACHINE, around([(row,)])).covariance)[:6] for row in (one, coloured))
     assert np.all(wide - np.diag(masses())[:6] > 2.0 * (white - np.diag(masses())[:6]))
 
