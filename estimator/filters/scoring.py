@@ -1,5 +1,5 @@
-"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then with
-room for what the model of the ground has wrong.
+"""Estimate of the unknowns over one record: maximum a posteriori by Fisher scoring with damped steps, then
+with room for what the model of the ground has wrong.
 """
 
 import math
@@ -44,9 +44,8 @@ ARRIVED_STEP: Final = 0.3
 """Of a posterior sd of the six: remaining step with which a search that has stopped counts as converged."""
 STEPS_APART: Final = 8  # at most, of `_apart`; the later ones are halved: no cost falls
 FURTHEST: Final = 3.0
-"""Sds of any of the six by which `_apart` may leave the likelihood's maximum. Where the wheels turn little a
-relaxation length that has become short enough has no effect any more: sigma_i came out at a tenth in one of 16
-fields."""
+"""Sds of any of the six by which `_apart` may leave the likelihood's maximum. A relaxation length that has
+become short enough has no effect any more: sigma_i came out at a tenth in one of 16 fields."""
 OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
