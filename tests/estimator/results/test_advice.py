@@ -300,7 +300,7 @@ def test_no_sharp_manoeuvre_at_speed() -> None:
 def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     """It is driven anyway, slowly; what the model errs by in sharp turns is not promised."""
     covariance = np.diag(SD**2)
-    covariance[SIX, SIX] = np.diag(np.array([0.3, 0.05, 0.05, 0.3, 0.5, 0.05]) ** 2)
+    covariance[SIX, SIX] = np.diag(np.array([0.3, 0.05, 0.05, 0.5, 0.05, 0.05]) ** 2)
     table = {c: everything()[c] for c in (advice.TURN, Candidate("step", 3.0))}
     text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
     assert "10 s of a headland turn at 25° or more would bring" in text
