@@ -2,7 +2,7 @@
 
 Soil differs from place to place: the six drift over the distance between segments (filters/drift.py), as
 live; what is the machine's does not. A subset of the segments needs no new search: near the common point what
-each window says is linear (steering_terms.py).
+each window says is linear (window_terms.py).
 """
 
 import math
@@ -17,7 +17,7 @@ from scipy.special import chdtrc  # scipy.stats takes a second to import
 
 from tilth.analysis.fit.segment_fit import SegmentFit
 from tilth.analysis.fit.side_by_side import Map
-from tilth.analysis.fit.steering_terms import MOST_STEPS, SETTLED, Terms, newton, places, terms_at
+from tilth.analysis.fit.window_terms import MOST_STEPS, SETTLED, Terms, newton, places, terms_at
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.unknowns import NAMES, SIX

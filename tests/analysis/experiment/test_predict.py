@@ -13,7 +13,7 @@ from tilth.analysis.experiment.predict import Known, from_log, from_machine, sds
 from tilth.analysis.fit.fitting import Fitted
 from tilth.analysis.fit.joint import Linearised, Told, linearise
 from tilth.analysis.fit.segment_fit import FittedWindow, SegmentFit
-from tilth.analysis.fit.steering_terms import places
+from tilth.analysis.fit.window_terms import places
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.models.planned_run import DT, Scheduled

@@ -8,7 +8,7 @@ from logs import MACHINE
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.joint import Agreement, Linearised, Told, agree, join, linearise
-from tilth.analysis.fit.steering_terms import Terms, places
+from tilth.analysis.fit.window_terms import Terms, places
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.drift import DRIFT_LENGTH_M
 from tilth.estimator.filters.unknowns import SIX
