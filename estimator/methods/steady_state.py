@@ -9,7 +9,8 @@ machine file (`steady_outputs.CONSTANTS`); the data cannot separate most of them
 error of either body's measured roll, and the slow heading error of either antenna pair from multipath.
 Straight driving is a steady turn too: it shows the zero of the wheel angle and the misalignment of the pairs.
 
-What uneven ground does to the outputs is learned from straight driving, where it is all that is left.
+What uneven ground does to the outputs is learned from straight driving, where it is all that is left, and in
+turns from how far one second differs from the next, since errors of the stiffnesses are the same in both.
 
 The outputs are nearly linear in compliance 1/C, but the prior is normal in the logarithm. So the filter's
 states are compliances, with a prior that is practically flat. The information of the data on them, a
@@ -99,6 +100,7 @@ class SteadyState:
     ground: Array = field(default_factory=lambda: np.diag(np.square(GROUND_SD)))
     ground_samples: float = GROUND_MEMORY[0]
     steadiness: Steadiness = field(default_factory=Steadiness)
+    previous: SteadySample | None = None  # the sample before, of the same turn
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
@@ -141,6 +143,7 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
     length = machine.implement.d.value + machine.implement.e.value
     sample, state.reason = observe(state.steadiness, pose, seconds, length)
     if state.reason:
+        state.previous = None
         state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
     elif sample is not None and _update(state, machine, sample):
         state.informed_ns = pose.t_ns
@@ -154,7 +157,7 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
 
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
     """The log's clock stepped back: discard the present block, keep the posterior and its age."""
-    state.steadiness = Steadiness()
+    state.steadiness, state.previous = Steadiness(), None
     state.last_pose_ns = state.published_ns = 0
     state.informed_ns += by_ns if state.informed_ns else 0
 
@@ -181,15 +184,18 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
         return _refuse(state, "slip beyond the tyre model")
     try:
-        predicted, slope, by_inputs = _linearise(state, machine, sample, informative)
+        off, slope, noise = _innovation(state, machine, sample, informative)
+        if not informative and sample.v is not None:
+            _learn_ground(state, off, slope @ state.P @ slope.T + noise)
+        elif informative and sample.v is not None and state.previous is not None:
+            before, _, noise_before = _innovation(state, machine, state.previous, informative)
+            _learn_ground(state, (off - before) / math.sqrt(2.0), (noise + noise_before) / 2.0)
     except np.linalg.LinAlgError:
         return _refuse(state, "no steady turn exists at these stiffnesses")
-    measured, noise = _measured(sample, by_inputs)
-    if not informative and sample.v is not None:
-        _learn_ground(state, measured - predicted, slope @ state.P @ slope.T + noise)
+    state.previous = sample if informative and sample.v is not None else None
     noise = noise + state.ground
     rows = [0, 1] if sample.v is None else [0, 1, 2]
-    innovation, slope, noise = (measured - predicted)[rows], slope[rows], noise[np.ix_(rows, rows)]
+    innovation, slope, noise = off[rows], slope[rows], noise[np.ix_(rows, rows)]
     S = slope @ state.P @ slope.T + noise
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
@@ -208,8 +214,17 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     return informative
 
 
+def _innovation(
+    state: SteadyState, machine: Machine, sample: SteadySample, informative: bool
+) -> tuple[Array, Array, Array]:
+    """(measured less predicted [3], Jacobian over STATES [3, n], covariance of the white noise [3, 3])."""
+    predicted, slope, by_inputs = _linearise(state, machine, sample, informative)
+    measured, noise = _measured(sample, by_inputs)
+    return measured - predicted, slope, noise
+
+
 def _learn_ground(state: SteadyState, innovation: Array, expected: Array) -> None:
-    """Straight driving: what innovations (3,) are beyond their expected covariance (3, 3) is the ground's."""
+    """What innovations (3,) are beyond their expected covariance without ground, (3, 3), is the ground's."""
     if not np.all(np.isfinite(innovation)):
         return
     limit = LARGEST_GROUND * np.sqrt(np.diag(expected + state.ground))

@@ -20,7 +20,7 @@ from tilth.estimator.methods.two_step import TwoStepState
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import INPUTS, Record, Segment
-from tilth.estimator.record.steady_driving import Steadiness
+from tilth.estimator.record.steady_driving import Steadiness, SteadySample
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.state_json import Stored, to_json_data
 
@@ -41,6 +41,7 @@ def steady_state_json(state: SteadyState) -> Json:
         "ground": to_json_data(state.ground),
         "ground_samples": to_json_data(state.ground_samples),
         "steadiness": to_json_data(state.steadiness),
+        "previous": to_json_data(state.previous),
         "seen_ns": state.last_pose_ns,
         "informed_ns": state.informed_ns,
         "published_ns": state.published_ns,
@@ -69,6 +70,7 @@ def steady_state_of(raw: Any) -> SteadyState:
         ground=stored.array("ground", 3, 3),
         ground_samples=stored.value(float, "ground_samples"),
         steadiness=stored.value(Steadiness, "steadiness"),
+        previous=stored.optional(SteadySample, "previous"),
         last_pose_ns=stored.value(int, "seen_ns"),
         informed_ns=stored.value(int, "informed_ns"),
         published_ns=stored.value(int, "published_ns"),

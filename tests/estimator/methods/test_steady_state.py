@@ -514,6 +514,22 @@ def test_a_soil_that_changed_is_an_event_once() -> None:
     assert take_events(state) == []
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_uneven_ground_in_long_turns_is_no_other_soil(seed: int) -> None:
+    """Three long turns as an experiment has them, with next to no straight driving before. What the ground
+    does changes from second to second; what other soil does, stays."""
+    long = (0.14, 0.14, -0.1, -0.1, 0.07, 0.07)
+    shaken = np.random.default_rng(seed).normal(0.0, 0.012, 60 * len(long) // 5 + 1)
+    poses = [
+        _body(pose, yaw_rate=pose.tractor.yaw_rate + shaken[k // 5])
+        for k, pose in enumerate(drive(seed, turns=long))
+    ]
+    state, _ = learn(poses)
+    assert take_events(state) == [] and state.forgotten == 0
+    assert math.sqrt(state.ground[0, 0]) == pytest.approx(0.012, rel=0.35)
+    assert np.all(np.abs(log_errors(state, TRUTH)) < 3.0 * np.sqrt(np.diag(state.log_covariance)))
+
+
 def test_numbers_begin_and_end_with_hysteresis() -> None:
     state, _ = learn(drive())
     for share, expected in ((0.45, True), (0.55, True), (0.65, False), (0.55, False), (0.45, True)):
