@@ -47,6 +47,8 @@ the implement has been in the tractor's motion before, and the model takes one f
 three steps of 30 s the maximum of the likelihood alone has sigma_i 35 % long (16 runs of the planar plant),
 7 % where the implement meets other ground; at 3 m/s in space C_ar is 9, sigma_r 12 and sigma_i 15 % off."""
 
+RUN_AWAY: Final = 1e4  # m, m/s, rad, rad/s over a logarithm: no rig that is steered answers so
+
 NOTHING: Final = np.zeros(0, dtype=np.int64)  # no unknowns
 NO_READINGS: Final = np.zeros((0, 0))
 NO_POINTS: Final = np.zeros((0, len(NAMES)))
@@ -220,8 +222,10 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
 
 def response_to_steering(search: Search, point: Array) -> Array:
     """Derivatives of the open-loop response to the known wheel angles, without measurements, by those of the
-    six that are active: (m, s)."""
-    return _run(search, point, search.active[search.active < 6], closed=False).de
+    six that are active: (m, s). 0 where the open loop runs away, as it may in a sharp turn: such a record
+    tells of tyres by GROUND_SD alone."""
+    driven = _run(search, point, search.active[search.active < 6], closed=False).de
+    return driven if bool(np.all(np.abs(driven) < RUN_AWAY)) else np.zeros_like(driven)
 
 
 def apart_from_ground(search: Search, at: Iterate, point: Array, driven: Array) -> tuple[Iterate, Array]:

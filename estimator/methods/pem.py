@@ -185,7 +185,9 @@ def fit(machine: Machine, job: Job) -> Fit:
     # What the model has wrong in this window changes the six as well.
     before = covariance[SIX, SIX] + np.diag(fit_covariance.model_sd_of(job.record, found.mean) ** 2)
     change = found.mean[SIX] - mean[SIX]
-    contradiction, changed = _contradiction(change, before, found.covariance[SIX, SIX]), False
+    contradiction, changed = 0.0, False
+    if np.all(np.isfinite(found.covariance)):
+        contradiction = _contradiction(change, before, found.covariance[SIX, SIX])
     if contradiction > SUSPECT_CHI_SQUARE:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0

@@ -326,6 +326,18 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
         assert np.linalg.eigvalsh(more - less).min() > -1e-9 and np.all(np.diag(more) > np.diag(less))
 
 
+def test_where_the_open_loop_runs_away_little_is_told_but_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 3, "random", 15.0, 4.0))
+    mean, sd = unknowns.prior(MACHINE)
+    fits = []
+    for limit in (likelihood.RUN_AWAY, 1e-3):
+        monkeypatch.setattr(likelihood, "RUN_AWAY", limit)
+        fits.append(maximise_posterior(record, rig_setup(MACHINE), mean, np.diag(sd**2)))
+    steered, away = (np.sqrt(np.diag(found.covariance)) for found in fits)
+    assert np.all(np.isfinite(away)) and np.all(away[SIX] > 1.3 * steered[SIX])
+    assert np.all(away[SIX] < 1.05 * np.hypot(sd[SIX], fit_covariance.MODEL_SD))
+
+
 def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
     """Wide where the wheels were turned far, and for stiffnesses where the ground is rough."""
     record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
