@@ -117,7 +117,7 @@ def unfilled(text: str) -> list[tuple[int, str]]:
     for number, line in enumerate(text.splitlines(), 1):
         bare = line.strip()
         if bare.startswith("["):
-            section = bare.strip("[]")
+            section = bare.partition("]")[0].strip("[")  # what follows is a comment
         key, equals, rest = bare.partition("=")
         if equals and "FILL IN" in rest and not rest.split("#")[0].strip():
             found.append((number, f"{section}.{key.strip()}"))

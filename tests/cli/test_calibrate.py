@@ -88,9 +88,9 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert all(n["sd"] < n["prior_sd"] / (2 if n["name"] == "wheel_curve" else 4) for n in told["numbers"])
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
-    assert "<script" not in report.read_text(encoding="utf-8") and "Is it good" in report.read_text(
-        encoding="utf-8"
-    )
+    shown = report.read_text(encoding="utf-8")
+    assert "<script" not in shown and "Is it good" in shown
+    assert "100 ms" in shown and "e+0" not in shown
 
 
 def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,10 +104,13 @@ def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_a_draft_is_told_what_to_fill_in(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Also below a heading with a comment behind it, as `tilth discover` writes them."""
     draft = tmp_path / "draft.toml"
-    draft.write_text(MACHINE_TEXT.replace("mass = 9391.0", "mass =  # FILL IN: kg"), encoding="utf-8")
+    text = MACHINE_TEXT.replace("mass = 9391.0", "mass =  # FILL IN: kg")
+    text = text.replace("[tractor]", "[tractor]    # distances = from its CG")
+    draft.write_text(text, encoding="utf-8")
     assert main(["calibrate", str(drive), "--machine", str(draft)]) == 2
-    assert "tractor.mass (line 11)" in capsys.readouterr().err
+    assert "fill in tractor.mass (line 11)." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
