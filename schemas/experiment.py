@@ -68,7 +68,7 @@ class Rectangle(_PlanSection):
 class _RunBase(_PlanSection):
     speed: float = Field(ge=1.5, le=12, description="m/s")
     amplitude_deg: float = Field(gt=0, le=37, description="largest angle of the wheels")
-    seconds: float = Field(ge=6, le=60, description="of steering")
+    seconds: float = Field(ge=6, le=60, description="s, of steering")
     replicates: int = Field(default=3, ge=1, le=20)
     side: Literal["right", "left", "both"] = Field(
         default="both", description="to which it begins; both: replicates in turn"

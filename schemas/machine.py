@@ -31,6 +31,8 @@ def _quantity(default_sd: float = 0.0) -> BeforeValidator:
     def widen(raw: Any) -> Any:
         if isinstance(raw, (int, float)) and not isinstance(raw, bool):
             return {"value": raw, "sd": default_sd}
+        if not isinstance(raw, (dict, Quantity)):
+            raise ValueError("give a number without a unit, or { value = …, sd = … }")
         return raw
 
     return BeforeValidator(widen, json_schema_input_type=float | Quantity)

@@ -25,11 +25,19 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
         near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
         return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
     message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "model_type" and where and isinstance(where[-1], str):
+        message = f"is a section: give [{key}] with its keys below it"
+    if first["type"] in _NUMBERS:
+        meaning = _meaning_at(model, where, raw)
+        message += f" ({meaning})" if meaning else ""
     value = first.get("input")
     value_text = "" if isinstance(value, (dict, list, BaseModel)) else f" = {value!r}"
     return f"{key}{value_text}: {message}" if key else message
 
 
+_NUMBERS = (
+    "less_than", "less_than_equal", "greater_than", "greater_than_equal", "float_parsing", "int_parsing",
+)  # fmt: skip
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -59,8 +67,20 @@ def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
     return list(raw) if isinstance(raw, dict) else []
 
 
+def _meaning_at(model: Any, where: list[int | str], raw: Any) -> str:
+    """What the key at `where` means, with its unit; "" where nobody wrote it down."""
+    if not where or isinstance(where[-1], int):
+        return ""
+    field = _fields_at(model, where[:-1], raw).get(where[-1])
+    return (field.description or "") if field is not None else ""
+
+
 def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
     """Keys that the section at `path` may have."""
+    return list(_fields_at(model, path, raw))
+
+
+def _fields_at(model: Any, path: list[int | str], raw: Any) -> dict[str, Any]:
     models = [model]
     for part in path:
         raw = raw[part]
@@ -68,7 +88,7 @@ def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
         if not isinstance(part, int) and part in fields:
             models = _sections_of(fields[part].annotation)
         models = [one for one in models if _is_kind(one, raw)]
-    return list(getattr(models[0], "__pydantic_fields__", {})) if models else []
+    return dict(getattr(models[0], "__pydantic_fields__", {})) if models else {}
 
 
 def _sections_of(annotation: Any) -> list[Any]:

@@ -17,6 +17,8 @@ WRONG = [
     ("hold_s = 2.0", "hold = 2.0", ("run[1].hold", 'mean "hold_s"')),
     ("speed = 4.5", 'speed = "fast"', ("run[1].speed = 'fast'", "number")),
     ("speed = 4.5", "speed = 0.5", ("run[1].speed = 0.5", "1.5")),
+    ("speed = 4.5", "speed = 16", ("run[1].speed = 16", "12 (m/s)")),
+    ("speed = 4.5", 'speed = "16 km/h"', ("run[1].speed = '16 km/h'", "(m/s)")),
     ("amplitude_deg = 10", "amplitude_deg = 20", ("run[3].amplitude_deg = 20", "allows 12")),
     ("length = 400", "length = 40", ("field", "two headlands of 20 m", "40 m")),
     ("length = 400", "lenght = 400", ("field.lenght", 'mean "length"')),
@@ -55,6 +57,12 @@ def test_a_wrong_plan_says_where_and_what_is_allowed(right: str, wrong: str, wor
 def test_whatever_is_no_plan_is_refused(text: str) -> None:
     with pytest.raises(PlanError):
         parse_plan(text)
+
+
+def test_a_field_as_on_the_command_line_is_told_to_be_a_section() -> None:
+    before, after = TEXT[: TEXT.index("[limits]")], TEXT[TEXT.index("[[run]]") :]
+    with pytest.raises(PlanError, match=r"field = '400x80': is a section: give \[field\] with its keys"):
+        parse_plan(f'{before}field = "400x80"\n{after}')
 
 
 def test_each_kind_is_a_manoeuvre() -> None:
