@@ -205,7 +205,7 @@ def _row(one: Told) -> tuple[str, ...]:
     unit, per = number.unit, number.per_unit
 
     def shown(value: float) -> str:
-        return f"{value / per:.2g} {unit}"
+        return f"{float(f'{value / per:.2g}'):g} {unit}"  # two digits, and 100, not 1e+02
 
     change = "stays" if one.status == NOT_TOLD else plus_minus(one.moved / per, one.sd / per, unit)
     halves = ""
