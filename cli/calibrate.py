@@ -1,6 +1,7 @@
 """`tilth calibrate`: what a drive tells of a rig, into its machine file; from logs, or while driving."""
 
 import argparse
+import os
 from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
@@ -33,6 +34,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where the drive tells nothing, or nothing was written that was to be, or a live drive was ended."""
+    _check_outputs(args)
     if args.live:
         from tilth.cli.calibrate_live import run_live  # with Zenoh, without the desk
 
@@ -44,3 +46,28 @@ def run(args: argparse.Namespace) -> int:
     from tilth.cli.calibrate_logs import run_logs
 
     return run_logs(args)
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Before a drive, or a computation of minutes, is lost to a name. Raises WrongUse."""
+    if args.report is not None and args.report.suffix.lower() not in (".html", ".htm"):
+        raise WrongUse(f"--report {args.report}: give a name that ends in .html")
+    for path in filter(None, (args.out, args.report)):
+        if path.is_dir():
+            raise WrongUse(f"{path}: a folder; give the name of a file in it")
+        if not path.parent.is_dir():
+            raise WrongUse(f"{path.parent}: there is no such folder; make it, or give another")
+        if not os.access(path.parent, os.W_OK):
+            raise WrongUse(f"{path.parent}: you may not write there; give another folder, or ask for access")
+    if args.out is not None and args.out.exists() and not _is_text(args.out):
+        raise WrongUse(f"--out {args.out}: exists, and is no machine file; give another name")
+
+
+def _is_text(path: Path) -> bool:
+    """Looks at its beginning: a log may be large."""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            stream.read(1)
+    except UnicodeDecodeError:
+        return False
+    return True

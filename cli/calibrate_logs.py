@@ -43,8 +43,7 @@ def run_logs(args: argparse.Namespace) -> int:
     status = 0
     try:
         if args.report is not None:
-            args.report.write_text(page(report_of(found)), encoding="utf-8")
-            _say(f"report: {args.report}")
+            _write_report(args.report, page(report_of(found)))
         written = _write(args, found) if args.out is not None else None
         status = 0 if written is not False else 1
     except OSError as error:
@@ -86,6 +85,16 @@ def _refused(args: argparse.Namespace, error: CannotCalibrate) -> int:
     return 1
 
 
+def _write_report(out: Path, text: str) -> None:
+    """One of an earlier drive is kept. Raises OSError."""
+    if out.exists() and out.read_bytes() != text.encode():
+        kept = _backup(out)
+        out.replace(kept)
+        _say(f"the old report is kept as {kept}")
+    out.write_text(text, encoding="utf-8")
+    _say(f"report: {out}")
+
+
 def _write(args: argparse.Namespace, found: Calibrated) -> bool:
     """Whether the file stands as found. A file that exists is changed only with a yes and kept."""
     there = args.out.read_text(encoding="utf-8") if args.out.exists() else None
@@ -110,10 +119,11 @@ def _write(args: argparse.Namespace, found: Calibrated) -> bool:
 
 def _asked(out: Path, other: bool) -> bool:
     what = f"{out} exists" + (" and is not the machine file of this drive" if other else "")
+    order = "Put the machine file of this drive in its place, changed" if other else "Change it"
     if not sys.stdin.isatty():
         _say(f"{what}; nothing was written. Give --yes to change it, or another name")
         return False
-    sys.stderr.write(f"tilth calibrate: {what}. Change it as shown? The old one is kept. [y/N] ")
+    sys.stderr.write(f"tilth calibrate: {what}. {order} as shown? The old one is kept. [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() in ("y", "yes"):
         return True

@@ -65,6 +65,7 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     """Everything at once: a file that is wrong in all that people get wrong, and in its structure."""
     out, report = tmp_path / "m.toml", tmp_path / "report.html"
     out.write_text(WRONG, encoding="utf-8")
+    report.write_text("of last year", encoding="utf-8")
     arguments = [str(drive), "--machine", str(out), "--out", str(out), "--report", str(report)]
     assert main(["calibrate", *arguments, "--yes", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -88,6 +89,7 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert all(n["sd"] < n["prior_sd"] / (2 if n["name"] == "wheel_curve" else 4) for n in told["numbers"])
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
+    assert (tmp_path / "report.html.before-1").read_text(encoding="utf-8") == "of last year"
     shown = report.read_text(encoding="utf-8")
     assert "<script" not in shown and "Is it good" in shown
     assert "100 ms" in shown and "e+0" not in shown
@@ -124,6 +126,29 @@ def test_a_draft_is_told_what_to_fill_in(
 def test_wrong_use(arguments: list[str], match: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", *arguments]) == 2
     assert match in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("live", [[], ["--live"]])
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["--out", "none/m.toml"], "none: there is no such folder"),
+        (["--report", "none/r.html"], "none: there is no such folder"),
+        (["--report", "m.toml"], "--report m.toml: give a name that ends in .html"),
+        (["--out", "."], ".: a folder; give the name of a file in it"),
+        (["--out", "log.mcap"], "--out log.mcap: exists, and is no machine file"),
+    ],
+)
+def test_where_nothing_can_be_written_is_said_at_once(
+    arguments: list[str], match: str, live: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Before anything is read or driven: that log is not even there."""
+    monkeypatch.chdir(tmp_path)
+    Path("log.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert main(["calibrate", "gone.mcap", *live, *arguments]) == 2
+    assert match in capsys.readouterr().err
+    assert Path("log.mcap").read_bytes() == b"\x89MCAP0\r\n"
 
 
 RECORDED = [path for path in sorted(DATA.rglob("*")) if path.suffix in (".log", ".trc", ".txt")][:6]
