@@ -90,7 +90,7 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
             where = args.config or args.connect
             raise WrongUse(
                 f"no daemon can be reached at {where}; is `{command('run')}` running? "
-                "See --connect and --config"
+                f"See --connect and --config; an endpoint looks like {ENDPOINT}"
             ) from None
         if machine is not None:
             _check_name(args, session, machine)

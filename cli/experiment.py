@@ -17,7 +17,7 @@ from tilth.cli.experiment_screen import KEYS, line, panel
 from tilth.cli.live_screen import Screen
 from tilth.client.experiment.prompter import Course, course_of
 from tilth.client.experiment.runner import TURN_S, PlanRunner
-from tilth.client.experiment.wires import PrompterWires
+from tilth.client.experiment.wires import PrompterWires, prompts_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
 from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, parse_plan
@@ -123,13 +123,31 @@ def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
         session.close()
         if others:
             raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; the daemon here is of {others}')
-        raise WrongUse(_nobody(args))
+        raise WrongUse(_nobody_on(args, plan))
+    if other := prompts_already(session, meant.base(args.prefix)):
+        session.close()
+        raise WrongUse(
+            f"a driver is prompted through {other} already, and two would mark one log; end that one first"
+        )
     return PrompterWires(session, meant.base(args.prefix))
 
 
 def _nobody(args: argparse.Namespace) -> str:
     where = args.config or args.connect
-    return f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config"
+    return (
+        f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config; an "
+        f"endpoint looks like {ENDPOINT}"
+    )
+
+
+def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> str:
+    """Something answers there, but not for this machine."""
+    if args.config is not None:
+        return _nobody(args)
+    return (
+        f"no daemon is heard on {args.prefix}/{plan.machine} at {args.connect}; is `{command('run')}` "
+        "running? --prefix is that of [zenoh] in its machine file"
+    )
 
 
 def _course(path: Path, plan: ExperimentPlan, wires: PrompterWires) -> Course:

@@ -5,11 +5,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Final
 
 import zenoh
 
-from tilth.client.experiment.prompter import ORDERS, Marked, Order
+from tilth.client.experiment.prompter import FINISHED, ORDERS, Marked, Order
 from tilth.client.experiment.sight import Seen, seen_of
 from tilth.client.link import Link
 from tilth.client.orders import OrderQueue
@@ -19,6 +20,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 WAITING: Final = 64  # poses that may wait for the loop; older ones are dropped
 MARK_S: Final = 10.0  # a disk may stall for some seconds before it takes a mark
 ASK_S: Final = 5.0
+SHOWN_S: Final = 1.0  # a prompter shows ten states a second, also where nothing goes on
 ENCODING: Final = f"application/protobuf;{pb.ExperimentState.DESCRIPTOR.full_name}"
 SILENT: Final = "the daemon does not answer; is this key an operator's?"
 
@@ -119,6 +121,25 @@ class PrompterWires:
             self._run = status.run
         if status.log_file:
             self._logs[status.log_file] = None
+
+
+def prompts_already(session: zenoh.Session, base: str) -> str:
+    """The plan that another prompter takes a driver through just now; "" where none does. Takes SHOWN_S."""
+    plans: queue.Queue[str] = queue.Queue()
+
+    def take(sample: zenoh.Sample) -> None:
+        with suppress(Refused):
+            state = parse(pb.ExperimentState, sample.payload.to_bytes(), str(sample.encoding))
+            if state.phase != FINISHED:
+                plans.put(state.plan)
+
+    subscriber = session.declare_subscriber(f"{base}/experiment", take)
+    try:
+        return plans.get(timeout=SHOWN_S)
+    except queue.Empty:
+        return ""
+    finally:
+        subscriber.undeclare()
 
 
 def _answered(note: str, replies: Iterable[zenoh.Reply]) -> Marked:

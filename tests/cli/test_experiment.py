@@ -32,6 +32,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["FOREIGN"], "FOREIGN: not a TOML file"),
     (["WRONG"], 'run[1].spede: no such key; did you mean "speed"?'),
     (["EXAMPLE", "--connect", NOWHERE], f"no daemon can be reached at {NOWHERE}; is `"),
+    (["EXAMPLE", "--connect", "tractor"], "an endpoint looks like tcp/127.0.0.1:7447"),
     (["EXAMPLE", "--config", "none.json"], "none.json: no such file or directory"),
     (["EXAMPLE", "--out", "x.toml"], "--machine, --from and --out are for --propose"),
     (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
@@ -84,6 +85,12 @@ def test_a_plan_of_another_rig_is_not_begun(
     assert "the daemon here is of jd7930-parker500" in capsys.readouterr().err
 
 
+def test_another_prefix_is_told_as_that(stage: Stage, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["experiment", str(EXAMPLE), "--connect", stage.endpoint, "--prefix", "other"]) == 2
+    said = capsys.readouterr().err
+    assert "no daemon is heard on other/jd7930-parker500" in said and "--prefix is that of [zenoh]" in said
+
+
 def test_a_plan_that_is_too_hard_for_the_rig_is_not_begun(
     stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,7 +109,9 @@ def test_who_may_not_mark_does_not_begin(stage: Stage, capsys: pytest.CaptureFix
     stage.order(refusal="")
 
 
-def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_are_left(stage: Stage) -> None:
+def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_are_left(
+    stage: Stage, capsys: pytest.CaptureFixture[str]
+) -> None:
     start = "import sys; from tilth.cli import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", start, "experiment", str(EXAMPLE), "--connect", stage.endpoint],
@@ -114,6 +123,8 @@ def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_a
             f"{BASE}/experiment", lambda s: states.append(pb.ExperimentState.FromString(s.payload.to_bytes()))
         )
         until(lambda: bool(states))
+        assert main(["experiment", str(EXAMPLE), "--connect", stage.endpoint]) == 2, "two at once"
+        assert "prompted through three-kinds already" in capsys.readouterr().err
         for _ in range(9):
             done = states[-1].done
             order = pb.ExperimentOrder(kind="skip").SerializeToString()
