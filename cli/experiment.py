@@ -24,6 +24,11 @@ from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle
 from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+_OF_A_PROPOSAL: dict[str, object] = {
+    "speed": 4.5, "seconds": 20.0, "replicates": 3, "runs": 3, "kind": [], "seed": 1,
+    "field": Rectangle(length=400, width=80, headland=0), "headland": None, "angle": None,
+}  # fmt: skip
+"""Options of --propose alone and what they are by default; headlands come with --headland."""
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -47,18 +52,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--from", dest="logs", nargs="+", type=Path, default=[], metavar="LOG", help="what was driven before"
     )
     new.add_argument("--out", type=Path, metavar="PLAN.toml", help="where to write it")
-    new.add_argument("--speed", type=duration, default=4.5, metavar="M/S", help="of all runs (4.5)")
-    new.add_argument("--seconds", type=duration, default=20.0, metavar="S", help="of each run, at most (20)")
-    new.add_argument("--replicates", type=int, default=3, metavar="N", help="of each run (3)")
-    new.add_argument("--runs", type=int, default=3, metavar="N", help="how many kinds (3)")
-    new.add_argument("--kind", action="append", default=[], choices=KINDS, help="only these; again for more")
-    new.add_argument("--seed", type=int, default=1, metavar="N", help="of the order (1)")
+    new.add_argument("--speed", type=duration, metavar="M/S", help="of all runs (4.5)")
+    new.add_argument("--seconds", type=duration, metavar="S", help="of each run, at most (20)")
+    new.add_argument("--replicates", type=int, metavar="N", help="of each run (3)")
+    new.add_argument("--runs", type=int, metavar="N", help="how many kinds (3)")
+    new.add_argument("--kind", action="append", choices=KINDS, help="only these; again for more")
+    new.add_argument("--seed", type=int, metavar="N", help="of the order (1)")
     new.add_argument(
-        "--field", type=_field, default=Rectangle(length=400, width=80), metavar="LxW",
+        "--field", type=_field, metavar="LxW",
         help="length and width of the field, m (400x80)",
     )  # fmt: skip
     new.add_argument("--headland", type=float, metavar="M", help="at both ends (20)")
     new.add_argument("--angle", type=duration, metavar="DEG", help="limit of the wheels (12)")
+    parser.set_defaults(**_OF_A_PROPOSAL)
 
 
 def _field(text: str) -> Rectangle:
@@ -66,11 +72,9 @@ def _field(text: str) -> Rectangle:
     if found is None:
         raise argparse.ArgumentTypeError(f"{text}: write LENGTHxWIDTH in m, such as 400x80")
     try:
-        return Rectangle(length=float(found[1]), width=float(found[2]))
+        return Rectangle(length=float(found[1]), width=float(found[2]), headland=0)
     except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text}: a field has at least 50 m by 10 m, and two headlands within its length"
-        ) from None
+        raise argparse.ArgumentTypeError(f"{text}: a field is 30 to 5000 m long, 10 to 5000 m wide") from None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,6 +89,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
     if args.machine or args.logs or args.out:
         raise WrongUse("--machine, --from and --out are for --propose")
+    if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
+        raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
     plan = _read(args.plan)
     with ExitStack() as stack:
         try:

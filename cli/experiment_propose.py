@@ -1,6 +1,7 @@
 """`tilth experiment --propose`: the plan whose runs tell most of what is not known yet."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +31,10 @@ def propose(args: argparse.Namespace) -> int:
             raise WrongUse(f"--{name} {value}: give a whole number from {low} to {high}")
     if args.out.exists():
         raise WrongUse(f"{args.out} exists and is not overwritten; give another --out")
+    if not args.out.parent.is_dir():  # before a search of a minute
+        raise WrongUse(f"{args.out.parent}: there is no such folder; make it, or give another")
+    if not os.access(args.out.parent, os.W_OK):
+        raise WrongUse(f"{args.out.parent}: you may not write there; give another folder, or ask for access")
     machine, text = read_machine(args.machine)
     try:
         wanted = _wanted(args)
@@ -53,15 +58,7 @@ def propose(args: argparse.Namespace) -> int:
 
 def _wanted(args: argparse.Namespace) -> WantedPlan:
     """Raises WrongUse, PlanError."""
-    field: Rectangle = args.field
-    try:
-        if args.headland is not None:
-            field = Rectangle(length=field.length, width=field.width, headland=args.headland)
-        limits = DrivingLimits() if args.angle is None else DrivingLimits(wheel_angle_deg=args.angle)
-    except ValueError:
-        raise WrongUse(
-            "--headland: two of them must leave some of the field; --angle: from 0 to 37 degrees"
-        ) from None
+    field, limits = _field(args.field, args.headland), _limits(args.angle)
     if not 1.5 <= args.speed <= 12:
         raise WrongUse(f"--speed {args.speed:g}: give 1.5 to 12 m/s; slip is too small to learn from below")
     if not 6 <= args.seconds <= 60:
@@ -71,6 +68,27 @@ def _wanted(args: argparse.Namespace) -> WantedPlan:
         name=_name(args.out), speed=args.speed, seconds=args.seconds, replicates=args.replicates,
         seed=args.seed, field=field, limits=limits, kinds=kinds, count=args.runs,
     )  # fmt: skip
+
+
+def _field(field: Rectangle, headland: float | None) -> Rectangle:
+    """Raises WrongUse."""
+    try:
+        if headland is None:
+            return Rectangle(length=field.length, width=field.width)
+        return Rectangle(length=field.length, width=field.width, headland=headland)
+    except ValueError:
+        raise WrongUse(
+            "--headland: give 0 to 200 m (without: 20); two of them must leave some of the field, "
+            f"which is {field.length:g} m long"
+        ) from None
+
+
+def _limits(angle_deg: float | None) -> DrivingLimits:
+    """Raises WrongUse."""
+    try:
+        return DrivingLimits() if angle_deg is None else DrivingLimits(wheel_angle_deg=angle_deg)
+    except ValueError:
+        raise WrongUse(f"--angle {angle_deg:g}: give at most 37 degrees, of the wheels") from None
 
 
 def _name(out: Path) -> str:
