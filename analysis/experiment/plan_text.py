@@ -3,9 +3,11 @@
 import json
 from typing import Any, Final
 
+from pydantic import BaseModel
+
 from tilth.analysis.experiment.propose import Compared, Proposal
 from tilth.estimator.models.manoeuvres import manoeuvre_named
-from tilth.schemas.experiment import AnyRun
+from tilth.schemas.experiment import AnyRun, ChirpRun, RandomRun, StepsRun
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import share
 
@@ -25,9 +27,9 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
     lines += [f"seed = {plan.seed}  # of the order and of random steering"]
     lines += [f"countdown_s = {plan.countdown_s:g}"]
     lines += [_predicted(plan.predicted, "after all runs"), ""]
-    lines += ["[limits]", *_keys(plan.limits.model_dump(exclude_none=True)), ""]
+    lines += ["[limits]", *_keys(plan.limits), ""]
     lines += ["[field]  # without a corner its near headland ends where the first run is armed"]
-    lines += [*_keys(plan.field.model_dump(exclude_none=True)), ""]
+    lines += [*_keys(plan.field), ""]
     for run in plan.run:
         lines += _run(run)
     return "\n".join(lines)
@@ -52,11 +54,20 @@ def _compared(proposal: Proposal, other: Compared | None) -> str:
 
 
 def _run(run: AnyRun) -> list[str]:
-    fields: dict[str, Any] = run.model_dump(exclude={"predicted"})
-    order = ["kind", "speed", "amplitude_deg", "seconds", "replicates", "side"]
-    order += [key for key in fields if key not in order]
-    lines = [f"[[run]]  # {manoeuvre_named(run.kind).meaning}", *_keys({key: fields[key] for key in order})]
+    lines = [f"[[run]]  # {_purpose(run)}", f"kind = {_value(run.kind)}", *_keys(run, ("kind", "predicted"))]
     return [*lines, _predicted(run.predicted, "of its replicates alone"), ""]
+
+
+def _purpose(run: AnyRun) -> str:
+    """What a kind is, with the numbers of this run where its words have any."""
+    match run:
+        case StepsRun():
+            return f"to one side and the other, {run.hold_s:g} s each"
+        case ChirpRun():
+            return f"swinging from {run.low_hz:g} to {run.high_hz:g} Hz"
+        case RandomRun():
+            return f"random levels, held for {run.shortest_s:g} to {run.longest_s:g} s"
+    return manoeuvre_named(run.kind).meaning
 
 
 def _predicted(found: Any, of: str) -> str:
@@ -66,8 +77,15 @@ def _predicted(found: Any, of: str) -> str:
     return f"predicted = {{ {inside} }}  # sd of the logarithms {of}"
 
 
-def _keys(fields: dict[str, Any]) -> list[str]:
-    return [f"{key} = {_value(value)}" for key, value in fields.items()]
+def _keys(section: BaseModel, without: tuple[str, ...] = ()) -> list[str]:
+    """What has a value, and beside it what it means, with its unit."""
+    lines = []
+    for key, field in type(section).model_fields.items():
+        value = getattr(section, key)
+        if value is not None and key not in without:
+            meaning = f"  # {field.description}" if field.description else ""
+            lines.append(f"{key} = {_value(value)}{meaning}")
+    return lines
 
 
 def _value(value: Any) -> str:
