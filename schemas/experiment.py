@@ -91,12 +91,21 @@ class StepsRun(_RunBase):
     hold_s: Hold = 3.0
 
 
-class ChirpRun(_RunBase):
+class _SweptRun(_RunBase):
+    low_hz: Hertz = 0.05
+    high_hz: Hertz = 0.5
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.high_hz < self.low_hz:
+            raise ValueError(f"high_hz = {self.high_hz:g} is below low_hz")
+        return self
+
+
+class ChirpRun(_SweptRun):
     """Swinging faster and faster."""
 
     kind: Literal["chirp"]
-    low_hz: Hertz = 0.05
-    high_hz: Hertz = 0.5
 
 
 class RandomRun(_RunBase):
@@ -113,18 +122,10 @@ class RandomRun(_RunBase):
         return self
 
 
-class MultisineRun(_RunBase):
+class MultisineRun(_SweptRun):
     """Many frequencies at once."""
 
     kind: Literal["multisine"]
-    low_hz: Hertz = 0.05
-    high_hz: Hertz = 0.5
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.high_hz < self.low_hz:
-            raise ValueError(f"high_hz = {self.high_hz:g} is below low_hz")
-        return self
 
 
 class TurnRun(_RunBase):

@@ -24,6 +24,7 @@ WRONG = [
     ("length = 400", "lenght = 400", ("field.lenght", 'mean "length"')),
     ("width = 80", "width = 80\ncorner = [42.0, -93.6]", ("field", "corner and heading_deg")),
     ("width = 80", "width = 80\ncorner = [142.0, -93.6]\nheading_deg = 0", ("corner", "90")),
+    ("low_hz = 0.1", "low_hz = 0.9", ("run[2]", "high_hz = 0.5", "below low_hz")),
     ("low_hz = 0.06", "low_hz = 0.9", ("high_hz = 0.6", "below low_hz")),
     ("replicates = 3", "replicates = 0", ("run[1].replicates = 0", "1")),
     ('side = "both"', 'side = "middle"', ("run[1].side", "right", "left")),
