@@ -140,11 +140,27 @@ def _backup(out: Path) -> Path:
 
 
 def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, float], None]:
-    if as_json or not sys.stderr.isatty():
+    if as_json:
         return lambda what, share: None
+    if not sys.stderr.isatty():
+        return _in_lines()
     bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
     task = bar.add_task("reading", total=1.0)
     return lambda what, share: bar.update(task, description=what, completed=share)
+
+
+def _in_lines() -> Callable[[str, float], None]:
+    """Where no bar can be drawn: a line for each stage of minutes."""
+    told = ""
+
+    def tell(what: str, share: float) -> None:
+        nonlocal told
+        stage = what.partition(",")[0]
+        if stage != told:
+            told = stage
+            _say(f"{stage} …")
+
+    return tell
 
 
 def _show(found: Calibrated) -> None:

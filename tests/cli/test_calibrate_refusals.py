@@ -125,6 +125,18 @@ def test_it_is_said_why_and_the_old_file_stays(
     assert (kept / "m.toml").read_text(encoding="utf-8") == OLD
 
 
+def test_without_a_terminal_each_stage_is_a_line(
+    rows: Driven, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    machine = tmp_path / "m.toml"
+    machine.write_text(MACHINE_TEXT, encoding="utf-8")
+    assert main(["calibrate", str(rows.log), "--machine", str(machine)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said[:2] == ["tilth calibrate: reading …", "tilth calibrate: looking at the drive …"]
+    assert main(["calibrate", str(rows.log), "--machine", str(machine), "--json"]) == 1
+    assert "…" not in capsys.readouterr().err
+
+
 def test_two_machine_files_are_no_better_without_one_that_is_given(
     rows: Driven, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
