@@ -110,9 +110,10 @@ def _write(args: argparse.Namespace, found: Calibrated) -> bool:
         kept = _backup(args.out)
         kept.write_text(there, encoding="utf-8")
         _say(f"the old file is kept as {kept}")
-    part = args.out.with_name(f".{args.out.name}.part")
+    real = args.out.resolve()  # a link stays one: what it leads to is what others read
+    part = real.with_name(f".{real.name}.part")
     part.write_text(found.after, encoding="utf-8")
-    part.replace(args.out)
+    part.replace(real)
     _say(f"written: {args.out}")
     return True
 

@@ -64,7 +64,8 @@ def _true(drive: Path) -> dict[str, Any]:
 def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Everything at once: a file that is wrong in all that people get wrong, and in its structure."""
     out, report = tmp_path / "m.toml", tmp_path / "report.html"
-    out.write_text(WRONG, encoding="utf-8")
+    (tmp_path / "real.toml").write_text(WRONG, encoding="utf-8")
+    out.symlink_to(tmp_path / "real.toml")
     report.write_text("of last year", encoding="utf-8")
     arguments = [str(drive), "--machine", str(out), "--out", str(out), "--report", str(report)]
     assert main(["calibrate", *arguments, "--yes", "--json"]) == 0
@@ -87,6 +88,7 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     ]
     # The linkage's curvature shows least: twice as well known as before.
     assert all(n["sd"] < n["prior_sd"] / (2 if n["name"] == "wheel_curve" else 4) for n in told["numbers"])
+    assert out.is_symlink() and out.read_text(encoding="utf-8") == told["machine_file"]
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
     assert (tmp_path / "report.html.before-1").read_text(encoding="utf-8") == "of last year"
