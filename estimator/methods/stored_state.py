@@ -126,6 +126,7 @@ def tracker_json(state: TrackerState) -> Json:
         "events": to_json_data(state.events),
         "considered": to_json_data(state.considered),
         "steered": to_json_data(state.needs_steering),
+        "by_steering": state.by_steering,
     }
 
 
@@ -168,6 +169,7 @@ def tracker_of(raw: Any) -> TrackerState:
         events=stored.value(list[tuple[str, str]], "events"),
         considered=stored.value(list[int], "considered"),
         needs_steering=stored.value(list[int], "steered"),
+        by_steering=stored.value(bool, "by_steering"),
     )
     stored.end()
     return state

@@ -133,6 +133,7 @@ class TrackerState:
     needs_steering: list[int] = field(
         default_factory=lambda: list(SOIL)
     )  # unknowns learned only with steering
+    by_steering: bool = True  # slopes are those of steering alone, after a first look
 
 
 KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
@@ -218,7 +219,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
-        setup, active, considered, ground, tally, state.window_s >= FIRST_LOOK_S,
+        setup, active, considered, ground, tally,
+        state.by_steering and state.window_s >= FIRST_LOOK_S,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -277,7 +279,7 @@ def _count(state: TrackerState, seconds: float, tight: bool) -> None:
     """Count what was learned from. When the first look is over, it is where to begin, and tells no more."""
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
-    if before < FIRST_LOOK_S <= state.window_s:
+    if state.by_steering and before < FIRST_LOOK_S <= state.window_s:
         sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD)
         _decorrelate_six(state, sds)
 
