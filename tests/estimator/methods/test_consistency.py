@@ -11,6 +11,7 @@ import wrong_files
 from circle import demo_machine
 
 from tilth.estimator import fold
+from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import consistency, open_tracker
 from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.estimator.models.parameters import rig_of, static_loads
@@ -284,6 +285,19 @@ def test_a_file_is_confirmed_when_its_gross_errors_can_be_ruled_out(
     alone[k], by_name[k] = size / sds_to_gross, sds_off**2
     now = open_tracker.Misfit(0.0, by_name, np.zeros(n), np.full(n, 0.01), alone)
     assert open_tracker.unconfirmed(now, machine) == ([] if known else [name])
+
+
+def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
+    """As it came out in fields with headland turns, with right files. Five times the mass would be one."""
+    machine = demo_machine()
+    state = open_tracker.initial(machine)
+    m_i = unknowns.AT["m_i"]
+    state.covariance[m_i, m_i] = 0.22**2
+    for off, doubted in ((-0.9, False), (math.log(0.2), True)):
+        state.mean[m_i] = state.prior_mean[m_i] + off
+        now = open_tracker.misfit(state, machine)
+        assert (now.by_name.max() > consistency.ENDS * consistency.BEGINS) == doubted
+    assert not state.by_steering
 
 
 def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
