@@ -64,6 +64,7 @@ class CommandFailed(Exception):
         self.status = status
 
 
+REPORT_SUFFIXES = (".html", ".htm")
 RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read no MF4
 
 
@@ -76,6 +77,14 @@ def duration(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"{text}: give a number above zero")
     return value
+
+
+def check_folder(folder: Path) -> None:
+    """Before a drive, or a computation of minutes, is lost to a name. Raises WrongUse."""
+    if not folder.is_dir():
+        raise WrongUse(f"{folder}: there is no such folder; make it, or give another")
+    if not os.access(folder, os.W_OK):
+        raise WrongUse(f"{folder}: you may not write there; give another folder, or ask for access")
 
 
 class _Parser(argparse.ArgumentParser):

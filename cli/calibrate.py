@@ -1,10 +1,9 @@
 """`tilth calibrate`: what a drive tells of a rig, into its machine file; from logs, or while driving."""
 
 import argparse
-import os
 from pathlib import Path
 
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder
 from tilth.client.link import ENDPOINT
 
 
@@ -50,15 +49,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_outputs(args: argparse.Namespace) -> None:
     """Before a drive, or a computation of minutes, is lost to a name. Raises WrongUse."""
-    if args.report is not None and args.report.suffix.lower() not in (".html", ".htm"):
+    if args.report is not None and args.report.suffix.lower() not in REPORT_SUFFIXES:
         raise WrongUse(f"--report {args.report}: give a name that ends in .html")
     for path in filter(None, (args.out, args.report)):
         if path.is_dir():
             raise WrongUse(f"{path}: a folder; give the name of a file in it")
-        if not path.parent.is_dir():
-            raise WrongUse(f"{path.parent}: there is no such folder; make it, or give another")
-        if not os.access(path.parent, os.W_OK):
-            raise WrongUse(f"{path.parent}: you may not write there; give another folder, or ask for access")
+        check_folder(path.parent)
     if args.out is not None and args.out.exists() and not _is_text(args.out):
         raise WrongUse(f"--out {args.out}: exists, and is no machine file; give another name")
 

@@ -14,7 +14,7 @@ import zenoh
 from tilth.cli import WrongUse
 from tilth.cli.calibrate_computing import BackgroundEstimates
 from tilth.cli.calibrate_screen import KEYS, line, panel
-from tilth.cli.daemon_order import client_config, daemon_of, of_key
+from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
 from tilth.cli.live_screen import Screen
 from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, shown
 from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires
@@ -87,11 +87,7 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
         try:
             session = stack.enter_context(zenoh.open(client_config(args.config, [args.connect])))
         except zenoh.ZError:
-            where = args.config or args.connect
-            raise WrongUse(
-                f"no daemon can be reached at {where}; is `{command('run')}` running? "
-                f"See --connect and --config; an endpoint looks like {ENDPOINT}"
-            ) from None
+            raise no_daemon(args.config or args.connect, "See --connect and --config. ") from None
         if machine is not None:
             _check_name(args, session, machine)
         base = daemon_of(session, args.prefix, name, args.config).base(args.prefix)

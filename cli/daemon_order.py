@@ -16,6 +16,14 @@ from tilth.schemas.machine import Zenoh
 WAIT_S = 10.0  # a disk may stall for some seconds before it takes what is asked for
 
 
+def no_daemon(where: object, options: str = "") -> WrongUse:
+    """What to say where nothing answers. options: which options to look at, a sentence."""
+    return WrongUse(
+        f"no daemon can be reached at {where}; is `{command('run')}` running? "
+        f"{options}An endpoint looks like {ENDPOINT}"
+    )
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Which daemon, and where."""
     parser.add_argument(
@@ -46,10 +54,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
         if args.config is not None:
             raise WrongUse(f"no daemon can be reached: {try_key(args.config).text}") from None
         where = args.endpoint or ", ".join(endpoints)
-        raise WrongUse(
-            f"no daemon can be reached at {where}; is `{command('run')}` running? "
-            f"An endpoint looks like {ENDPOINT}"
-        ) from None
+        raise no_daemon(where) from None
     with session:
         base = daemon_of(session, prefix, name, args.config).base(prefix)
         replies = list(session.get(f"{base}/{key}", payload=payload, encoding="text/plain", timeout=WAIT_S))

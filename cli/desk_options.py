@@ -8,13 +8,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tilth.cli import WrongUse
+from tilth.cli import REPORT_SUFFIXES, WrongUse, check_folder
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.machine import Machine
 
 STEP = "step"  # of MANOEUVRES
-SUFFIXES = (".html", ".htm")
 
 
 def between(low: float, high: float, unit: str) -> Callable[[str], float]:
@@ -84,13 +83,12 @@ def check_out(out: Path | None) -> None:
     """Before anything is computed. Raises WrongUse."""
     if out is None:
         return
-    if out.suffix.lower() not in SUFFIXES:
+    if out.suffix.lower() not in REPORT_SUFFIXES:
         raise WrongUse(f"--out {out}: give a name that ends in .html")
     for path in (out, out.with_suffix(".json")):
         if path.exists():
             raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
-    if not out.parent.is_dir():
-        raise WrongUse(f"{out.parent}: there is no such folder; make it, or give another")
+    check_folder(out.parent)
 
 
 def made_by(machine: Machine, text: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import zenoh
 
 from tilth.cli import WrongUse, duration
-from tilth.cli.daemon_order import client_config, of_key
+from tilth.cli.daemon_order import client_config, no_daemon, of_key
 from tilth.cli.experiment_learned import FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
 from tilth.cli.live_screen import Screen
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             wires = _wires(args, plan)
         except zenoh.ZError:
-            raise WrongUse(_nobody(args)) from None
+            raise _nobody(args) from None
         stack.callback(wires.close)
         course = _course(args.plan, plan, wires)
         return _drive(args, course, wires)
@@ -121,7 +121,7 @@ def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
     try:
         session = zenoh.open(client_config(args.config, [args.connect]))
     except zenoh.ZError:
-        raise WrongUse(_nobody(args)) from None
+        raise _nobody(args) from None
     alive = living(session, args.prefix, plan.machine)
     meant = next((one for one in alive if one.machine == plan.machine), None)
     if meant is None:
@@ -129,7 +129,7 @@ def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
         session.close()
         if others:
             raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; the daemon here is of {others}')
-        raise WrongUse(_nobody_on(args, plan))
+        raise _nobody_on(args, plan)
     if other := prompts_already(session, meant.base(args.prefix)):
         session.close()
         raise WrongUse(
@@ -138,19 +138,15 @@ def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
     return PrompterWires(session, meant.base(args.prefix))
 
 
-def _nobody(args: argparse.Namespace) -> str:
-    where = args.config or args.connect
-    return (
-        f"no daemon can be reached at {where}; is `{command('run')}` running? See --connect and --config; an "
-        f"endpoint looks like {ENDPOINT}"
-    )
+def _nobody(args: argparse.Namespace) -> WrongUse:
+    return no_daemon(args.config or args.connect, "See --connect and --config. ")
 
 
-def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> str:
+def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> WrongUse:
     """Something answers there, but not for this machine."""
     if args.config is not None:
         return _nobody(args)
-    return (
+    return WrongUse(
         f"no daemon is heard on {args.prefix}/{plan.machine} at {args.connect}; is `{command('run')}` "
         "running? --prefix is that of [zenoh] in its machine file"
     )

@@ -1,7 +1,6 @@
 """`tilth experiment --propose`: the plan whose runs tell most of what is not known yet."""
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from tilth.analysis.experiment.propose import WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, check_folder
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
@@ -31,10 +30,7 @@ def propose(args: argparse.Namespace) -> int:
             raise WrongUse(f"--{name} {value}: give a whole number from {low} to {high}")
     if args.out.exists():
         raise WrongUse(f"{args.out} exists and is not overwritten; give another --out")
-    if not args.out.parent.is_dir():  # before a search of a minute
-        raise WrongUse(f"{args.out.parent}: there is no such folder; make it, or give another")
-    if not os.access(args.out.parent, os.W_OK):
-        raise WrongUse(f"{args.out.parent}: you may not write there; give another folder, or ask for access")
+    check_folder(args.out.parent)
     machine, text = read_machine(args.machine)
     try:
         wanted = _wanted(args)

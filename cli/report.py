@@ -12,7 +12,7 @@ from rich.progress import Progress, TaskID
 
 from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
 from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
@@ -20,7 +20,6 @@ from tilth.schemas.invocation import command, installing
 from tilth.schemas.machine import Machine
 
 Steps = Callable[[str, int, int], None]  # what, done, of all
-SUFFIXES = (".html", ".htm")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -106,15 +105,14 @@ def run(args: argparse.Namespace) -> int:
 def _check_outputs(args: argparse.Namespace) -> None:
     """Before a long replay. Raises WrongUse."""
     out: Path = args.out
-    if out.suffix.lower() not in SUFFIXES:
+    if out.suffix.lower() not in REPORT_SUFFIXES:
         raise WrongUse(f"--out {out}: give a name that ends in .html")
     names = (".json", ".pdf") if args.pdf else (".json",)
     for path in (out, *map(out.with_suffix, names)):
         if path.exists():
             raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
     for folder in (out.parent, *([args.figures.parent] if args.figures else [])):
-        if not folder.is_dir():
-            raise WrongUse(f"{folder}: there is no such folder; make it, or give another")
+        check_folder(folder)
     if args.figures is not None and _holds_something(args.figures):
         raise WrongUse(f"--figures {args.figures}: give a new or an empty folder")
     if any(times.log > len(args.logs) for times in args.segment):

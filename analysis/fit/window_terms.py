@@ -57,7 +57,7 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     _leave_out_outliers(search, here)
     at = likelihood.evaluate(search, here)
     driven = likelihood.response_to_steering(search, here)
-    known, information = likelihood.apart_from_ground(search, at, here, driven)
+    known, information = likelihood.apart_from_ground(search, at, driven)
     scores = likelihood.scores_at(search, known)
     gradient, _ = likelihood.gradient_and_information(search, known, scores)
     away = (here - mean)[shared]

@@ -40,7 +40,7 @@ SETTLING_TICKS: Final = 50
 """Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
 manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
 by 0.2 sd per window."""
-GROUND_SD: Final = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6])
+OTHER_TYRES_SD: Final = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6])
 """Sds of the six logarithms as the ground's shaking alone seems to tell them, less the true ones: errors of
 the model of the ground. The implement's wheels follow the tractor's over the same unevenness, so what pushes
 the implement has been in the tractor's motion before, and the model takes one for the cause of the other: of
@@ -223,24 +223,24 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
 def response_to_steering(search: Search, point: Array) -> Array:
     """Derivatives of the open-loop response to the known wheel angles, without measurements, by those of the
     six that are active: (m, s). 0 where the open loop runs away, as it may in a sharp turn: such a record
-    tells of tyres by GROUND_SD alone."""
+    tells of tyres by OTHER_TYRES_SD alone."""
     driven = _run(search, point, search.active[search.active < 6], closed=False).de
     return driven if bool(np.all(np.abs(driven) < RUN_AWAY)) else np.zeros_like(driven)
 
 
-def apart_from_ground(search: Search, at: Iterate, point: Array, driven: Array) -> tuple[Iterate, Array]:
+def apart_from_ground(search: Search, here: Iterate, driven: Array) -> tuple[Iterate, Array]:
     """(a point with the derivatives of e that are left, the information (a, a) that is left with the prior)
     where the ground's shaking may tell of other tyres than steering does.
 
     driven: as `response_to_steering` gives it, at a point nearby. It is taken as changes of the readings,
     which pass through the filter at the point; what remains of the derivatives by the six is the rig's
     response to the ground. Its tyres differ from the true ones by errors of the model of the ground, another
-    six unknowns with GROUND_SD. They are eliminated (variable projection: Golub and Pereyra 1973), so they
-    take their share of the information but none of what steering tells.
+    six unknowns with OTHER_TYRES_SD. They are eliminated (variable projection: Golub and Pereyra 1973), so
+    they take their share of the information but none of what steering tells.
     """
-    here, six = evaluate(search, point, at), search.active < 6
-    sd = GROUND_SD[search.active[six]]
-    shaken = here.de[six] - _run(search, point, search.active[six], driven=driven).de.T
+    six = search.active < 6
+    sd = OTHER_TYRES_SD[search.active[six]]
+    shaken = here.de[six] - _run(search, here.point, search.active[six], driven=driven).de.T
     weight = search.scored / here.S
     shared = (here.de * weight) @ shaken.T
     inside = inverse((shaken * weight) @ shaken.T + np.diag(sd**-2.0))

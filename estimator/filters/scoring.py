@@ -38,7 +38,7 @@ ROUGH_START: Final = 1.5
 does not end in a local minimum."""
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
 FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
-ROUGHLY_FLAT: Final = 0.2  # the same where equations by steering follow
+ROUGHLY_FLAT: Final = 0.2  # the same where `_apart` follows
 SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
 ARRIVED_STEP: Final = 0.3
 """Of a posterior sd of the six: remaining step with which a search that has stopped counts as converged."""
@@ -93,14 +93,17 @@ def maximise_posterior(
     point = mean.copy()
     point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, ROUGH_START, 0.0)
     minimum = _minimise(search, evaluate(search, point))
-    if minimum.left > STUCK_STEP or setup.scale != 1.0:
+    stuck = minimum.left > STUCK_STEP
+    if stuck or setup.scale != 1.0:
         # What the ground's shaking tells of a roll mode is not in derivatives with gains held: along them no
-        # step may lower the cost. Where no equations by steering follow, the maximum itself is asked for.
+        # step may lower the cost. Where `_apart` does not follow, the maximum itself is asked for.
         minimum = _minimise(search, minimum.at, exact=True)
     found, converged = minimum.at, minimum.left < ARRIVED_STEP
     _, information = gradient_and_information(search, found, scores_at(search, found))
     counted = information
     if setup.scale == 1.0:
+        if stuck:
+            found = evaluate(search, found.point, found)  # gains are held in the derivatives from here on
         found, counted, settled = _apart(search, found)
         converged |= settled
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
@@ -162,7 +165,7 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     places, of_motion = search.active[search.of_motion], search.of_motion
     of_six, limits = places < 6, _step_limits(search)[search.of_motion]
     driven, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
-    found, information = start = apart_from_ground(search, at, at.point, driven)
+    found, information = start = apart_from_ground(search, at, driven)
     for k in range(STEPS_APART):
         gradient, _ = gradient_and_information(search, found, scores_at(search, found))
         newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
@@ -177,7 +180,7 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
         )
         if since > ARRIVED_STEP:
             driven, renewed = response_to_steering(search, point), point
-        found, information = apart_from_ground(search, at, point, driven)
+        found, information = apart_from_ground(search, evaluate(search, point, at), driven)
         if size < SETTLED_STEP or not math.isfinite(found.cost):
             break
     if math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST:

@@ -32,7 +32,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["FOREIGN"], "FOREIGN: not a TOML file"),
     (["WRONG"], 'run[1].spede: no such key; did you mean "speed"?'),
     (["EXAMPLE", "--connect", NOWHERE], f"no daemon can be reached at {NOWHERE}; is `"),
-    (["EXAMPLE", "--connect", "tractor"], "an endpoint looks like tcp/127.0.0.1:7447"),
+    (["EXAMPLE", "--connect", "tractor"], "An endpoint looks like tcp/127.0.0.1:7447"),
     (["EXAMPLE", "--config", "none.json"], "none.json: no such file or directory"),
     (["EXAMPLE", "--out", "x.toml"], "--machine, --from and --out are for --propose"),
     (["EXAMPLE", "--speed", "3", "--kind", "turn"], "--speed, --kind: for --propose; what is"),

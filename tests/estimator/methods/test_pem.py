@@ -309,8 +309,8 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
 
     known = []
     for room, moved_by_ground in ((1e-6, 1.0), (0.3, None), (1e4, 0.0)):
-        monkeypatch.setattr(likelihood, "GROUND_SD", np.full(6, room))
-        left, information = likelihood.apart_from_ground(search, at, mean, driven)
+        monkeypatch.setattr(likelihood, "OTHER_TYRES_SD", np.full(6, room))
+        left, information = likelihood.apart_from_ground(search, at, driven)
         known.append(np.linalg.inv(information)[SIX, SIX])
         by_ground, by_steering = (
             gradient(replace(left, e=left.e + slopes.T @ other)) - gradient(left)
