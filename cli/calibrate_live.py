@@ -17,7 +17,7 @@ from tilth.cli.calibrate_screen import KEYS, line, panel
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
 from tilth.cli.live_screen import Screen
 from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, shown
-from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires
+from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires, calibrates_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused, parse
 from tilth.estimator.calibration import stages
@@ -91,6 +91,10 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
         if machine is not None:
             _check_name(args, session, machine)
         base = daemon_of(session, args.prefix, name, args.config).base(args.prefix)
+        if calibrates_already(session, base):
+            raise WrongUse(
+                "a calibration of this machine is at work already, on the page too; end that one first"
+            )
         found = _status(session, base)
         if found is not None and found.log_file and not Path(found.log_file).exists():
             raise WrongUse(

@@ -45,6 +45,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--prefix", default="tilth", metavar="P", help="of [zenoh] in the machine file (tilth)"
     )
+    parser.add_argument(
+        "--start-at", type=int, default=1, metavar="N", help="go on with run N of the order, after a quit"
+    )
     new = parser.add_argument_group("a new plan")
     new.add_argument("--propose", action="store_true", help="write one instead")
     new.add_argument("--machine", type=Path, metavar="M.toml", help="of the rig that is to drive it")
@@ -80,6 +83,8 @@ def _field(text: str) -> Rectangle:
 def run(args: argparse.Namespace) -> int:
     """1 where not all runs were driven, or a proposal is of no use; 2 where it cannot begin."""
     if args.propose:
+        if args.start_at != 1:
+            raise WrongUse("--start-at goes with a plan to drive, not with --propose")
         if args.plan is not None:
             raise WrongUse("--propose writes a plan to --out; leave out the one to drive")
         from tilth.cli.experiment_propose import propose  # with the fits: only who asks pays for it
@@ -92,13 +97,16 @@ def run(args: argparse.Namespace) -> int:
     if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
         raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
     plan = _read(args.plan)
+    count = sum(one.replicates for one in plan.run)
+    if not 1 <= args.start_at <= count:
+        raise WrongUse(f"--start-at {args.start_at}: {args.plan} has runs 1 to {count}")
     with ExitStack() as stack:
         try:
             wires = _wires(args, plan)
         except zenoh.ZError:
             raise _nobody(args) from None
         stack.callback(wires.close)
-        course = _course(args.plan, plan, wires)
+        course = _course(args, plan, wires)
         return _drive(args, course, wires)
 
 
@@ -152,15 +160,19 @@ def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> WrongUse:
     )
 
 
-def _course(path: Path, plan: ExperimentPlan, wires: PrompterWires) -> Course:
+def _course(args: argparse.Namespace, plan: ExperimentPlan, wires: PrompterWires) -> Course:
     """Checks that the plan fits the rig, and that this may mark. Raises WrongUse."""
     try:
         course = course_of(plan, wires.rig().rig)
     except PlanError as error:
-        raise WrongUse(f"{path}: {error}") from None
+        raise WrongUse(f"{args.plan}: {error}") from None
     except Refused as error:
         raise WrongUse(str(error)) from None
-    answer = wires.mark_now(f"experiment {plan.name} seed {plan.seed}: {len(course.drives)} runs are planned")
+    count = len(course.drives)
+    words = (
+        f"{count} runs are planned" if args.start_at == 1 else f"goes on with run {args.start_at} of {count}"
+    )
+    answer = wires.mark_now(f"experiment {plan.name} seed {plan.seed}: {words}")
     if answer.refusal:
         raise WrongUse(f"no mark can be put into the log: {answer.refusal}")
     return course
@@ -169,7 +181,7 @@ def _course(path: Path, plan: ExperimentPlan, wires: PrompterWires) -> Course:
 def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> int:
     """Until all is driven and it has been seen, or until Ctrl-C."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    runner = PlanRunner(wires, course)
+    runner = PlanRunner(wires, course, at=args.start_at - 1)
     learning: FitOfRuns | None = None
     with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
         while True:
@@ -193,5 +205,14 @@ def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> in
     left = len(course.drives) - runner.prompt.at
     if left:
         print(f"tilth experiment: {left} of {len(course.drives)} runs were not driven", file=sys.stderr)
+        print(f"to go on: {_going_on(args, runner.prompt.at + 1)}", file=sys.stderr)
     skipped = sum(one.outcome == "skipped" for one in runner.prompt.attempts)
     return 1 if left or skipped else 0
+
+
+def _going_on(args: argparse.Namespace, at: int) -> str:
+    """The command that goes on with run `at`, with the options of this one."""
+    where = [] if args.connect == ENDPOINT else ["--connect", args.connect]
+    where += [] if args.config is None else ["--config", str(args.config)]
+    where += [] if args.config or args.prefix == "tilth" else ["--prefix", args.prefix]
+    return command("experiment", str(args.plan), *where, "--start-at", str(at))

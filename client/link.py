@@ -4,9 +4,11 @@ who lives at its other end."""
 import atexit
 import json
 import logging
+import queue
 import re
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
@@ -100,6 +102,27 @@ def _take_each(come: Iterable[T], take: Callable[[T], None]) -> None:
             take(one)
         except Exception:  # whatever a stranger sent: what comes next must be heard
             _LOGGER.exception("what came over Zenoh could not be taken")
+
+
+def first_heard(
+    session: zenoh.Session, key: str, use: Callable[[zenoh.Sample], T | None], within_s: float
+) -> T | None:
+    """What `use` makes of the first sample on a key of which it makes something; None where none comes in
+    time. A sample that it raises at counts as none."""
+    found: queue.Queue[T] = queue.Queue()
+
+    def take(sample: zenoh.Sample) -> None:
+        with suppress(Exception):  # whatever a stranger sent
+            if (made := use(sample)) is not None:
+                found.put(made)
+
+    subscriber = session.declare_subscriber(key, take)
+    try:
+        return found.get(timeout=within_s)
+    except queue.Empty:
+        return None
+    finally:
+        subscriber.undeclare()
 
 
 class Alive(NamedTuple):

@@ -6,7 +6,8 @@ from typing import Final
 
 import zenoh
 
-from tilth.client.link import Link
+from tilth.client.calibration.shown import DRIVING, FINISHING
+from tilth.client.link import Link, first_heard
 from tilth.client.orders import OrderQueue
 from tilth.client.received import Refused, parse
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -14,6 +15,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 COMPUTE, FINISH = "compute", "finish"
 ORDERS: Final = (COMPUTE, FINISH)
 ENCODING: Final = f"application/protobuf;{pb.CalibrationState.DESCRIPTOR.full_name}"
+SHOWN_S: Final = 2.0  # a live calibration shows two states a second, also where nothing goes on
 SILENT_S: Final = 5.0  # without a status, which comes each second
 LARGEST_TEXT: Final = 600  # characters
 
@@ -76,3 +78,13 @@ class CalibrationWires:
             self._status, self._heard_s = status, time.monotonic()
             if status.log_file:
                 self._logs[status.log_file] = None
+
+
+def calibrates_already(session: zenoh.Session, base: str) -> bool:
+    """Whether another live calibration of this machine is at work just now. Takes SHOWN_S where none is."""
+
+    def at_work(sample: zenoh.Sample) -> bool | None:
+        state = parse(pb.CalibrationState, sample.payload.to_bytes(), str(sample.encoding))
+        return state.phase in (DRIVING, FINISHING) or None
+
+    return first_heard(session, f"{base}/calibration", at_work, SHOWN_S) is not None

@@ -20,11 +20,13 @@ class PlanRunner:
     """`turn` it ten times a second."""
 
     def __init__(
-        self, wires: PrompterWires, course: Course, now_s: Callable[[], float] = time.monotonic
+        self, wires: PrompterWires, course: Course, now_s: Callable[[], float] = time.monotonic, at: int = 0
     ) -> None:
+        """at: the run to begin with, from 0, where those before were driven by another prompter."""
         self._wires, self._course, self._now_s = wires, course, now_s
         self._ahead_s = -math.inf  # of the poses' clock before this one: that of the pose that came fastest
-        self.prompt = Prompt()
+        said = f"The plan goes on with run {at + 1} of {len(course.drives)}: arm it when you are ready."
+        self.prompt = Prompt(at=at, said=said if at else "")
         self.learned: tuple[str, ...] = ()
         self.commands: tuple[str, ...] = ()
 

@@ -5,14 +5,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import suppress
 from typing import Final
 
 import zenoh
 
 from tilth.client.experiment.prompter import FINISHED, ORDERS, Marked, Order
 from tilth.client.experiment.sight import Seen, seen_of
-from tilth.client.link import Link
+from tilth.client.link import Link, first_heard
 from tilth.client.orders import OrderQueue
 from tilth.client.received import HeardRig, Refused, parse, pose_of, rig_of_message, text
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -125,21 +124,12 @@ class PrompterWires:
 
 def prompts_already(session: zenoh.Session, base: str) -> str:
     """The plan that another prompter takes a driver through just now; "" where none does. Takes SHOWN_S."""
-    plans: queue.Queue[str] = queue.Queue()
 
-    def take(sample: zenoh.Sample) -> None:
-        with suppress(Refused):
-            state = parse(pb.ExperimentState, sample.payload.to_bytes(), str(sample.encoding))
-            if state.phase != FINISHED:
-                plans.put(state.plan)
+    def plan_of(sample: zenoh.Sample) -> str | None:
+        state = parse(pb.ExperimentState, sample.payload.to_bytes(), str(sample.encoding))
+        return state.plan if state.phase != FINISHED else None
 
-    subscriber = session.declare_subscriber(f"{base}/experiment", take)
-    try:
-        return plans.get(timeout=SHOWN_S)
-    except queue.Empty:
-        return ""
-    finally:
-        subscriber.undeclare()
+    return first_heard(session, f"{base}/experiment", plan_of, SHOWN_S) or ""
 
 
 def _answered(note: str, replies: Iterable[zenoh.Reply]) -> Marked:

@@ -1,11 +1,13 @@
 """`tilth experiment` as a person starts it: wrong use in a sentence, a plan proposed, a plan prompted."""
 
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 from client_daemon import until
 from logs import MACHINE_FILE
 from loopback import PATIENCE_S
@@ -36,6 +38,9 @@ ROWS: list[tuple[list[str], str]] = [
     (["EXAMPLE", "--config", "none.json"], "none.json: no such file or directory"),
     (["EXAMPLE", "--out", "x.toml"], "--machine, --from and --out are for --propose"),
     (["EXAMPLE", "--speed", "3", "--kind", "turn"], "--speed, --kind: for --propose; what is"),
+    (["EXAMPLE", "--start-at", "10"], "has runs 1 to 9"),
+    (["EXAMPLE", "--start-at", "0"], "has runs 1 to 9"),
+    ([*PROPOSE, "--start-at", "2"], "--start-at goes with a plan to drive"),
     (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
     (["EXAMPLE", *PROPOSE], "leave out the one to drive"),
     ([*PROPOSE, "--speed", "0.5"], "--speed 0.5: give 1.5 to 12 m/s"),
@@ -115,31 +120,64 @@ def test_who_may_not_mark_does_not_begin(stage: Stage, capsys: pytest.CaptureFix
     stage.order(refusal="")
 
 
+def _prompter(stage: Stage, *words: str) -> "subprocess.Popen[str]":
+    start = "import sys; from tilth.cli import main; sys.exit(main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", start, "experiment", str(EXAMPLE), "--connect", stage.endpoint, *words],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def _states(page: zenoh.Session) -> list[pb.ExperimentState]:
+    states: list[pb.ExperimentState] = []
+    page.declare_subscriber(
+        f"{BASE}/experiment", lambda s: states.append(pb.ExperimentState.FromString(s.payload.to_bytes()))
+    )
+    return states
+
+
+def _skip(page: zenoh.Session, states: list[pb.ExperimentState], runs: int) -> None:
+    for _ in range(runs):
+        done = states[-1].done
+        order = pb.ExperimentOrder(kind="skip").SerializeToString()
+        list(page.get(f"{BASE}/experiment/order", payload=order, timeout=PATIENCE_S))
+        until(lambda done=done: states[-1].done > done)  # type: ignore[misc]
+
+
 def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_are_left(
     stage: Stage, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    start = "import sys; from tilth.cli import main; sys.exit(main())"
-    process = subprocess.Popen(
-        [sys.executable, "-c", start, "experiment", str(EXAMPLE), "--connect", stage.endpoint],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    with process, open_session(stage.endpoint) as page:
-        states: list[pb.ExperimentState] = []
-        page.declare_subscriber(
-            f"{BASE}/experiment", lambda s: states.append(pb.ExperimentState.FromString(s.payload.to_bytes()))
-        )
+    with _prompter(stage) as process, open_session(stage.endpoint) as page:
+        states = _states(page)
         until(lambda: bool(states))
         assert main(["experiment", str(EXAMPLE), "--connect", stage.endpoint]) == 2, "two at once"
         assert "prompted through three-kinds already" in capsys.readouterr().err
-        for _ in range(9):
-            done = states[-1].done
-            order = pb.ExperimentOrder(kind="skip").SerializeToString()
-            list(page.get(f"{BASE}/experiment/order", payload=order, timeout=PATIENCE_S))
-            until(lambda done=done: states[-1].done > done)  # type: ignore[misc]
+        _skip(page, states, 9)
         said, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1  # nothing was driven
     assert "Arm the first run" in said and "Skipped." in said and "All runs are driven." in said
     assert "No log was heard of" in said and complained == ""
+
+
+def test_a_prompter_that_was_ended_says_how_to_go_on_and_goes_on_there(stage: Stage) -> None:
+    with open_session(stage.endpoint) as page:
+        states = _states(page)
+        with _prompter(stage) as process:
+            until(lambda: bool(states))
+            _skip(page, states, 7)
+            process.terminate()
+            _, complained = process.communicate(timeout=PATIENCE_S)
+        assert "2 of 9 runs were not driven" in complained
+        words = shlex.split(complained.splitlines()[-1].partition("to go on: ")[2])
+        assert words[-2:] == ["--start-at", "8"] and words[-4:-2] == ["--connect", stage.endpoint]
+        states.clear()
+        with _prompter(stage, *words[-2:]) as process:
+            until(lambda: bool(states))
+            assert (states[0].done, states[0].of) == (7, 9)
+            assert states[0].text.startswith("The plan goes on with run 8 of 9")
+            _skip(page, states, 2)
+            process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
 
 
 def test_what_was_learned_is_told_beside_what_was_expected() -> None:
