@@ -133,11 +133,7 @@ def _wheel_angle(findings: Findings) -> str:
     if best.pgn == RUDDER:
         lines = [f"# {described(best)}", "[wheel_angle]", f'bus = "{best.bus}"', "pgn = 127245"]
         return others + "\n".join([*lines, f"source = {best.can_id & 0xFF}", *_ending(best)])
-    mark = (
-        ""
-        if best.likely
-        else f"  {FILL_IN}, or leave it: moves smoothly, but was not seen to follow the yaw rate"
-    )
+    mark = "" if best.likely else f"  {FILL_IN}, or leave it: moves smoothly, but {_doubt(best)}"
     lines = [
         f"# {described(best)}",
         "[wheel_angle]",
@@ -159,6 +155,12 @@ def _ending(candidate: WheelCandidate) -> list[str]:
     sign = -1 if known and (candidate.yaw_correlation or 0.0) < 0 else 1
     hint = "as the yaw rate says" if known else "turn the wheel right: must come out positive"
     return [f"sign = {sign}  # {hint}", "zero = { value = 0.0, sd = 0.5 }  # degrees when straight", ""]
+
+
+def _doubt(candidate: WheelCandidate) -> str:
+    if candidate.yaw_correlation is None:
+        return "no turn was driven that would show whether it follows the yaw rate"
+    return f"follows the yaw rate by {abs(candidate.yaw_correlation):.0%} only; turn the wheel more"
 
 
 def described(candidate: WheelCandidate) -> str:

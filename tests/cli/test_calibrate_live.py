@@ -3,12 +3,17 @@
 import json
 import socket
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 from client_daemon import until
 from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
+from loopback import PATIENCE_S
+from stage import Stage
 
 from tilth.cli import main
 from tilth.cli.calibrate_computing import EVERY_S, LEAST_S, SOON_S, BackgroundEstimates
@@ -22,11 +27,14 @@ from tilth.client.calibration.shown import (
     ComputedSoFar,
     shown,
 )
+from tilth.client.calibration.wires import ENCODING
+from tilth.client.link import open_session
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
 from tilth.estimator.calibration.stage_words import STAGES
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.invocation import started_as
+from tilth.schemas.proto import tilth_pb2 as pb
 
 STANDS: Plan = ((10, 0.0, 0),)
 DRIVES: Plan = ((LEAST_S + 20, 3.0, 0),)
@@ -51,6 +59,37 @@ def test_wrong_use_is_a_sentence(words: list[str], said: str, capsys: pytest.Cap
     at = f"tcp/127.0.0.1:{_free_port()}"
     assert main(["calibrate", "--live", "--machine", str(FILE), "--connect", at, *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def _statuses(session: zenoh.Session) -> list[pb.Status]:
+    replies = session.get("tilth/jd7930-parker500/replay/status", timeout=PATIENCE_S)
+    return [pb.Status.FromString(reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
+
+
+@pytest.mark.parametrize(
+    ("phase", "refused"), [(DRIVING, True), (FINISHING, True), (FINISHED, False), (STOPPED, False)]
+)
+def test_one_that_is_at_work_is_left_alone(
+    phase: str, refused: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Stage() as stage, open_session(stage.endpoint) as other, ThreadPoolExecutor() as pool:
+        ended = threading.Event()
+
+        def show() -> None:
+            state = pb.CalibrationState(machine="jd7930-parker500", phase=phase).SerializeToString()
+            while not ended.wait(0.1):
+                other.put("tilth/jd7930-parker500/replay/calibration", state, encoding=ENCODING)
+
+        showing = pool.submit(show)
+        stage.order(log_file="/nowhere/daemon.mcap")
+        try:
+            until(lambda: any(one.log_file for one in _statuses(other)))
+            assert main(["calibrate", "--live", "--connect", stage.endpoint]) == 2
+        finally:
+            ended.set()
+            showing.result()
+    said = capsys.readouterr().err
+    assert ("is at work already" if refused else "/nowhere/daemon.mcap: the daemon writes this log") in said
 
 
 def _fold(plan: Plan) -> stages.StageFold:

@@ -4,6 +4,7 @@ import json
 import re
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -114,6 +115,26 @@ def test_the_draft_parses_once_it_is_filled_in(found: Findings, machine: Machine
     assert drafted.bus == machine.bus
     wheel = drafted.wheel_angle
     assert (wheel.id, wheel.byte_order, wheel.start_byte, wheel.sign) == (STEER, "big", 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "mark", "sign"),
+    [
+        (0.95, None, "sign = 1  # as the yaw rate says"),
+        (-0.6, "follows the yaw rate by 60% only", "sign = -1  # as the yaw rate says"),
+        (0.3, "follows the yaw rate by 30% only", "sign = 1  # turn the wheel right"),
+        (None, "no turn was driven that would show", "sign = 1  # turn the wheel right"),
+    ],
+)
+def test_a_doubt_about_the_wheel_angle_goes_with_what_its_sign_says(
+    found: Findings, correlation: float | None, mark: str | None, sign: str
+) -> None:
+    best = replace(found.wheel_angles[0], yaw_correlation=correlation)
+    text = draft(replace(found, wheel_angles=(best,)), [])
+    line = next(line for line in text.splitlines() if line.startswith(f"id = 0x{STEER:X}"))
+    assert line.partition(f"  {FILL_IN}, or leave it: moves smoothly, but ")[2].startswith(mark or "")
+    assert (FILL_IN in line) == (mark is not None)
+    assert sign in text
 
 
 def test_nothing_is_filled_in_for_the_person(found: Findings) -> None:
