@@ -40,6 +40,7 @@ kept_length = _named("kept_length", *map(sp.Function, ("kept_length_by_slip", "k
 both_wheels = _named("both_wheels", *map(sp.Function, ("both_wheels_by_speed", "both_wheels_by_difference")))
 
 
+EVEN: Final = sp.Integer(0)
 Wheel = tuple[Any, Any, Any]  # load, force along, force across
 
 
@@ -48,15 +49,18 @@ def tyre(alpha: Any, stiffness: Any, limit: Any) -> Any:
     return signum(alpha) * limit * (sp.exp(-stiffness * size(alpha) / limit) - 1)
 
 
-def axle(static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any) -> list[Wheel]:
-    """The left and the right wheel of an axle. shift: load that goes to the left one."""
+def axle(
+    static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any, apart: Any = EVEN
+) -> list[Wheel]:
+    """The left and the right wheel of an axle. shift: load that goes to the left one. apart: by how much the
+    right one slips more than their mean, and the left one less."""
     half = static * level / 2
     moved = within(shift, sp.Float(0.999) * half)  # no wheel loses all of its load
     wheels = []
-    for load in (half + moved, half - moved):
+    for load, slip in ((half + moved, alpha - apart), (half - moved, alpha + apart)):
         grown = stiffness / 2 * (load / (static / 2)) ** P["exponent"]
         resistance = -P["rolling"] * load * sp.tanh(along / RESISTANCE_SPEED)
-        wheels.append((load, resistance, tyre(alpha, grown, load / P["curvature"])))
+        wheels.append((load, resistance, tyre(slip, grown, load / P["curvature"])))
     return wheels
 
 
@@ -73,17 +77,29 @@ def velocities() -> dict[str, tuple[Any, Any]]:
     }
 
 
+def front_wheels_apart() -> tuple[Any, Any]:
+    """(slip of the right front wheel less the mean of both, rad; what that mean has more than the slip amid
+    the axle, rad), of wheels that do not turn towards the point about which the tractor turns: where they go,
+    less where they point, for which cot(left, right) = cot(mean) plus and minus w_f / 2 (a + b) by Ackermann.
+    """
+    u, side = W["u"], X["v"] + P["a"] * X["r_t"]
+    squared, faster = u**2 + side**2, P["w_f"] * X["r_t"] / 2
+    kept, sine = (1 - P["parallel"]) * P["w_f"] / 2 / (P["a"] + P["b"]), sp.sin(W["delta"])
+    mean = faster**2 * u * side / squared**2 - kept**2 * sine**3 * sp.cos(W["delta"])
+    return faster * side / squared - kept * sine**2, mean
+
+
 def springs() -> tuple[Any, Any]:
     """Of the wheels about the roll axis, N m/rad: k is what is left when gravity has taken its part off."""
     return P["k_t"] + P["g"] * P["m_t"] * P["h_t"], P["k_i"] + P["g"] * P["m_i"] * P["h_i"]
 
 
 def roll_moments() -> tuple[Any, Any]:
-    """What springs and dampers of the wheels hold, N m, on even ground."""
+    """What springs and dampers of the wheels hold, N m: by the lean relative to the ground below them."""
     spring_t, spring_i = springs()
     return (
-        -spring_t * X["phi_t"] - P["d_t"] * X["p_t"],
-        -spring_i * X["phi_i"] - P["d_i"] * X["p_i"],
+        -spring_t * (X["phi_t"] - W["uneven_t"]) - P["d_t"] * X["p_t"],
+        -spring_i * (X["phi_i"] - W["uneven_i"]) - P["d_i"] * X["p_i"],
     )
 
 
@@ -99,7 +115,7 @@ def wheels() -> dict[str, list[Wheel]]:
     level_t, level_i = (sp.sqrt(1 - (W[n] / P["g"]) ** 2) for n in ("gravity_t", "gravity_i"))
     speed = {name: along for name, (along, _) in velocities().items()}
     moment_t, moment_i = roll_moments()
-    front = (static["f"], level_t, X["alpha_f"], P["C_f"], speed["f"])
+    front = (static["f"], level_t, X["alpha_f"], P["C_f"], speed["f"], front_wheels_apart()[0])
     even = axle(front[0], front[1], sp.Integer(0), *front[2:])
     found = {
         "f": axle(front[0], front[1], P["pin"] * front_side(even) / P["w_f"], *front[2:]),
@@ -147,9 +163,8 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
     cart_y = across["i"] + pull_i
     cart_tx, cart_ty = along["i"] * c + cart_y * s, cart_y * c - along["i"] * s
     moment_t, moment_i = roll_moments()
-    spring_t, spring_i = springs()
-    held_t = moment_t + spring_t * W["uneven_t"] + P["g"] * m_t * P["h_t"] * X["phi_t"]
-    held_i = moment_i + spring_i * W["uneven_i"] + P["g"] * m_i * P["h_i"] * X["phi_i"]
+    held_t = moment_t + P["g"] * m_t * P["h_t"] * X["phi_t"]
+    held_i = moment_i + P["g"] * m_i * P["h_i"] * X["phi_i"]
     right = sp.Matrix([
         front_x + along["r"] + cart_tx,
         front_y + across["r"] + pull_t + cart_ty,
@@ -177,6 +192,7 @@ def slip_rates() -> sp.Matrix:
         )
         if name == "f":  # the axle turns about its pin as it is pushed: one more spring in a row
             length += stiffness * P["pin"] ** 2 / P["k_f"]
+            across += along * front_wheels_apart()[1]
         speed = size(both_wheels(along, yaw * P[f"w_{name}"]))
         rows.append((across * sp.cos(alpha) - speed * sp.sin(alpha)) * sp.cos(alpha) / length)
     return sp.Matrix(rows)

@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 
 CONSTANTS: Final = (
     "C_af", "C_ar", "C_ai", "wheel_zero", "wheel_gain", "pair_t", "pair_i", "lever_t", "cg_t", "cg_i",
-    "rolling", "roll_k_t", "roll_k_i", "camber", "curvature", "a", "b", "c", "d", "e", "m_t", "m_i",
+    "rolling", "roll_k_t", "roll_k_i", "camber", "curvature", "parallel", "a", "b", "c", "d", "e", "m_t",
+    "m_i",
 )  # fmt: skip
 """The constants that a steady turn depends on, as in unknowns.NAMES. A lever of the implement's antennas has
 no effect on OUTPUTS."""
@@ -58,6 +59,8 @@ class _Rig(NamedTuple):
     curvature: Array
     rolling: Array
     camber: Array
+    parallel: Array
+    track: Array  # of the front wheels
     height_t: Array  # of the CGs above the ground
     height_i: Array
     I_i: Array
@@ -78,7 +81,7 @@ class _Driving(NamedTuple):
 
 
 def _rig(points: Array, machine: Machine) -> _Rig:
-    """points: [n, 22], CONSTANTS."""
+    """points: [n, 23], CONSTANTS."""
     at = dict(zip(CONSTANTS, points.T, strict=True))
     t, i = machine.tractor, machine.implement
     a = t.a.value * np.exp(at["a"]) - at["cg_t"]
@@ -92,16 +95,16 @@ def _rig(points: Array, machine: Machine) -> _Rig:
     loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
     modes, told = nominal_roll(machine), rig_of(machine)
     k_t, k_i = modes.k_t * np.exp(at["roll_k_t"]), modes.k_i * np.exp(at["roll_k_i"])
-    known = (told.h_t, told.h_i, told.I_i, modes.pin, told.h_h)
-    h_t, h_i, inertia, pin, drawbar = (np.full(len(points), value) for value in known)
+    known = (told.w_f, told.h_t, told.h_i, told.I_i, modes.pin, told.h_h)
+    track, h_t, h_i, inertia, pin, drawbar = (np.full(len(points), value) for value in known)
     return _Rig(
         a, b, c, d, e, m_t, m_i, loads, np.exp(points[:, :3]), np.maximum(at["curvature"], 0.0),
-        at["rolling"], at["camber"], h_t, h_i, inertia, k_t, k_i, pin, drawbar,
+        at["rolling"], at["camber"], at["parallel"], track, h_t, h_i, inertia, k_t, k_i, pin, drawbar,
     )  # fmt: skip
 
 
 def _driving(points: Array, inputs: Array) -> _Driving:
-    """points: [n, 22], CONSTANTS; inputs: [n, 5], INPUTS."""
+    """points: [n, 23], CONSTANTS; inputs: [n, 5], INPUTS."""
     u, reading, roll_t, roll_i, folding = inputs.T
     zero, gain = points[:, CONSTANTS.index("wheel_zero")], points[:, CONSTANTS.index("wheel_gain")]
     return _Driving(u, (reading - zero) * np.exp(-gain), roll_t, roll_i, folding)
@@ -123,13 +126,35 @@ def _slips(turn: Array, rig: _Rig, driving: _Driving) -> Array:
     )
 
 
-def _side_forces(turn: Array, rig: _Rig, driving: _Driving) -> Array:
-    """Of the axles, across their wheels, N, [n, 3]. The front axle does not lean."""
-    slips = _slips(turn, rig, driving)
-    saturation = np.maximum(rig.curvature[:, None] * rig.stiffness / rig.loads * np.abs(slips), 1e-9)
-    forces: Array = rig.stiffness * slips * np.expm1(-saturation) / saturation
-    forces[:, 1:] += rig.camber[:, None] * rig.loads[:, 1:] * turn[:, 3:]
+def _front_wheels_apart(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
+    """As deploy.motion_equations.front_wheels_apart, rad, [n] each."""
+    (v, r), u, delta = turn.T[:2], driving.u, driving.delta
+    side, faster = v + rig.a * r, rig.track * r / 2
+    squared, kept, sine = u**2 + side**2, (1 - rig.parallel) * rig.track / 2 / (rig.a + rig.b), np.sin(delta)
+    mean = faster**2 * u * side / squared**2 - kept**2 * sine**3 * np.cos(delta)
+    return faster * side / squared - kept * sine**2, mean
+
+
+def _tyres(slips: Array, stiffness: Array, loads: Array, curvature: Array) -> Array:
+    """Side forces, N, of the shape of the slips, rad."""
+    saturation = np.maximum(curvature * stiffness / loads * np.abs(slips), 1e-9)
+    forces: Array = stiffness * slips * np.expm1(-saturation) / saturation
     return forces
+
+
+def _side_forces(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
+    """(Of the axles, across their wheels, [n, 3]; the left front wheel's less the right one's, [n]), N. The
+    front axle does not lean."""
+    slips = _slips(turn, rig, driving)
+    forces = _tyres(slips, rig.stiffness, rig.loads, rig.curvature[:, None])
+    forces[:, 1:] += rig.camber[:, None] * rig.loads[:, 1:] * turn[:, 3:]
+    apart, mean = _front_wheels_apart(turn, rig, driving)
+    half, load = rig.stiffness[:, 0] / 2, rig.loads[:, 0] / 2
+    left, right = (
+        _tyres(slips[:, 0] + mean + sign * apart, half, load, rig.curvature) for sign in (-1.0, 1.0)
+    )
+    forces[:, 0] = left + right
+    return forces, left - right
 
 
 def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
@@ -137,7 +162,7 @@ def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
     tractor's weight, and of the leans (rad), [n, 5]. turn: [n, 5], as of `_solve`."""
     (v, r, articulation, lean_t, lean_i), (u, delta, roll_t, roll_i, folding) = turn.T, driving
     slope_t, slope_i = GRAVITY * np.sin(roll_t - lean_t), GRAVITY * np.sin(roll_i - lean_i)
-    forces, drags = _side_forces(turn, rig, driving), -rig.rolling[:, None] * rig.loads
+    (forces, apart), drags = _side_forces(turn, rig, driving), -rig.rolling[:, None] * rig.loads
     front, rear = forces[:, 0] * np.cos(delta) + drags[:, 0] * np.sin(delta), forces[:, 1]  # 3.23
     sine, cosine = np.sin(articulation), np.cos(articulation)
     r_i = r - folding
@@ -151,6 +176,7 @@ def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
     inertia_t = rig.m_t * (slope_t - u * r)
     inertia_i = rig.m_i * (slope_i - along * sine - across * cosine)
     skew_t, skew_i = rig.rolling * rig.height_t * inertia_t, rig.rolling * rig.height_i * inertia_i
+    skew_t = skew_t - apart * np.sin(delta) * rig.track / 2
     weight = GRAVITY * rig.m_t
     return np.column_stack(
         [
@@ -205,7 +231,7 @@ def _solve(rig: _Rig, driving: _Driving) -> Array:
 
 
 def _seen(turn: Array, points: Array) -> Array:
-    """OUTPUTS, [n, 3], of a turn, [n, 5]. points: [n, 22], CONSTANTS."""
+    """OUTPUTS, [n, 3], of a turn, [n, 5]. points: [n, 23], CONSTANTS."""
     v, r, articulation = turn.T[:3]
     lever, cg = points[:, CONSTANTS.index("lever_t")], points[:, CONSTANTS.index("cg_t")]
     return np.column_stack([r, articulation, v + r * (lever - cg)])
@@ -214,7 +240,7 @@ def _seen(turn: Array, points: Array) -> Array:
 def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
     """OUTPUTS, shape [n, 3].
 
-    points: [n, 22], CONSTANTS. inputs: [n, 5], INPUTS. The lateral velocity is that of the point where the
+    points: [n, 23], CONSTANTS. inputs: [n, 5], INPUTS. The lateral velocity is that of the point where the
     machine file has the CG, computed from where it has the antennas, without the errors of the pairs. Raises
     numpy.linalg.LinAlgError if there is no steady turn.
     """

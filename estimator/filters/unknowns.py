@@ -50,6 +50,7 @@ NAMES: Final = (
     *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
     "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
+    "parallel",  # how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel
     *NOISES,
     *GEOMETRY,  # logarithms of true over surveyed; e as m
 )  # fmt: skip
@@ -73,6 +74,7 @@ AT_ASIDE: Final = AT["aside_i"]
 AT_CG: Final = AT["cg_t"]
 AT_ROLLING: Final = AT["rolling"]
 AT_CURVATURE: Final = AT["curvature"]
+AT_PARALLEL: Final = AT["parallel"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
 AT_PIN: Final = AT["roll_pin"]
 AT_HITCH: Final = AT["roll_hitch"]
@@ -91,6 +93,7 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
+PARALLEL: Final = (0.2, 0.3)  # linkages come close to Ackermann's angles, some to equal ones
 ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
@@ -132,6 +135,7 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
+    (mean[AT["parallel"]], sd[AT["parallel"]]) = PARALLEL
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
     (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK

@@ -230,14 +230,15 @@ def settled_rolling(point: Array, speed: float, delta: float, slope: float) -> d
 
 @pytest.mark.parametrize(("degrees", "speed"), [(4.0, 4.5), (8.0, 4.5), (-10.0, 4.5), *HEADLAND])
 def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float, speed: float) -> None:
-    """Tyre curve, rolling resistance and angles that are not small: to 0.15 percent, of which all but 0.02 is
-    the load that moves from wheel to wheel."""
-    for rig, curvature, error in (
-        (rig_of(MACHINE)._replace(**GRIP, **ROLLING), 1 / 0.7, 1.5e-3),
-        (linear_tyres(rig_of(MACHINE))._replace(**ROLLING), 0.0, 3e-4),
+    """Tyre curve, rolling resistance and angles that are not small: to 0.2 percent at 8 degrees. Its front
+    wheels slip alike, which is 1.5 percent at 32 degrees; the plant in space is the judge of that."""
+    error = 2e-3 if abs(degrees) < 9.0 else 4e-3 if abs(degrees) < 20.0 else 0.017
+    for rig, curvature in (
+        (rig_of(MACHINE)._replace(**GRIP, **ROLLING), 1 / 0.7),
+        (linear_tyres(rig_of(MACHINE))._replace(**ROLLING), 0.0),
     ):
         at = settled(rig, degrees, speed)
-        point = point_of(rolling=0.06, curvature=curvature, **RIGID)
+        point = point_of(rolling=0.06, curvature=curvature, parallel=0.0, **RIGID)
         found = outputs(point[None], np.array([[at["u"], math.radians(degrees), 0.0, 0.0, 0.0]]), MACHINE)[0]
         assert found == pytest.approx([at["r_t"], at["psi_t"] - at["psi_i"], at["v"]], rel=error)
 
@@ -260,7 +261,8 @@ def test_its_jacobian_is_that_of_the_outputs() -> None:
 
 
 def test_headland_turns_give_the_stiffnesses_of_the_nonlinear_model() -> None:
-    """Linear tyres, full lock, no noise: what small angles would leave is no part of the result."""
+    """Linear tyres, full lock, no noise: what small angles would leave is no part of the result. That the
+    front wheels of that model slip alike is 4 percent of C_af."""
     truth = (200e3, 560e3, 150e3)
     rig = linear_tyres(rig_of(MACHINE))._replace(
         **ROLLING, **dict(zip(("C_af", "C_ar", "C_ai"), truth, strict=True))
@@ -268,13 +270,13 @@ def test_headland_turns_give_the_stiffnesses_of_the_nonlinear_model() -> None:
     turns = [(0.0, 3.0), *HEADLAND] * 2
     poses = poses_of([(settled(rig, *turn), turn[0]) for turn in turns])
     state = steady_state.initial(MACHINE)
-    state.x[3 : len(CONSTANTS)] = point_of(rolling=0.06, curvature=0.0, **RIGID)[3:]
+    state.x[3 : len(CONSTANTS)] = point_of(rolling=0.06, curvature=0.0, parallel=0.0, **RIGID)[3:]
     state.P[3:, 3:] = 1e-10 * np.eye(len(state.x) - 3)
     state.prior_sd[3:] = 1e-5  # the rest is known: the question is the equations
     for pose in poses:
         steady_state.take(state, MACHINE, pose)
     assert state.steady_s > 120.0
-    assert np.abs(log_errors(state, truth)).max() < 0.03
+    assert np.all(np.abs(log_errors(state, truth)) < (0.05, 0.01, 0.01))
 
 
 def test_it_says_what_is_determined_and_what_the_data_allow() -> None:
@@ -390,7 +392,7 @@ def test_a_rig_that_still_folds_is_understood(degrees: float, speed: float) -> N
     at = {name: run[:, k] for k, name in enumerate(nonlinear.STATES)}
     k = round(max(SETTLING * rig.towed_length / speed, SETTLING_S) / 0.01)
     articulation = at["psi_t"] - at["psi_i"]
-    point = point_of(rolling=0.06, curvature=0.0, **RIGID)
+    point = point_of(rolling=0.06, curvature=0.0, parallel=0.0, **RIGID)
     known = [at["u"][k], math.radians(degrees), 0.0, 0.0]
     left, foreseen = (
         outputs(point[None], np.array([[*known, folding]]), MACHINE)[0, 1] - articulation[k]

@@ -21,7 +21,7 @@ Values = dict[str, float]
 
 MODES = {
     "k_t": 466e3, "k_i": 1.0e6, "d_t": 18e3, "d_i": 20e3, "j_t": 11.4e3, "j_i": 3.1e3, "pin": 0.75,
-    "k_f": 466e3, "camber": 0.0, "shrink": 0.0,
+    "k_f": 466e3, "camber": 0.0, "shrink": 0.0, "parallel": 0.0,
 }  # fmt: skip
 RNG = np.random.default_rng(5)
 _rates, _slopes, _empty = rates.interpreted(), rate_slopes.interpreted(), empty_motion.interpreted()
@@ -74,7 +74,7 @@ def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float
 
 
 def test_left_and_right_are_alike() -> None:
-    x, w, p = some_state(0.03), some_inputs(0.01), parameters(TABLE_5_1, camber=0.2, shrink=0.5)
+    x, w, p = some_state(0.03), some_inputs(0.01), parameters(TABLE_5_1, camber=0.2, shrink=0.5, parallel=0.4)
     there = moved(x, w, p)
     mirrored = {name: value if name in ("u", "u_rate") else -value for name, value in w.items()}
     back = moved({name: -value for name, value in x.items()}, mirrored, p)
@@ -115,7 +115,7 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
     x[6:10] *= 0.1
     x[10:] = rng.uniform(-0.5, 0.5, 2)
     w = np.array([*rng.uniform(-0.5, 0.5, 3), *rng.uniform(-0.01, 0.01, 2), 4.5, rng.uniform(-0.5, 0.5)])
-    p = parameters(TABLE_5_1._replace(front_drive=0.3), camber=0.2, shrink=0.5)
+    p = parameters(TABLE_5_1._replace(front_drive=0.3), camber=0.2, shrink=0.5, parallel=0.4)
     p[: len(PARAMETERS)] *= rng.uniform(0.8, 1.25, len(PARAMETERS))
 
     def at(z: Array) -> Array:
