@@ -389,9 +389,10 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     known = _informative(state)
     scores = np.array([_log_likelihood(*known, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
+    unexplained = _best_log_likelihood(*known) - scores.max()  # by any setting: of what else moves antennas
     if scores[0] == scores.max():
         state.wrong, state.unclear = [None] * 4, False
-    elif scores[0] < scores.max() - SURE**2 / 2:
+    elif scores[0] < scores.max() - max(SURE**2 / 2, unexplained):
         sure = np.all(likely != declared, axis=0)
         kinds = [TWICE if t == 1.0 else NOT for t in declared]
         state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]
@@ -404,6 +405,14 @@ def _log_likelihood(information: Array, vector: Array, setting: Array) -> float:
     total = information[4, 4] + OFFSET_SD**-2
     fits = vector[:4] @ setting - setting @ information[:4, :4] @ setting / 2
     return float(fits + free**2 / total / 2)
+
+
+def _best_log_likelihood(information: Array, vector: Array) -> float:
+    """The same of the responses that fit best, be they 0, 1 or anything."""
+    total = information[4, 4] + OFFSET_SD**-2
+    apart = information[:4, :4] - np.outer(information[:4, 4], information[4, :4]) / total
+    best = np.linalg.lstsq(apart, vector[:4] - information[:4, 4] * vector[4] / total, rcond=1e-9)[0]
+    return _log_likelihood(information, vector, best)
 
 
 def _roll_is_observable(state: ReceiverChecks, body: int) -> bool:

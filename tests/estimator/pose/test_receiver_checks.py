@@ -219,6 +219,25 @@ def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
     assert set(receiver_checks.flags(state)) == {Flag(FlagKind(kind), m.value) for m in mounts}
 
 
+@pytest.mark.parametrize(
+    ("front", "rear", "accused"),
+    [
+        (0.05, 1.05, ["implement_front"]),  # as if front corrected for roll
+        (0.3, 1.75, []),  # no setting makes a receiver move by 1.75 of its height: something else moves it
+        (1.1, 0.9, []),
+    ],
+)
+def test_what_no_setting_explains_accuses_nobody(front: float, rear: float, accused: list[str]) -> None:
+    """Responses of the implement's receivers, each ± 0.1; neither corrects for roll, by the machine file."""
+    state = ReceiverChecks()
+    response = np.array([*[float(not r.roll_corrected) for r in MACHINE.receiver[:2]], front, rear])
+    state.information[:4, :4] = 100.0 * np.eye(4)
+    state.vector[:4] = 100.0 * response
+    state.rolls[:] = (100.0, 0.1)
+    receiver_checks._judge_rolls(state, MACHINE)
+    assert [flag.of for flag in receiver_checks.flags(state)] == accused
+
+
 def test_on_a_hillside_it_says_that_something_is_wrong_and_not_more_than_it_knows() -> None:
     """Both bodies lean alike: either of the two explains where they see the hitch."""
     state, found = drive(HILL, 40.0, really=reversed_front_and_rear(IMPLEMENT))
