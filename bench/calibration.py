@@ -157,6 +157,7 @@ def true_numbers(truth: dict[str, Any], machine: Machine) -> dict[str, float]:
         "wheel_zero": told["wheel_zero"],
         "wheel_gain": math.log(told["wheel_gain"]),
         "wheel_curve": 0.0,
+        "ackermann": truth["vehicle"]["ackermann"] if "vehicle" in truth else 1.0,
         "latency": float(np.mean(late)),  # the poses take the first of arrival times (pose/epoch_clock.py)
         **{f"roll_zero_{mount.value}": told[f"roll_zero_{mount.value}"] for mount in MOUNTS},
     }
@@ -175,6 +176,7 @@ def file_numbers(machine: Machine, right: Machine) -> dict[str, float]:
         "wheel_zero": math.radians(wheel.zero.value) / ratio,
         "wheel_gain": -math.log(abs(ratio)),
         "wheel_curve": wheel.curve.value,
+        "ackermann": machine.tractor.ackermann.value,
         "latency": float(np.mean([r.latency.value for r in machine.receiver])),
         **{
             f"roll_zero_{r.mount.value}": math.radians(r.roll_zero.value if r.roll_zero else 0.0)

@@ -73,6 +73,10 @@ class Tractor(_Section):
     kingpin_distance: float | None = Field(
         default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
     )
+    ackermann: Annotated[Quantity, _quantity(0.1)] = Field(
+        default=Quantity(value=0.8, sd=0.3),
+        description="how far the front wheels turn towards one centre: 1 as by Ackermann, 0 by equal angles",
+    )
     wheel_speed_factor: Annotated[Quantity, _quantity(0.005)] | None = Field(
         default=None,
         description="wheel-based speed (PGN 65096) over ground speed at no slip; other tyres change it",
@@ -83,6 +87,8 @@ class Tractor(_Section):
         factor = self.wheel_speed_factor
         if factor is not None and factor.value <= 0:
             raise ValueError(f"wheel_speed_factor = {factor.value:g}: must be above zero")
+        if not -0.5 <= self.ackermann.value <= 1.5:
+            raise ValueError(f"ackermann = {self.ackermann.value:g}: must be within -0.5 and 1.5")
         return self
 
 

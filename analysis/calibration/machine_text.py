@@ -19,7 +19,7 @@ _WHEEL: Final = (
     "kingpin", "curve",
 )  # fmt: skip
 _HEXADECIMAL: Final = ("id", "mask", "not_available")
-_TRACTOR: Final = ("c", "pair_yaw_sd", "lever_sd", "kingpin_distance")
+_TRACTOR: Final = ("c", "ackermann", "pair_yaw_sd", "lever_sd", "kingpin_distance")
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 

@@ -89,6 +89,8 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
             break
         followed = follow(applied(machine, changes), measurements, changes)
     assert fit is not None
+    share = float(np.clip(1.0 - fit.mean[AT["parallel"]], *ACKERMANN))
+    changes = replace(changes, ackermann=share - machine.tractor.ackermann.value)
     gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
     return Calibration(
         changes, applied(machine, changes), tuple(faults), found_rolls,
@@ -167,6 +169,7 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
 ASIDE_FLOOR: Final = 0.004
+ACKERMANN: Final = (-0.5, 1.5)  # what a machine file takes
 TYPICAL_SPEED: Final = 2.0  # m/s, in turns
 LATE_TOLD: Final = 0.01  # s: sd of what is late between the bodies, from which on it is used
 
@@ -360,6 +363,7 @@ def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
         "aside_i": changes.aside[1] - changes.aside[0], "lever_t": changes.forward[0],
         "lever_i": changes.forward[1], "c": changes.hitch[0], "d": changes.hitch[1],
         "wheel_zero": changes.wheel_sign * changes.wheel_zero / gain, "wheel_gain": math.log(gain),
+        "ackermann": changes.ackermann,
         "wheel_curve": changes.linkage.curve - changes.linkage_before.curve,
         "latency": float(np.mean(changes.late)),
     }  # fmt: skip

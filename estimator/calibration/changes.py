@@ -66,6 +66,7 @@ class Changes:
     wheel_gain: float = 1.0  # of the file's own angle over the true one
     linkage_before: Linkage = PLAIN  # of the file as it was read; zero and gain are of what it turns
     linkage: Linkage = PLAIN
+    ackermann: float = 0.0  # on tractor.ackermann
     roll_zero: Array = field(default_factory=lambda: np.zeros(4))  # rad
     roll_sign: tuple[int, ...] = (1, 1, 1, 1)
     yaw_rate_sign: tuple[int, ...] = (1, 1, 1, 1)
@@ -116,6 +117,7 @@ def applied(machine: Machine, changes: Changes) -> Machine:
             "tractor": tractor.model_copy(
                 update={
                     "c": _moved(c, changes.hitch[0]),
+                    "ackermann": _moved(tractor.ackermann, changes.ackermann),
                     **_kingpin_keys(
                         machine,
                         "mean" if changes.linkage == changes.linkage_before else changes.linkage.kingpin,

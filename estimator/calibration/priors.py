@@ -66,6 +66,7 @@ NUMBERS: Final = (
         "wheel_curve", "curvature of the wheel's linkage, at 30°", "°", 1 / CURVED, 0.2 / CURVED,
         linkage.CURVE_SD, CIRCLE, "none",
     ),
+    Sought("ackermann", "front wheels, share of Ackermann's angles", "%", 0.01, 0.15, 0.3, CIRCLE, "none"),
     Sought("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
     *(
         Sought(

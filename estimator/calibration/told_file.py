@@ -31,6 +31,7 @@ def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
         aside=of(changes.aside, "aside_t", "aside_i"),
         pair=of(changes.pair, "pair_t", "pair_i"),
         hitch=of(changes.hitch, "c", "d"),
+        ackermann=0.0 if "ackermann" in without else changes.ackermann,
         wheel_zero=0.0 if "wheel_zero" in without else changes.wheel_zero,
         wheel_gain=1.0 if "wheel_gain" in without else changes.wheel_gain,
         linkage=changes.linkage._replace(curve=changes.linkage_before.curve)
@@ -51,6 +52,8 @@ def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> M
         if key in sds:
             length: Quantity = getattr(body, key)
             update[key] = Quantity(value=length.value, sd=sds[key])
+        if name == "tractor" and "ackermann" in sds:
+            update["ackermann"] = Quantity(value=tractor.ackermann.value, sd=sds["ackermann"])
         if f"pair_{suffix}" in sds:
             update["pair_yaw_sd"] = math.degrees(sds[f"pair_{suffix}"])
         if f"lever_{suffix}" in sds:

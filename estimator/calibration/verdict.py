@@ -26,7 +26,7 @@ TOLD, ROUGH, NOT_TOLD = "told", "rough", "not told"
 FLOOR: Final = {
     "pair_t": math.radians(0.05), "pair_i": math.radians(0.05), "lever_t": 0.014, "lever_i": 0.010,
     "aside_i": 0.004, "aside_t": 0.004, "c": 0.008, "d": 0.008, "wheel_zero": math.radians(0.015),
-    "wheel_gain": 0.008, "latency": 0.006,
+    "wheel_gain": 0.008, "latency": 0.006, "ackermann": 0.1,
 }  # fmt: skip
 """Sds of what the model leaves out, which a longer drive does not reduce: by bench/calibration.py."""
 ENOUGH_S: Final = 15.0  # of a way of driving
@@ -107,6 +107,9 @@ def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
         sd = math.hypot(found.aside_sd, FLOOR[name])
     elif name == "wheel_curve":
         sd = found.curve_sd
+    elif name == "ackermann":
+        k = AT["parallel"]
+        sd = math.hypot(math.sqrt(fit.covariance[k, k]), FLOOR[name])
     else:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
     status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD

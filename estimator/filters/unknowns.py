@@ -93,7 +93,6 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-PARALLEL: Final = (0.2, 0.3)  # linkages come close to Ackermann's angles, some to equal ones
 ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
@@ -135,7 +134,7 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
-    (mean[AT["parallel"]], sd[AT["parallel"]]) = PARALLEL
+    (mean[AT["parallel"]], sd[AT["parallel"]]) = 1.0 - tractor.ackermann.value, tractor.ackermann.sd
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
     (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK
