@@ -56,6 +56,8 @@ LIMITS: Final[Mapping[str, KeyLimits]] = {
     "tractor.pair_yaw_sd": _spread(10.0, "deg", 0.01),
     "tractor.lever_sd": _spread(1.0, "m", 1e-3),
     "tractor.kingpin_distance": KeyLimits(0.5, 4.0, (0.8, 3.0), "m"),
+    "tractor.ackermann": KeyLimits(-0.5, 1.5, (0.0, 1.1), "1"),
+    "tractor.ackermann.sd": _spread(1.0, "1"),
     "tractor.wheel_speed_factor": KeyLimits(0.5, 2.0, (0.8, 1.25), "1"),
     "tractor.wheel_speed_factor.sd": _spread(0.1, "1"),
     "implement.d": KeyLimits(0.5, 15.0, (1.0, 10.0), "m"),

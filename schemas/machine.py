@@ -87,8 +87,6 @@ class Tractor(_Section):
         factor = self.wheel_speed_factor
         if factor is not None and factor.value <= 0:
             raise ValueError(f"wheel_speed_factor = {factor.value:g}: must be above zero")
-        if not -0.5 <= self.ackermann.value <= 1.5:
-            raise ValueError(f"ackermann = {self.ackermann.value:g}: must be within -0.5 and 1.5")
         return self
 
 

@@ -86,8 +86,12 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert [r.mount for r in now.receiver if r.name == MACHINE.receiver[0].name] == [
         MACHINE.receiver[0].mount
     ]
-    # The linkage's curvature shows least: twice as well known as before.
-    assert all(n["sd"] < n["prior_sd"] / (2 if n["name"] == "wheel_curve" else 4) for n in told["numbers"])
+    # The linkage's curvature and what the front wheels do show least: twice as well known as before.
+    shown = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
+    assert all(
+        share < (0.5 if name in ("wheel_curve", "ackermann") else 0.25) for name, share in shown.items()
+    )
+    assert now.tractor.ackermann.value == pytest.approx(1.0, abs=3 * sd["ackermann"])
     assert out.is_symlink() and out.read_text(encoding="utf-8") == told["machine_file"]
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
