@@ -22,7 +22,8 @@ class FitOfRuns:
     def __init__(self, plan: ExperimentPlan, logs: Sequence[str]) -> None:
         """logs: paths on the daemon's computer, which need not be this one."""
         self._plan, self._logs = plan, list(logs)
-        self._commands = (command("report", *self._logs, "--out", f"{plan.name}.html"),) if logs else ()
+        report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all")
+        self._commands = (report,) if logs else ()
         self._process: subprocess.Popen[bytes] | None = None
         self._lines: tuple[str, ...] = ()
         here = bool(logs) and all(Path(log).exists() for log in logs)

@@ -16,7 +16,7 @@ from stage import Stage
 
 from tilth.cli import main
 from tilth.cli.experiment_learned import FitOfRuns, lines_of
-from tilth.cli.experiment_screen import bar, panel
+from tilth.cli.experiment_screen import bar, panel, title
 from tilth.client.link import open_session
 from tilth.schemas.experiment import parse_plan
 from tilth.schemas.flow import PARAMETERS
@@ -40,7 +40,12 @@ ROWS: list[tuple[list[str], str]] = [
     (["EXAMPLE", "--speed", "3", "--kind", "turn"], "--speed, --kind: for --propose; what is"),
     (["EXAMPLE", "--start-at", "10"], "has runs 1 to 9"),
     (["EXAMPLE", "--start-at", "0"], "has runs 1 to 9"),
-    ([*PROPOSE, "--start-at", "2"], "--start-at goes with a plan to drive"),
+    ([*PROPOSE, "--start-at", "2"], "--start-at, --try and --corner go with a plan to drive"),
+    ([*PROPOSE, "--try", "2"], "--start-at, --try and --corner go with a plan to drive"),
+    (["EXAMPLE", "--try", "0"], "--try 0: give a whole number from 1 to 999"),
+    (["EXAMPLE", "--corner", "43.5,-83.4"], "43.5,-83.4: write LATITUDE,LONGITUDE,HEADING in degrees"),
+    (["EXAMPLE", "--corner=98,-83.4,0"], "98,-83.4,0: write LATITUDE,LONGITUDE,HEADING in degrees"),
+    (["EXAMPLE", "--corner=nan,0,0"], "nan,0,0: write LATITUDE,LONGITUDE,HEADING in degrees"),
     (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
     (["EXAMPLE", *PROPOSE], "leave out the one to drive"),
     ([*PROPOSE, "--speed", "0.5"], "--speed 0.5: give 1.5 to 12 m/s"),
@@ -155,8 +160,10 @@ def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_a
         _skip(page, states, 9)
         said, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1  # nothing was driven
-    assert "Arm the first run" in said and "Skipped." in said and "All runs are driven." in said
-    assert "No log was heard of" in said and complained == ""
+    assert "Arm the first run" in said and "Skipped." in said
+    assert "The plan is at its end: 9 of 9 runs were skipped." in said and "All runs" not in said
+    assert "No log was heard of" in said
+    assert complained == "tilth experiment: 9 of 9 runs were skipped\n"
 
 
 def test_a_prompter_that_was_ended_says_how_to_go_on_and_goes_on_there(stage: Stage) -> None:
@@ -175,6 +182,7 @@ def test_a_prompter_that_was_ended_says_how_to_go_on_and_goes_on_there(stage: St
             until(lambda: bool(states))
             assert (states[0].done, states[0].of) == (7, 9)
             assert states[0].text.startswith("The plan goes on with run 8 of 9")
+            assert "drive to where it begins" in states[0].text  # none was armed: nobody knows it
             _skip(page, states, 2)
             process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -205,7 +213,7 @@ def test_a_log_on_another_computer_is_told_of() -> None:
     lines, commands = fit.told()
     fit.close()
     assert fit.over and "on the daemon's computer" in lines[0]
-    assert "report /nowhere/run_001.mcap --out three-kinds.html" in commands[0]
+    assert "report /nowhere/run_001.mcap --out three-kinds.html --fit all" in commands[0]
 
 
 @pytest.mark.parametrize("wanted", [-0.2, -0.05, 0.0, 0.1, 0.3])
@@ -218,3 +226,10 @@ def test_the_bar_shows_left_and_right_and_stays_in_its_frame(wanted: float) -> N
     assert len(first.split(" ")[-2]) == 61 or "▼" in first
     assert (first.index("▼") > middle) == (wanted > 0) and (first.index("▼") < middle) == (wanted < 0)
     assert panel(state).renderable is not None
+
+
+def test_the_title_tells_what_was_skipped() -> None:
+    state = pb.ExperimentState(plan="p", done=6, of=6)
+    assert title(state) == "p: 6 of 6 runs"
+    state.skipped = 5
+    assert title(state) == "p: 6 of 6 runs, 5 of them skipped"
