@@ -13,7 +13,7 @@ import zenoh
 
 from tilth.cli import WrongUse, duration
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
-from tilth.cli.experiment_learned import FitOfRuns
+from tilth.cli.experiment_learned import EDITED, FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
 from tilth.cli.live_screen import Screen
 from tilth.client.experiment.prompter import Course, Prompt, course_of, skipped_of
@@ -22,7 +22,9 @@ from tilth.client.experiment.sight import Corner, corner_of
 from tilth.client.experiment.wires import PrompterWires, prompts_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
-from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, parse_plan
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
@@ -57,6 +59,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--corner", type=_corner, metavar="LAT,LON,HEADING",
         help="where the field is, degrees: write --corner=…, as a prompter that was quit does",
+    )  # fmt: skip
+    parser.add_argument(
+        "--check", action="store_true",
+        help="only say whether the plan fits the rig of --machine and its field, without a daemon",
     )  # fmt: skip
     new = parser.add_argument_group("a new plan")
     new.add_argument("--propose", action="store_true", help="write one instead")
@@ -113,15 +119,18 @@ def run(args: argparse.Namespace) -> int:
             raise WrongUse("--start-at, --try and --corner go with a plan to drive, not with --propose")
         if args.plan is not None:
             raise WrongUse("--propose writes a plan to --out; leave out the one to drive")
+        if args.check:
+            raise WrongUse("--check goes with a plan that is there, not with --propose")
         from tilth.cli.experiment_propose import propose  # with the fits: only who asks pays for it
 
         return propose(args)
+    if args.check:
+        return _check(args)
     if args.plan is None:
         raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
     if args.machine or args.logs or args.out:
         raise WrongUse("--machine, --from and --out are for --propose")
-    if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
-        raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
+    _refuse_proposing(args)
     plan = _read(args.plan)
     count = sum(one.replicates for one in plan.run)
     if not 1 <= args.start_at <= count:
@@ -139,6 +148,41 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(wires.close)
         course = _course(args, plan, wires)
         return _drive(args, course, wires)
+
+
+def _refuse_proposing(args: argparse.Namespace) -> None:
+    """Raises WrongUse where an option of --propose stands beside a plan."""
+    if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
+        raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Prints that a plan can be driven. Raises WrongUse where it cannot."""
+    if args.plan is None:
+        raise WrongUse("--check needs the plan to look at")
+    if args.machine is None:
+        raise WrongUse("--check needs --machine M.toml")
+    if args.logs or args.out:
+        raise WrongUse("--from and --out are for --propose")
+    _refuse_proposing(args)
+    plan, (machine, _) = _read(args.plan), read_machine(args.machine)
+    if plan.machine != machine.name:
+        raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; {args.machine} is of {machine.name}')
+    drives = _fitting(args, plan, rig_of(machine)).drives
+    runs = "1 run" if len(drives) == 1 else f"{len(drives)} runs"
+    seconds = sum(one.seconds for one in drives)
+    print(f"{args.plan}: {runs}, {seconds:.0f} s between their marks, fit the rig and the field.")
+    if edited(plan):
+        print(EDITED)
+    return 0
+
+
+def _fitting(args: argparse.Namespace, plan: ExperimentPlan, rig: Rig) -> Course:
+    """Raises WrongUse where a run is too hard or has no room."""
+    try:
+        return course_of(plan, rig)
+    except PlanError as error:
+        raise WrongUse(f"{args.plan}: {error}") from None
 
 
 def _read(path: Path) -> ExperimentPlan:
@@ -194,9 +238,7 @@ def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> WrongUse:
 def _course(args: argparse.Namespace, plan: ExperimentPlan, wires: PrompterWires) -> Course:
     """Checks that the plan fits the rig, and that this may mark. Raises WrongUse."""
     try:
-        course = course_of(plan, wires.rig().rig)
-    except PlanError as error:
-        raise WrongUse(f"{args.plan}: {error}") from None
+        course = _fitting(args, plan, wires.rig().rig)
     except Refused as error:
         raise WrongUse(str(error)) from None
     count = len(course.drives)

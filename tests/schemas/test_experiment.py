@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from paths import ROOT
 
 from tilth.estimator.models.manoeuvres import MANOEUVRES
-from tilth.schemas.experiment import KINDS, ChirpRun, PlanError, parse_plan
+from tilth.schemas.experiment import KINDS, ChirpRun, PlanError, edited, parse_plan, steered
 
 TEXT = (ROOT / "examples/experiments.toml").read_text(encoding="utf-8")
 
@@ -56,6 +56,27 @@ def test_a_wrong_plan_says_where_and_what_is_allowed(right: str, wrong: str, wor
     assert "\n" not in said
     for word in words:
         assert word in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "other"),
+    [
+        ("speed = 4.5", "speed = 4.6", True),
+        ("hold_s = 2.0", "hold_s = 2", False),
+        ("hold_s = 2.0", "hold_s = 2.5", True),
+        ("wheel_rate_degps = 15", "wheel_rate_degps = 20", True),
+        ("length = 400", "length = 500", False),
+        ("seed = 1", "seed = 2", False),  # nothing of these runs is drawn
+        ("braking = 1.5", "braking = 1.2", False),
+    ],
+)
+def test_a_plan_whose_steering_was_edited_is_told_from_one_that_was_not(
+    old: str, new: str, other: bool
+) -> None:
+    told = f'predicted_for = "{steered(parse_plan(TEXT))}"\n'
+    assert not edited(parse_plan(told + TEXT)) and not edited(parse_plan(TEXT))
+    assert old in TEXT
+    assert edited(parse_plan(told + TEXT.replace(old, new, 1))) == other
 
 
 @given(st.text(max_size=200))
