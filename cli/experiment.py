@@ -18,7 +18,7 @@ from tilth.cli.experiment_screen import KEYS, line, panel
 from tilth.cli.live_screen import Screen
 from tilth.client.experiment.prompter import Course, Prompt, course_of, skipped_of
 from tilth.client.experiment.runner import TURN_S, PlanRunner
-from tilth.client.experiment.sight import Corner, corner_of
+from tilth.client.experiment.sight import FieldCorner, corner_of
 from tilth.client.experiment.wires import PrompterWires, prompts_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
@@ -96,9 +96,9 @@ def _field(text: str) -> Rectangle:
         raise argparse.ArgumentTypeError(f"{text}: a field is 30 to 5000 m long, 10 to 5000 m wide") from None
 
 
-def _corner(text: str) -> Corner:
+def _corner(text: str) -> FieldCorner:
     try:
-        numbers = Corner(*map(float, text.split(",")))
+        numbers = FieldCorner(*map(float, text.split(",")))
         Rectangle(length=30, width=10, headland=0, **_of_field(numbers))
     except (TypeError, ValueError):
         raise argparse.ArgumentTypeError(
@@ -107,7 +107,7 @@ def _corner(text: str) -> Corner:
     return numbers
 
 
-def _of_field(corner: Corner) -> dict[str, Any]:
+def _of_field(corner: FieldCorner) -> dict[str, Any]:
     """Keys of a plan's [field]."""
     return {"corner": (corner.latitude, corner.longitude), "heading_deg": corner.heading_deg}
 

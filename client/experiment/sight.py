@@ -44,7 +44,7 @@ class FieldPlace(NamedTuple):
     origin_deg: tuple[float, float] = (0.0, 0.0)  # of the plane
 
 
-class Corner(NamedTuple):
+class FieldCorner(NamedTuple):
     """The same for a plan, whatever the plane is. Degrees; heading_deg clockwise from north."""
 
     latitude: float
@@ -93,10 +93,10 @@ def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
     return FieldPlace(seen.north + north, seen.east + east, seen.heading, seen.origin_deg)
 
 
-def corner_of(place: FieldPlace) -> Corner:
+def corner_of(place: FieldPlace) -> FieldCorner:
     """Where the field begins, for who goes on with the plan."""
     latitude, longitude = to_degrees(place.origin_deg, place.north, place.east)
-    return Corner(latitude, longitude, math.degrees(place.heading) % 360.0)
+    return FieldCorner(latitude, longitude, math.degrees(place.heading) % 360.0)
 
 
 def in_plane(place: FieldPlace, origin_deg: tuple[float, float]) -> FieldPlace:
