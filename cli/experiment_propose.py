@@ -51,7 +51,8 @@ def propose(args: argparse.Namespace) -> int:
     except OSError as error:
         raise WrongUse(f"{args.out}: {(error.strerror or str(error)).lower()}") from None
     print(worth(found))
-    print(f"{args.out} is written: {sum(run.replicates for run in found.plan.run)} runs.")
+    count = sum(run.replicates for run in found.plan.run)
+    print(f"{args.out} is written: {'1 run' if count == 1 else f'{count} runs'}.")
     return 0
 
 

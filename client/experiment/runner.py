@@ -61,7 +61,7 @@ class PlanRunner:
         self._settle()  # a run that has just ended is done, if its mark arrives
         self._take(Leave())
         self._settle()
-        self._wires.show(shown(self.prompt, self._course))
+        self._show()
 
     def turn(self) -> pb.ExperimentState:
         """Take all that came; say how it stands."""
@@ -79,6 +79,9 @@ class PlanRunner:
             self._take(order)
         if math.isfinite(self._ahead_s):
             self._take(Tick(self._now_s() + self._ahead_s))
+        return self._show()
+
+    def _show(self) -> pb.ExperimentState:
         state = shown(self.prompt, self._course)
         state.learned.extend(self.learned)
         state.commands.extend(self.commands)
