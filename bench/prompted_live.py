@@ -12,8 +12,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
@@ -33,7 +33,7 @@ from tilth.schemas.flow import Word
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.demo import SIMULATED, on_loopback
-from tilth.simulator.prompted_driver import Bar, Person, PromptedDriver
+from tilth.simulator.prompted_driver import ARM, Bar, Person, PromptedDriver
 from tilth.simulator.scenario import Scenario, as_json
 from tilth.simulator.steering import ADDRESS, COMMAND
 
@@ -41,7 +41,7 @@ TURN_S: Final = 0.05
 SOURCE: Final = 0x1C
 WHEELBASE: Final = 2.9
 AT: Final = {name: k for k, name in enumerate(STATES)}
-STARTING_S: Final = 180.0
+SILENT_S: Final = 2.0  # without anything shown nobody prompts any more
 
 
 @dataclass(slots=True)
@@ -54,9 +54,11 @@ class Driver:
     person: Person
     lane: tuple[float, float, float, float]
     seed: int
+    arms: bool = True  # else somebody else does
     states: list[pb.ExperimentState] = field(default_factory=list)  # each time that something was new
     stopping: bool = False
     _state: pb.ExperimentState = field(default_factory=pb.ExperimentState)
+    _shown_s: float = -math.inf
     _x: np.ndarray | None = None
     _origin: tuple[float, float] | None = None  # of the plane that the lane is in
     _angle: float = 0.0
@@ -78,7 +80,7 @@ class Driver:
                 wanted = 0.0
                 if x is not None:
                     pressed = who.look(now, bar, x)
-                    if pressed:
+                    if pressed and (self.arms or pressed != ARM):
                         order = pb.ExperimentOrder(kind=pressed).SerializeToString()
                         list(session.get(f"{self.base}/experiment/order", payload=order, timeout=2.0))
                     wanted = who.hands(now, bar, x)
@@ -97,7 +99,7 @@ class Driver:
             bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=True), 0.2)
 
     def _bar(self) -> Bar:
-        state = self._state
+        state = self._state if time.monotonic() - self._shown_s < SILENT_S else pb.ExperimentState()
         room = all(one.met for one in state.conditions if one.name == "room")
         return Bar(state.phase, state.wanted, state.speed, room)
 
@@ -117,11 +119,70 @@ class Driver:
 
     def _take_state(self, sample: Any) -> None:
         state = pb.ExperimentState.FromString(sample.payload.to_bytes())
-        before, self._state = self._state, state
+        before, self._state, self._shown_s = self._state, state, time.monotonic()
         if (before.phase, before.text) != (state.phase, state.text) or len(before.learned) != len(
             state.learned
         ):
             self.states.append(state)
+
+
+@dataclass(slots=True)
+class Cab:
+    """A virtual tractor on its bus and a driver in it; both wait for a daemon of this machine."""
+
+    machine: Machine
+    text: str  # of the machine file, with the bus and the endpoint
+    endpoint: str
+    driver: Driver
+    rig: subprocess.Popen[bytes]
+    reading: threading.Thread
+    facts: list[dict[str, Any]]  # what the rig told at its end
+
+    @property
+    def over(self) -> bool:
+        """Whether the tractor has stopped by itself."""
+        return self.rig.poll() is not None
+
+    def stop(self) -> int:
+        """Ends the drive; how many steps of the tractor came late."""
+        self.driver.stopping = True
+        assert self.rig.stdin is not None
+        with suppress(BrokenPipeError):
+            self.rig.stdin.write(b'{"stop": true}\n')
+            self.rig.stdin.close()
+        self.reading.join(30.0)
+        return int(self.facts[-1].get("late", 0)) if self.facts else 0
+
+
+@contextmanager
+def virtual_cab(
+    machine_text: str, scenario: Scenario, person: Person, seed: int, seconds: float,
+    lane: tuple[float, float, float, float], arms: bool = True,
+) -> Iterator[Cab]:  # fmt: skip
+    """Drives on for so many seconds from when a daemon listens. arms: whether the driver does by himself."""
+    with ExitStack() as stack:
+        rig = subprocess.Popen(
+            [sys.executable, "-m", "tilth.simulator.real_time_rig"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
+        )  # fmt: skip
+        stack.callback(_close, rig)
+        port = int(_told(rig, machine_text, seed, seconds, scenario)["port"])
+        facts: list[dict[str, Any]] = []
+        assert rig.stdout is not None
+        reading = threading.Thread(target=_read, args=(rig.stdout, facts), daemon=True)
+        reading.start()  # it tells ten times a second where the implement is, and must not wait
+        text = on_loopback(machine_text, port)
+        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
+        text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
+        machine = parse_machine(text)
+        base = base_key(machine.name, machine.zenoh.prefix, True)
+        driver = Driver(base, endpoint, port, person, lane, seed, arms)
+        thread = threading.Thread(target=driver.run, name="driver", daemon=True)
+        thread.start()
+        stack.callback(thread.join, 10.0)
+        cab = Cab(machine, text, endpoint, driver, rig, reading, facts)
+        stack.callback(setattr, driver, "stopping", True)
+        yield cab
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,54 +204,32 @@ def drive_plan(
 ) -> Live:  # fmt: skip
     """Until the prompter's process has ended, at most so many seconds. restart: whether the daemon is to be,
     once, by what was shown so far. watch: told the Zenoh endpoint."""
-    with ExitStack() as stack:
-        rig = subprocess.Popen(
-            [sys.executable, "-m", "tilth.simulator.real_time_rig"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
-        )  # fmt: skip
-        stack.callback(_close, rig)
-        port = int(_told(rig, machine_text, seed, seconds, scenario)["port"])
-        facts: list[dict[str, Any]] = []
-        assert rig.stdin is not None and rig.stdout is not None
-        reading = threading.Thread(target=_read, args=(rig.stdout, facts), daemon=True)
-        reading.start()  # it tells ten times a second where the implement is, and must not wait
-        text = on_loopback(machine_text, port)
-        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
-        text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
-        machine: Machine = parse_machine(text)
-        watch(endpoint)
-        driver = Driver(
-            base_key(machine.name, machine.zenoh.prefix, True), endpoint, port, person, lane, seed
-        )
-        thread = threading.Thread(target=driver.run, name="driver", daemon=True)
-        thread.start()
-        stack.callback(thread.join, 10.0)
+    with virtual_cab(machine_text, scenario, person, seed, seconds, lane) as cab:
+        watch(cab.endpoint)
         prompter: list[subprocess.Popen[str]] = []
         began = time.monotonic()
 
         def over() -> bool:
             if not prompter and time.monotonic() - began > 3.0:
-                prompter.append(_prompter(plan, endpoint))
-            return bool(prompter and prompter[0].poll() is not None) or rig.poll() is not None
+                prompter.append(_prompter(plan, cab.endpoint))
+            return bool(prompter and prompter[0].poll() is not None) or cab.over
 
         summaries: list[RunSummary] = []
 
         def stop() -> bool:
-            return over() or (not summaries and restart(driver.states))
+            return over() or (not summaries and restart(cab.driver.states))
 
         while not summaries or (len(summaries) == 1 and not over()):
-            made = run_daemon(machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=stop)
+            made = run_daemon(
+                cab.machine, cab.text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=stop
+            )
             summaries.append(made)
-        driver.stopping = True
+        cab.driver.stopping = True
         if prompter[0].poll() is None:
             prompter[0].terminate()
         said, _ = prompter[0].communicate(timeout=30.0)
-        rig.stdin.write(b'{"stop": true}\n')
-        rig.stdin.close()
-        reading.join(30.0)
-        last: dict[str, Any] = facts[-1] if facts else {}
-        late = int(last.get("late", 0))
-        return Live(tuple(summaries), tuple(driver.states), said, prompter[0].returncode, late)
+        late = cab.stop()
+        return Live(tuple(summaries), tuple(cab.driver.states), said, prompter[0].returncode, late)
 
 
 def _told(rig: subprocess.Popen[bytes], text: str, seed: int, seconds: float, scenario: Scenario) -> Any:

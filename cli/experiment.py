@@ -7,23 +7,28 @@ import sys
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
 from tilth.cli import WrongUse, duration
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
-from tilth.cli.experiment_learned import FitOfRuns
+from tilth.cli.experiment_learned import EDITED, FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
 from tilth.cli.live_screen import Screen
-from tilth.client.experiment.prompter import Course, course_of
+from tilth.client.experiment.prompter import Course, Prompt, course_of, skipped_of
 from tilth.client.experiment.runner import TURN_S, PlanRunner
+from tilth.client.experiment.sight import FieldCorner, corner_of
 from tilth.client.experiment.wires import PrompterWires, prompts_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
-from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, parse_plan
+from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+MOST_TRIES = 999
 _OF_A_PROPOSAL: dict[str, object] = {
     "speed": 4.5, "seconds": 20.0, "replicates": 3, "runs": 3, "kind": [], "seed": 1,
     "field": Rectangle(length=400, width=80, headland=0), "headland": None, "angle": None,
@@ -48,6 +53,17 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--start-at", type=int, default=1, metavar="N", help="go on with run N of the order, after a quit"
     )
+    parser.add_argument(
+        "--try", dest="tries", type=int, default=1, metavar="K", help="of that run, with the next one (1)"
+    )
+    parser.add_argument(
+        "--corner", type=_corner, metavar="LAT,LON,HEADING",
+        help="where the field is, degrees: write --corner=…, as a prompter that was quit does",
+    )  # fmt: skip
+    parser.add_argument(
+        "--check", action="store_true",
+        help="only say whether the plan fits the rig of --machine and its field, without a daemon",
+    )  # fmt: skip
     new = parser.add_argument_group("a new plan")
     new.add_argument("--propose", action="store_true", help="write one instead")
     new.add_argument("--machine", type=Path, metavar="M.toml", help="of the rig that is to drive it")
@@ -80,26 +96,50 @@ def _field(text: str) -> Rectangle:
         raise argparse.ArgumentTypeError(f"{text}: a field is 30 to 5000 m long, 10 to 5000 m wide") from None
 
 
+def _corner(text: str) -> FieldCorner:
+    try:
+        numbers = FieldCorner(*map(float, text.split(",")))
+        Rectangle(length=30, width=10, headland=0, **_of_field(numbers))
+    except (TypeError, ValueError):
+        raise argparse.ArgumentTypeError(
+            f"{text}: write LATITUDE,LONGITUDE,HEADING in degrees, such as --corner=43.4995000,-83.4005000,90"
+        ) from None
+    return numbers
+
+
+def _of_field(corner: FieldCorner) -> dict[str, Any]:
+    """Keys of a plan's [field]."""
+    return {"corner": (corner.latitude, corner.longitude), "heading_deg": corner.heading_deg}
+
+
 def run(args: argparse.Namespace) -> int:
     """1 where not all runs were driven, or a proposal is of no use; 2 where it cannot begin."""
     if args.propose:
-        if args.start_at != 1:
-            raise WrongUse("--start-at goes with a plan to drive, not with --propose")
+        if args.start_at != 1 or args.tries != 1 or args.corner is not None:
+            raise WrongUse("--start-at, --try and --corner go with a plan to drive, not with --propose")
         if args.plan is not None:
             raise WrongUse("--propose writes a plan to --out; leave out the one to drive")
+        if args.check:
+            raise WrongUse("--check goes with a plan that is there, not with --propose")
         from tilth.cli.experiment_propose import propose  # with the fits: only who asks pays for it
 
         return propose(args)
+    if args.check:
+        return _check(args)
     if args.plan is None:
         raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
     if args.machine or args.logs or args.out:
         raise WrongUse("--machine, --from and --out are for --propose")
-    if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
-        raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
+    _refuse_proposing(args)
     plan = _read(args.plan)
     count = sum(one.replicates for one in plan.run)
     if not 1 <= args.start_at <= count:
         raise WrongUse(f"--start-at {args.start_at}: {args.plan} has runs 1 to {count}")
+    if not 1 <= args.tries <= MOST_TRIES:
+        raise WrongUse(f"--try {args.tries}: give a whole number from 1 to {MOST_TRIES}")
+    if args.corner is not None:
+        field = plan.field.model_copy(update=_of_field(args.corner))
+        plan = plan.model_copy(update={"field": field})
     with ExitStack() as stack:
         try:
             wires = _wires(args, plan)
@@ -108,6 +148,41 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(wires.close)
         course = _course(args, plan, wires)
         return _drive(args, course, wires)
+
+
+def _refuse_proposing(args: argparse.Namespace) -> None:
+    """Raises WrongUse where an option of --propose stands beside a plan."""
+    if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
+        raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Prints that a plan can be driven. Raises WrongUse where it cannot."""
+    if args.plan is None:
+        raise WrongUse("--check needs the plan to look at")
+    if args.machine is None:
+        raise WrongUse("--check needs --machine M.toml")
+    if args.logs or args.out:
+        raise WrongUse("--from and --out are for --propose")
+    _refuse_proposing(args)
+    plan, (machine, _) = _read(args.plan), read_machine(args.machine)
+    if plan.machine != machine.name:
+        raise WrongUse(f'{args.plan} is for machine = "{plan.machine}"; {args.machine} is of {machine.name}')
+    drives = _fitting(args, plan, rig_of(machine)).drives
+    runs = "1 run" if len(drives) == 1 else f"{len(drives)} runs"
+    seconds = sum(one.seconds for one in drives)
+    print(f"{args.plan}: {runs}, {seconds:.0f} s between their marks, fit the rig and the field.")
+    if edited(plan):
+        print(EDITED)
+    return 0
+
+
+def _fitting(args: argparse.Namespace, plan: ExperimentPlan, rig: Rig) -> Course:
+    """Raises WrongUse where a run is too hard or has no room."""
+    try:
+        return course_of(plan, rig)
+    except PlanError as error:
+        raise WrongUse(f"{args.plan}: {error}") from None
 
 
 def _read(path: Path) -> ExperimentPlan:
@@ -163,15 +238,13 @@ def _nobody_on(args: argparse.Namespace, plan: ExperimentPlan) -> WrongUse:
 def _course(args: argparse.Namespace, plan: ExperimentPlan, wires: PrompterWires) -> Course:
     """Checks that the plan fits the rig, and that this may mark. Raises WrongUse."""
     try:
-        course = course_of(plan, wires.rig().rig)
-    except PlanError as error:
-        raise WrongUse(f"{args.plan}: {error}") from None
+        course = _fitting(args, plan, wires.rig().rig)
     except Refused as error:
         raise WrongUse(str(error)) from None
     count = len(course.drives)
-    words = (
-        f"{count} runs are planned" if args.start_at == 1 else f"goes on with run {args.start_at} of {count}"
-    )
+    words = "1 run is planned" if count == 1 else f"{count} runs are planned"
+    if args.start_at > 1 or args.tries > 1:
+        words = f"goes on with run {args.start_at} of {count}"
     answer = wires.mark_now(f"experiment {plan.name} seed {plan.seed}: {words}")
     if answer.refusal:
         raise WrongUse(f"no mark can be put into the log: {answer.refusal}")
@@ -180,39 +253,58 @@ def _course(args: argparse.Namespace, plan: ExperimentPlan, wires: PrompterWires
 
 def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> int:
     """Until all is driven and it has been seen, or until Ctrl-C."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    runner = PlanRunner(wires, course, at=args.start_at - 1)
+    for ending in (signal.SIGTERM, signal.SIGHUP):  # also a terminal that is closed
+        signal.signal(ending, signal.default_int_handler)
+    runner = PlanRunner(wires, course, at=args.start_at - 1, tries=args.tries)
     learning: FitOfRuns | None = None
-    with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
-        while True:
-            began_s = time.monotonic()
-            state = runner.turn()
-            pressed = screen.show(state)
-            if pressed == "quit":
-                break
-            if pressed:
-                runner.order(pressed)
-            if runner.finished and learning is None:
-                learning = FitOfRuns(course.plan, wires.logs)
-            if learning is not None:
-                runner.learned, runner.commands = learning.told()
-                if learning.over and not screen.asks:
-                    screen.show(runner.turn())
+    with Screen(panel, line, KEYS) as screen:
+        with suppress(KeyboardInterrupt):
+            while True:
+                began_s = time.monotonic()
+                state = runner.turn()
+                pressed = screen.show(state)
+                if pressed == "quit":
                     break
-            time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
+                if pressed:
+                    runner.order(pressed)
+                if runner.finished and learning is None:
+                    learning = FitOfRuns(course.plan, wires.logs)
+                if learning is not None:
+                    runner.learned, runner.commands = learning.told()
+                    if learning.over and not screen.asks:
+                        screen.show(runner.turn())
+                        break
+                time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
+        with suppress(KeyboardInterrupt):  # who is in a hurry presses it again
+            runner.leave()
     if learning is not None:
         learning.close()
-    left = len(course.drives) - runner.prompt.at
+    return _ended(args, course, runner.prompt)
+
+
+def _ended(args: argparse.Namespace, course: Course, prompt: Prompt) -> int:
+    """Exit status; what was left out is said, and how to go on."""
+    count = len(course.drives)
+    skipped = skipped_of(prompt.attempts, count)
+    if skipped:
+        print(f"tilth experiment: {skipped}", file=sys.stderr)
+    left = count - prompt.at
     if left:
-        print(f"tilth experiment: {left} of {len(course.drives)} runs were not driven", file=sys.stderr)
-        print(f"to go on: {_going_on(args, runner.prompt.at + 1)}", file=sys.stderr)
-    skipped = sum(one.outcome == "skipped" for one in runner.prompt.attempts)
+        were = "was" if left == 1 else "were"
+        print(f"tilth experiment: {left} of {count} runs {were} not driven", file=sys.stderr)
+        print(f"to go on: {_going_on(args, course, prompt)}", file=sys.stderr)
     return 1 if left or skipped else 0
 
 
-def _going_on(args: argparse.Namespace, at: int) -> str:
-    """The command that goes on with run `at`, with the options of this one."""
-    where = [] if args.connect == ENDPOINT else ["--connect", args.connect]
-    where += [] if args.config is None else ["--config", str(args.config)]
-    where += [] if args.config or args.prefix == "tilth" else ["--prefix", args.prefix]
-    return command("experiment", str(args.plan), *where, "--start-at", str(at))
+def _going_on(args: argparse.Namespace, course: Course, prompt: Prompt) -> str:
+    """The command that goes on where this one was, with its options, in the same field."""
+    words = [] if args.connect == ENDPOINT else ["--connect", args.connect]
+    words += [] if args.config is None else ["--config", str(args.config)]
+    words += [] if args.config or args.prefix == "tilth" else ["--prefix", args.prefix]
+    words += ["--start-at", str(prompt.at + 1)]
+    words += [] if prompt.tries == 1 else ["--try", str(prompt.tries)]
+    if args.corner is not None:
+        words.append(f"--corner={args.corner.text}")
+    elif course.plan.field.corner is None and prompt.place is not None:
+        words.append(f"--corner={corner_of(prompt.place).text}")
+    return command("experiment", str(args.plan), *words)

@@ -8,12 +8,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.schemas.experiment import ExperimentPlan
+from tilth.schemas.experiment import ExperimentPlan, edited
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.spread import of_logarithm, share
 
 LONGEST: Final = 4_000_000  # bytes of an answer
+
+
+EDITED: Final = "The plan was edited after its numbers were predicted: nothing is expected of it."
 
 
 class FitOfRuns:
@@ -22,7 +25,8 @@ class FitOfRuns:
     def __init__(self, plan: ExperimentPlan, logs: Sequence[str]) -> None:
         """logs: paths on the daemon's computer, which need not be this one."""
         self._plan, self._logs = plan, list(logs)
-        self._commands = (command("report", *self._logs, "--out", f"{plan.name}.html"),) if logs else ()
+        report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all")
+        self._commands = (report,) if logs else ()
         self._process: subprocess.Popen[bytes] | None = None
         self._lines: tuple[str, ...] = ()
         here = bool(logs) and all(Path(log).exists() for log in logs)
@@ -63,17 +67,18 @@ class FitOfRuns:
         for file in (self._out, self._said):
             file.seek(0)
         try:
-            return lines_of(json.loads(self._out.read(LONGEST)), self._plan.predicted)
+            return lines_of(json.loads(self._out.read(LONGEST)), self._plan)
         except (ValueError, LookupError, TypeError):
             said = self._said.read(2000).decode(errors="replace").strip().splitlines()
             return (f"Nothing could be fitted: {said[-1] if said else 'no reason was given'}",)
 
 
-def lines_of(answer: Mapping[str, Any], predicted: Mapping[str, float]) -> tuple[str, ...]:
+def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]:
     """What `tilth fit --json` says, in lines: the six, beside what the plan expected, and whether the runs
-    agree. predicted: sds of the logarithms. Raises LookupError, TypeError where it is no such answer."""
+    agree. Raises LookupError, TypeError where it is no such answer."""
     if answer["joint"] is None:
         return ("The runs tell nothing of the tyres: `tilth fit` says why of each.",)
+    predicted: Mapping[str, float] = {} if edited(plan) else plan.predicted
     lines = []
     for name in PARAMETERS:
         row = answer["joint"]["parameters"][name]
@@ -88,4 +93,4 @@ def lines_of(answer: Mapping[str, Any], predicted: Mapping[str, float]) -> tuple
         lines.append(f"{name}: {text}, {percent}{expected}")
     if len(answer["runs"]) > 1:
         lines.append(answer["agreement"]["sentence"])
-    return tuple(lines)
+    return (*lines, EDITED) if edited(plan) else tuple(lines)

@@ -2,7 +2,8 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
@@ -15,7 +16,9 @@ from tilth.cli import WrongUse, check_folder
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
+from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_difference import differing
 
 KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
 
@@ -48,7 +51,8 @@ def propose(args: argparse.Namespace) -> int:
     except OSError as error:
         raise WrongUse(f"{args.out}: {(error.strerror or str(error)).lower()}") from None
     print(worth(found))
-    print(f"{args.out} is written: {sum(run.replicates for run in found.plan.run)} runs.")
+    count = sum(run.replicates for run in found.plan.run)
+    print(f"{args.out} is written: {'1 run' if count == 1 else f'{count} runs'}.")
     return 0
 
 
@@ -103,7 +107,7 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
     if not all(
         log.is_file() and is_mcap(log) for log in args.logs
     ):  # of other programs: no machine file in it
-        return _learned(machine, open_runs(args.logs, machine=(machine, text), say=_say))
+        return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say))
     runs = open_runs(args.logs, say=_say)
     for run in runs:
         if run.machine.name != machine.name:
@@ -111,16 +115,31 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
                 f"{run.sources[0].name} is of {run.machine.name}, {args.machine} is of {machine.name}; give "
                 "the log of this rig, or leave out --from"
             )
-    if not all(_same_rig(run.machine, machine) for run in runs):
-        runs = open_runs(args.logs, machine=(machine, text), say=_say)  # replayed with the other file
-    return _learned(machine, runs)
+    if all(_same_rig(run.machine, machine) for run in runs):
+        # Texts that differ in buses alone would be of different rigs to a fit.
+        return _learned(args, machine, [replace(run, machine=machine, machine_text=text) for run in runs])
+    own = {source: run.machine for run in runs for source in run.sources}
+    return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), own)
 
 
-def _learned(machine: Machine, runs: Sequence[Run]) -> Known:
-    """Raises CannotFit."""
+def _learned(
+    args: argparse.Namespace, machine: Machine, runs: Sequence[Run], own: Mapping[Path, Machine] | None = None
+) -> Known:
+    """own: the machine files that the logs hold, where they were replayed with another. Raises CannotFit."""
+    for run in runs:
+        if not run.poses.rows:
+            _say(_no_poses(args, machine, run.sources[0], (own or {}).get(run.sources[0])))
     wanted = choose(runs)
-    _say(f"fitting {len(wanted)} stretches of driving in the log")
+    what = "1 stretch" if len(wanted) == 1 else f"{len(wanted)} stretches"
+    _say(f"fitting {what} of driving in the log")
     return from_log(machine, fit_all(wanted))
+
+
+def _no_poses(args: argparse.Namespace, machine: Machine, log: Path, own: Machine | None) -> str:
+    """Why a log counts for nothing."""
+    differs = "" if own is None else f"; the machine file in it differs in {differing(machine, own)}"
+    rejected = command("replay", str(log), "--machine", str(args.machine))
+    return f"{log}: no pose comes out of it with {args.machine}{differs}; `{rejected}` says what was rejected"
 
 
 def _same_rig(one: Machine, other: Machine) -> bool:

@@ -40,7 +40,13 @@ def panel(state: pb.ExperimentState) -> Panel:
         parts.append(_attempts(state))
     parts += [Text(line) for line in (*state.learned, *state.commands)]
     parts.append(Text("q: quit" if state.phase == FINISHED else HELP, style="dim"))
-    return Panel(Group(*parts), title=f"{state.plan}: {state.done} of {state.of} runs", title_align="left")
+    return Panel(Group(*parts), title=title(state), title_align="left")
+
+
+def title(state: pb.ExperimentState) -> str:
+    """How far the plan is."""
+    skipped = f", {state.skipped} of them skipped" if state.skipped else ""
+    return f"{state.plan}: {state.done} of {state.of} runs{skipped}"
 
 
 def bar(state: pb.ExperimentState) -> list[Text]:

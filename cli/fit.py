@@ -12,15 +12,16 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table as RichTable
 
-from tilth.analysis.fit.fitting import CannotFit, NoSteering, choose, fit_all
+from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
 from tilth.analysis.fit.result import as_json
-from tilth.analysis.runs.run import open_runs
+from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.runs.segments import KINDS
 from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names
 from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
 
 
@@ -80,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
                 progress=lambda done, of: show("reading", done, of),
             )  # fmt: skip
             wanted = choose(runs, args.segment, args.kind)
+            _check_same_rig([one.run for one in wanted])
             fitted = fit_all(
                 wanted, two_step=args.two_step, jobs=args.jobs,
                 progress=lambda done, of: show("fitting", done, of),
@@ -97,6 +99,17 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(answer)
     return 0 if fitted.joint is not None else 1
+
+
+def _check_same_rig(runs: Sequence[Run]) -> None:
+    """Raises CannotFit, which says by which keys the first two differ."""
+    try:
+        check_same_rig(runs)
+    except CannotFit as error:
+        texts = {run.machine_text: run for run in runs}  # they may differ by their DBC files alone
+        other = [*texts.values(), runs[-1]][1]
+        keys = differing(runs[0].machine, other.machine)
+        raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
 def _buses(pairs: Sequence[str], machine: Any) -> dict[str, str]:

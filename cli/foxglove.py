@@ -23,9 +23,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "foxglove",
         help="show a running daemon in Foxglove or Lichtblick",
-        description="Serves what a running daemon publishes over the Foxglove WebSocket protocol: the same "
-        "topics as in a log. A process of its own: it can come and go without touching the recorder. Until "
-        "Ctrl-C.",
+        description="Serves what a running daemon publishes over the Foxglove WebSocket protocol, as topics "
+        "of the names and schemas that a log has. What is in the log alone is not served: frames, "
+        "measurements, fits. /experiment is served beside `tilth experiment`, and is in no log. A process of "
+        "its own: it can come and go without touching the recorder. Until Ctrl-C.",
     )
     add_daemon(parser)
     add_address(parser, PORT)

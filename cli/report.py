@@ -53,10 +53,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--fit",
         type=_most_fitted,
-        default=MOST_FITTED,
         metavar="N|all",
         help=f"fit so many of the segments found in each log ({MOST_FITTED}), those that steer most; "
-        "segments that are named are all fitted",
+        "without it the runs of a plan of experiments are all fitted, and so are segments that are named",
     )
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
@@ -163,7 +162,7 @@ def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
         raise WrongUse(f"--segment: {error}") from None
 
 
-def _answers(runs: Sequence[Run], segments: list[Any], most: int, steps: Steps) -> dict[str, Any]:
+def _answers(runs: Sequence[Run], segments: list[Any], most: int | None, steps: Steps) -> dict[str, Any]:
     from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
 
     found = answers_of(runs, segments, steps, most)
@@ -220,7 +219,7 @@ def _words(args: argparse.Namespace) -> list[str]:
     for option in ("figures", "machine"):
         if getattr(args, option) is not None:
             words += [f"--{option}", str(getattr(args, option))]
-    if args.fit != MOST_FITTED:
+    if args.fit is not None:
         words += ["--fit", "all" if args.fit == ALL else str(args.fit)]
     for log, start_s, end_s in args.segment:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]

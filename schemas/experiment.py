@@ -5,6 +5,7 @@ right key. examples/experiments.toml shows most keys in use, docs/experiments.md
 module reads text; whether a rig and a field have room for it is in estimator/models/planned_run.py.
 """
 
+import hashlib
 import tomllib
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
@@ -163,6 +164,7 @@ class ExperimentPlan(_PlanSection):
     predicted: Mapping[str, float] = Field(
         default_factory=dict, description="sd of the logarithms by all runs; for reading"
     )
+    predicted_for: str = Field(default="", max_length=64, description="`steered` of the plan as it was then")
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:
@@ -176,6 +178,25 @@ class ExperimentPlan(_PlanSection):
             if name not in PARAMETERS:
                 raise ValueError(f"predicted.{name}: there are {', '.join(PARAMETERS)}")
         return self
+
+
+def steered(plan: ExperimentPlan) -> str:
+    """Eight hexadecimal digits that change with what is steered: what was predicted holds for that alone.
+    Numbers count with the six digits with which a plan is written."""
+    runs = [run.model_dump(exclude={"predicted"}) for run in plan.run]
+    drawn = plan.seed if any(run.kind == "random" for run in plan.run) else 0
+    rows = [[f"{key}={_written(value)}" for key, value in run.items()] for run in runs]
+    whole = f"{drawn} {_written(plan.limits.wheel_rate_degps)} {rows}"
+    return hashlib.sha256(whole.encode()).hexdigest()[:8]
+
+
+def edited(plan: ExperimentPlan) -> bool:
+    """Whether its runs are others than those of which something was predicted."""
+    return bool(plan.predicted_for) and plan.predicted_for != steered(plan)
+
+
+def _written(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 def parse_plan(text: str) -> ExperimentPlan:

@@ -24,7 +24,7 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
         given = _keys_given(raw, where[:-1])
         near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
         return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
-    message = first["msg"].removeprefix("Value error, ")
+    message = _PLAIN.get(first["type"], first["msg"].removeprefix("Value error, "))
     if first["type"] == "model_type" and where and isinstance(where[-1], str):
         message = f"is a section: give [{key}] with its keys below it"
     if first["type"] in _NUMBERS:
@@ -35,9 +35,13 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
     return f"{key}{value_text}: {message}" if key else message
 
 
-_NUMBERS = (
-    "less_than", "less_than_equal", "greater_than", "greater_than_equal", "float_parsing", "int_parsing",
-)  # fmt: skip
+_PLAIN = {
+    "int_from_float": "give a whole number", "int_parsing": "give a whole number",
+    "int_type": "give a whole number", "float_parsing": "give a number", "float_type": "give a number",
+    "finite_number": "give a finite number",
+}  # fmt: skip
+"""What pydantic says in words of its own."""
+_NUMBERS = ("less_than", "less_than_equal", "greater_than", "greater_than_equal", *_PLAIN)
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 

@@ -23,13 +23,14 @@ IN_LINE: Final = math.radians(2.0)
 BEYOND_M: Final = 55.0  # past the lane's end, before he turns round: in line again when he is back
 PATIENCE_S: Final = 4.0  # with too little room ahead he gives up and turns round
 ERROR_S: Final = 1.0  # correlation time of his error
+FREE: Final = ("", "idle", "finished")  # phases in which he goes where he likes; "": nobody prompts
 STANDING: Final = 0.1  # m/s
 
 
 class Bar(NamedTuple):
     """What he sees. wanted: rad, of the wheels; speed: m/s."""
 
-    phase: str  # idle, lining_up, countdown, running, noting or finished
+    phase: str  # idle, lining_up, countdown, running, noting or finished; "" where nobody prompts
     wanted: float
     speed: float
     room: bool  # whether there is room ahead
@@ -116,7 +117,8 @@ class PromptedDriver:
     def _steering(self, x: np.ndarray, bar: Bar) -> float:
         """Back to the lane, or round at its end."""
         along, across, off = self._on_lane(x)
-        if bar.phase == "idle" and not bar.room and abs(off) < math.pi / 2 and along > self.lane[3] / 2:
+        done_here = (along > self.lane[3] / 2 and not bar.room) or along > self.lane[3]
+        if bar.phase in FREE and abs(off) < math.pi / 2 and done_here:
             self.turning = True
         if self.turning and (self._armed or along > self.lane[3] + BEYOND_M):
             self.outward, self.turning, self._armed = not self.outward, False, False

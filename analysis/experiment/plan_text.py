@@ -14,6 +14,7 @@ from tilth.schemas.spread import share
 _HEAD: Final = """\
 # A plan of experiments, proposed by `tilth experiment --propose`{source}. Edit what you like; then
 # `tilth experiment {path}` beside a running daemon prompts a driver through it. Nothing starts by itself.
+# What is predicted here holds for the runs as they are: of edited ones nothing is expected.
 #
 # {worth}
 """
@@ -26,7 +27,8 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
     lines += [f"name = {_value(plan.name)}", f"machine = {_value(plan.machine)}"]
     lines += [f"seed = {plan.seed}  # of the order and of random steering"]
     lines += [f"countdown_s = {plan.countdown_s:g}"]
-    lines += [_predicted(plan.predicted, "after all runs"), ""]
+    lines += [_predicted(plan.predicted, "after all runs")]
+    lines += [f"predicted_for = {_value(plan.predicted_for)}  # the runs below, unedited", ""]
     lines += ["[limits]", *_keys(plan.limits), ""]
     lines += ["[field]  # without a corner its near headland ends where the first run is armed"]
     lines += [*_keys(plan.field), ""]

@@ -20,7 +20,15 @@ from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, wo
 from tilth.analysis.fit.joint import Told
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.models.planned_run import Scheduled, Way, check, drives, needed, way, wheel_angle
-from tilth.schemas.experiment import AnyRun, DrivingLimits, ExperimentPlan, PlanError, Rectangle, Run
+from tilth.schemas.experiment import (
+    AnyRun,
+    DrivingLimits,
+    ExperimentPlan,
+    PlanError,
+    Rectangle,
+    Run,
+    steered,
+)
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
@@ -126,7 +134,7 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: 
     )  # fmt: skip
     check(plan, rig_of(known.machine), drives(plan, default_rng))
     sd = predicted(known, plan)
-    plan = plan.model_copy(update={"predicted": _named(sd)})
+    plan = plan.model_copy(update={"predicted": _named(sd), "predicted_for": steered(plan)})
     seconds = sum(run.seconds * run.replicates for run in plan.run)
     progress("comparing it with held steps")
     worst = worst_of(known, sd)

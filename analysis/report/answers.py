@@ -10,7 +10,7 @@ from typing import Any
 from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all
 from tilth.analysis.fit.result import as_json as fit_json
 from tilth.analysis.report.document import plain
-from tilth.analysis.report.given import MOST_FITTED
+from tilth.analysis.report.given import MOST_FITTED, of_a_plan
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.analysis.validation import held_out
@@ -23,14 +23,15 @@ def answers_of(
     runs: Sequence[Run],
     given: Sequence[Sequence[DrivenSegment]],
     progress: Progress,
-    most: int = MOST_FITTED,
+    most: int | None = None,
 ) -> dict[str, Any]:
     """ "fit", "held_out", "residuals", "response" and "notes". given: of each run the segments that the user
-    named, which are all fitted. most: segments that are fitted of each other run. Raises LogError, OSError.
+    named, which are all fitted. most: segments that are fitted of each other run; None: the runs of a plan of
+    experiments, and MOST_FITTED of what else there is. Raises LogError, OSError.
     """
     try:
         wanted = _wanted(runs, given)
-        chosen, notes = (wanted, []) if any(given) else _fewer(wanted, most)
+        chosen, notes = (wanted, []) if any(given) else fewer(wanted, most)
         fitted = fit_all(chosen, progress=lambda done, of: progress("fitting", done, of))
     except CannotFit as error:
         return {"notes": [f"Nothing was fitted: {error}."]}
@@ -53,12 +54,16 @@ def _wanted(runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]]) -> tu
     return choose(runs)
 
 
-def _fewer(wanted: Sequence[Wanted], most: int) -> tuple[tuple[Wanted, ...], list[str]]:
-    """At most so many of each log, and what is left out, in a sentence."""
+def fewer(wanted: Sequence[Wanted], most: int | None) -> tuple[tuple[Wanted, ...], list[str]]:
+    """At most so many of each log, and what is left out, in a sentence. most: as of `answers_of`."""
     kept: set[int] = set()
     for log in {one.log for one in wanted}:
         of_log = [one for one in wanted if one.log == log]
-        kept |= {id(one) for one in sorted(of_log, key=lambda one: -abs(one.segment.largest_angle))[:most]}
+        of_log.sort(key=lambda one: -abs(one.segment.largest_angle))
+        if most is None:
+            kept |= {id(one) for one in of_log if of_a_plan(one.segment)}
+            of_log = [one for one in of_log if not of_a_plan(one.segment)]
+        kept |= {id(one) for one in of_log[: MOST_FITTED if most is None else most]}
     chosen = tuple(one for one in wanted if id(one) in kept)
     if len(chosen) == len(wanted):
         return chosen, []

@@ -5,12 +5,18 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from tilth.analysis.runs.run import Run
-from tilth.analysis.runs.segments import DrivenSegment, between
+from tilth.analysis.runs.segments import MARKED, DrivenSegment, between
 
 MOST_FITTED: Final = 4
 """Segments of a run that are fitted unless more are asked for: those with the largest wheel angles, in their
-order. A day of headland turns would take hours, and what was published all the way is in the log."""
+order. A day of headland turns would take hours, and what was published all the way is in the log. Runs of a
+plan of experiments are few, and all are fitted."""
 ALL: Final = 1_000_000
+
+
+def of_a_plan(segment: DrivenSegment) -> bool:
+    """Whether it is between two marks of `tilth experiment`."""
+    return segment.kind == MARKED and segment.name.startswith("experiment ")
 
 
 class GivenTimes(NamedTuple):

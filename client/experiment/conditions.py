@@ -63,7 +63,7 @@ def _room(
     now: Seen, run: AnyRun, way: Way, plan: ExperimentPlan, place: FieldPlace | None, slack: float
 ) -> Condition:
     if place is None:
-        return Condition("room", True, "the field will begin where you arm the first run")
+        return Condition("room", True, "the field will begin where you arm this run")
     lead, turning = max(now.speed, 0.0) * (plan.countdown_s + 1.0), run.kind == "turn"
     left = room_left(plan.field, place, now, way.ahead + lead, way.aside, turning)
     if math.isnan(left):

@@ -25,10 +25,11 @@ class Followed(NamedTuple):
 
 
 def wanted_at(angles: Array, t_s: float) -> float:
-    """Wheel angle to have at a time of the run, s from where `angles` begin; straight before, held after."""
-    if t_s <= 0.0:
+    """Wheel angle to have at a time of the run, s from where `angles` begin; straight before
+    and after."""
+    place = t_s / DT
+    if not 0.0 < place <= len(angles) - 1.0:
         return 0.0
-    place = min(t_s / DT, len(angles) - 1.0)
     low = int(place)
     high = min(low + 1, len(angles) - 1)
     return float(angles[low] + (place - low) * (angles[high] - angles[low]))

@@ -9,6 +9,7 @@ which are asked of the daemon, and answered by `Marked`.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -19,7 +20,14 @@ from numpy.typing import NDArray
 from tilth.client.experiment import conditions
 from tilth.client.experiment.conditions import Condition
 from tilth.client.experiment.following import disturbed, followed, off_the_bar
-from tilth.client.experiment.sight import FieldPlace, Seen, abort_reason, in_plane, place_of
+from tilth.client.experiment.sight import (
+    FieldPlace,
+    Seen,
+    abort_reason,
+    corner_of,
+    in_plane,
+    place_of,
+)
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.planned_run import DT, Scheduled, Way, check, drives, way
 from tilth.schemas.experiment import ExperimentPlan
@@ -117,7 +125,12 @@ class Anew(NamedTuple):
     why: str
 
 
-Input = Seen | Tick | Order | Marked | Anew
+class Leave(NamedTuple):
+    """The prompter is ended, whatever is under way."""
+
+
+Input = Seen | Tick | Order | Marked | Anew | Leave
+LEFT: Final = "the prompter was ended"
 
 
 def course_of(plan: ExperimentPlan, rig: Rig) -> Course:
@@ -142,6 +155,8 @@ def step(prompt: Prompt, course: Course, came: Input) -> tuple[Prompt, tuple[Mar
             return _marked(prompt, course, came)
         case Anew():
             return _anew(prompt, course, came.why)
+        case Leave():
+            return _leave(prompt, course)
 
 
 def drive_at(prompt: Prompt, course: Course) -> PlannedDrive | None:
@@ -212,18 +227,15 @@ def _order(prompt: Prompt, course: Course, kind: str) -> tuple[Prompt, tuple[Mar
     if prompt.phase == FINISHED:
         return prompt, ()
     if kind == ARM and prompt.phase == IDLE:
-        place = prompt.place
-        if place is None and prompt.track and not prompt.track[-1].trouble:
-            place = place_of(course.plan.field, prompt.track[-1])
         said = "Line up: drive straight at the speed shown."
-        return replace(prompt, phase=LINING_UP, since_s=prompt.now_s, place=place, said=said), ()
+        return _begin_field(replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said), course)
     if kind == STOP and prompt.phase == RUNNING:
         return _end(prompt, course, "aborted", "stopped by the driver")
     if kind == STOP and prompt.phase in (LINING_UP, COUNTDOWN):
         said = "Stopped. Arm it when you are ready."
         return replace(prompt, phase=IDLE, since_s=prompt.now_s, said=said), ()
     if kind == SKIP and prompt.phase in (IDLE, LINING_UP, COUNTDOWN):
-        return _next(prompt, course, "skipped", "skipped by the driver")
+        return _skip(prompt, course)
     return prompt, ()
 
 
@@ -236,7 +248,7 @@ def _marked(prompt: Prompt, course: Course, marked: Marked) -> tuple[Prompt, tup
     if prompt.phase == NOTING and marked.text == f"{name} end":
         if marked.refusal:
             return _end(prompt, course, "disturbed", f"the end is not in the log: {marked.refusal}")
-        return _next(prompt, course, "done", "")
+        return _next(prompt, course, "done", ""), ()
     return prompt, ()
 
 
@@ -254,15 +266,27 @@ def _anew(prompt: Prompt, course: Course, why: str) -> tuple[Prompt, tuple[Mark,
     return replace(prompt, track=(), now_s=-math.inf), tuple(marks)
 
 
+def _leave(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
+    """The run under way is not done: whoever goes on drives it again."""
+    if prompt.phase == FINISHED:
+        return prompt, ()
+    marks: tuple[Mark, ...] = ()
+    if prompt.phase == RUNNING:
+        prompt, marks = _end(prompt, course, "aborted", LEFT)
+    elif prompt.phase == NOTING:
+        reason = f"{LEFT} before the daemon confirmed the mark at its end"
+        prompt, marks = _end(prompt, course, "disturbed", reason)
+    return replace(prompt, said="The prompter was ended."), marks
+
+
 def _lined_up(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
     """Armed: wait until all is as it should be, count down, begin."""
     if prompt.phase not in (LINING_UP, COUNTDOWN):
         return prompt, ()
-    if prompt.place is None and prompt.track and not prompt.track[-1].trouble:
-        prompt = replace(prompt, place=place_of(course.plan.field, prompt.track[-1]))
+    prompt, marks = _begin_field(prompt, course)
     open_ones = [one for one in conditions_of(prompt, course) if not one.met]
     if prompt.phase == LINING_UP and not open_ones:
-        return replace(prompt, phase=COUNTDOWN, since_s=prompt.now_s, said="Ready: keep straight."), ()
+        return replace(prompt, phase=COUNTDOWN, since_s=prompt.now_s, said="Ready: keep straight."), marks
     if prompt.phase == COUNTDOWN and open_ones:
         said = f"Countdown stopped: {open_ones[0].text}."
         return replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said), ()
@@ -271,8 +295,18 @@ def _lined_up(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]
             prompt, phase=RUNNING, since_s=prompt.now_s, track=prompt.track[-1:], off_s=0.0, recorded=False,
             said="Follow the bar.",
         )  # fmt: skip
-        return started, (Mark(f"{name_of(prompt, course)} start"),)
-    return prompt, ()
+        return started, (*marks, Mark(f"{name_of(prompt, course)} start"))
+    return prompt, marks
+
+
+def _begin_field(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
+    """An armed run is where the field begins, if that is not known yet. It is noted: a prompter that was
+    killed tells nobody."""
+    if prompt.place is not None or not prompt.track or prompt.track[-1].trouble:
+        return prompt, ()
+    place = place_of(course.plan.field, prompt.track[-1])
+    told = f"experiment {course.plan.name} seed {course.plan.seed} field corner {corner_of(place).text}"
+    return replace(prompt, place=place), (Mark(told),)
 
 
 def _while_running(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark, ...]]:
@@ -322,17 +356,27 @@ def _end(prompt: Prompt, course: Course, outcome: str, reason: str) -> tuple[Pro
     return again, (Mark(f"{name} {outcome} ({reason})"),)
 
 
-def _next(prompt: Prompt, course: Course, outcome: str, reason: str) -> tuple[Prompt, tuple[Mark, ...]]:
-    attempt = Attempt(name_of(prompt, course), outcome, reason)
+def _skip(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
+    """Left out, which is noted."""
+    mark = Mark(f"{name_of(prompt, course)} skipped (by the driver)")
+    return _next(prompt, course, "skipped", "by the driver"), (mark,)
+
+
+def _next(prompt: Prompt, course: Course, outcome: str, reason: str) -> Prompt:
+    attempts = (*prompt.attempts, Attempt(name_of(prompt, course), outcome, reason))
     at = prompt.at + 1
     over = at == len(course.drives)
-    said = "All runs are driven." if over else "Done. Turn round; arm the next run when you are ready."
-    if outcome == "skipped" and not over:
-        said = "Skipped. Arm the next run when you are ready."
-    return (
-        replace(
-            prompt, phase=FINISHED if over else IDLE, at=at, tries=1, since_s=prompt.now_s,
-            attempts=(*prompt.attempts, attempt), said=said,
-        ),
-        (),
+    said = f"{outcome.capitalize()}. Arm the next run when you are ready and have room ahead."
+    if over:
+        left_out = skipped_of(attempts, len(course.drives))
+        said = f"The plan is at its end: {left_out}." if left_out else "All runs are driven."
+    return replace(
+        prompt, phase=FINISHED if over else IDLE, at=at, tries=1, since_s=prompt.now_s, attempts=attempts,
+        said=said,
     )  # fmt: skip
+
+
+def skipped_of(attempts: Sequence[Attempt], of: int) -> str:
+    """How many of so many runs were skipped, in words; "" for none."""
+    skipped = sum(one.outcome == "skipped" for one in attempts)
+    return f"{skipped} of {of} runs {'was' if skipped == 1 else 'were'} skipped" if skipped else ""

@@ -30,6 +30,7 @@ def shown(prompt: Prompt, course: Course) -> pb.ExperimentState:
         plan=course.plan.name, phase=prompt.phase, done=prompt.at, of=len(course.drives),
         text=prompt.said or "Arm the first run when you are ready: it starts nothing by itself.",
         t_ns=round(1e9 * max(prompt.now_s, 0.0)),
+        skipped=sum(one.outcome == "skipped" for one in prompt.attempts),
         attempts=[pb.ExperimentAttempt(**one._asdict()) for one in prompt.attempts[-ATTEMPTS:]],
     )  # fmt: skip
     measured = prompt.track[-1].wheel_angle if prompt.track else math.nan
@@ -38,7 +39,7 @@ def shown(prompt: Prompt, course: Course) -> pb.ExperimentState:
     if drive is None:
         return state
     run = drive.scheduled.run
-    state.drive = f"{drive.scheduled.name}, {run.seconds:g} s at {3.6 * run.speed:.1f} km/h"
+    state.drive = f"{drive.scheduled.name}, {drive.seconds:g} s at {3.6 * run.speed:.1f} km/h"
     state.length_s, state.speed = drive.seconds, run.speed
     state.largest = math.radians(run.amplitude_deg)
     begins_s = _begins_s(prompt, course)

@@ -44,6 +44,19 @@ class FieldPlace(NamedTuple):
     origin_deg: tuple[float, float] = (0.0, 0.0)  # of the plane
 
 
+class FieldCorner(NamedTuple):
+    """The same for a plan, whatever the plane is. Degrees; heading_deg clockwise from north."""
+
+    latitude: float
+    longitude: float
+    heading_deg: float
+
+    @property
+    def text(self) -> str:
+        """As `tilth experiment --corner` takes it: within 2 cm, and on a field's length within 10 cm."""
+        return f"{self.latitude:.7f},{self.longitude:.7f},{self.heading_deg:.3f}"
+
+
 def seen_of(pose: Pose) -> Seen:
     """What a pose shows."""
     body = pose.tractor
@@ -78,6 +91,12 @@ def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
         return FieldPlace(*corner, math.radians(field.heading_deg), seen.origin_deg)
     north, east = rotate((-field.headland, -field.width / 2), seen.heading)
     return FieldPlace(seen.north + north, seen.east + east, seen.heading, seen.origin_deg)
+
+
+def corner_of(place: FieldPlace) -> FieldCorner:
+    """Where the field begins, for who goes on with the plan."""
+    latitude, longitude = to_degrees(place.origin_deg, place.north, place.east)
+    return FieldCorner(latitude, longitude, math.degrees(place.heading) % 360.0)
 
 
 def in_plane(place: FieldPlace, origin_deg: tuple[float, float]) -> FieldPlace:

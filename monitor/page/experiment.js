@@ -40,7 +40,8 @@ export class Experiment {
   show(state, live) {
     this.part.hidden = !state || !live;
     if (this.part.hidden) return;
-    put(byId("experiment-title"), `Experiment ${state.plan}: ${state.done} of ${state.of} runs`);
+    const skipped = state.skipped ? `, ${state.skipped} of them skipped` : "";
+    put(byId("experiment-title"), `Experiment ${state.plan}: ${state.done} of ${state.of} runs${skipped}`);
     const counting = known(state.count_s), running = known(state.at_s);
     put(byId("experiment-drive"), running ? `${state.drive}: ${state.at_s.toFixed(0)} of ${state.length_s.toFixed(0)} s` : state.drive);
     put(byId("experiment-text"), state.text);

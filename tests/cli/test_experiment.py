@@ -16,9 +16,9 @@ from stage import Stage
 
 from tilth.cli import main
 from tilth.cli.experiment_learned import FitOfRuns, lines_of
-from tilth.cli.experiment_screen import bar, panel
+from tilth.cli.experiment_screen import bar, panel, title
 from tilth.client.link import open_session
-from tilth.schemas.experiment import parse_plan
+from tilth.schemas.experiment import parse_plan, steered
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -40,7 +40,19 @@ ROWS: list[tuple[list[str], str]] = [
     (["EXAMPLE", "--speed", "3", "--kind", "turn"], "--speed, --kind: for --propose; what is"),
     (["EXAMPLE", "--start-at", "10"], "has runs 1 to 9"),
     (["EXAMPLE", "--start-at", "0"], "has runs 1 to 9"),
-    ([*PROPOSE, "--start-at", "2"], "--start-at goes with a plan to drive"),
+    ([*PROPOSE, "--start-at", "2"], "--start-at, --try and --corner go with a plan to drive"),
+    ([*PROPOSE, "--try", "2"], "--start-at, --try and --corner go with a plan to drive"),
+    (["EXAMPLE", "--check"], "--check needs --machine M.toml"),
+    (["EXAMPLE", "--check", "--machine", "none.toml"], "none.toml: the machine file cannot be read"),
+    (["HARD", "--check", "--machine", "MACHINE"], "to the side, limits.lateral_acceleration allows 2.5"),
+    (["NARROW", "--check", "--machine", "MACHINE"], "m that are wide, the field has 12 m"),
+    (["OTHER", "--check", "--machine", "MACHINE"], 'OTHER is for machine = "fendt"; '),
+    (["--check", "--machine", "MACHINE"], "--check needs the plan to look at"),
+    ([*PROPOSE, "--check"], "--check goes with a plan that is there, not with --propose"),
+    (["EXAMPLE", "--try", "0"], "--try 0: give a whole number from 1 to 999"),
+    (["EXAMPLE", "--corner", "43.5,-83.4"], "43.5,-83.4: write LATITUDE,LONGITUDE,HEADING in degrees"),
+    (["EXAMPLE", "--corner=98,-83.4,0"], "98,-83.4,0: write LATITUDE,LONGITUDE,HEADING in degrees"),
+    (["EXAMPLE", "--corner=nan,0,0"], "nan,0,0: write LATITUDE,LONGITUDE,HEADING in degrees"),
     (["--propose"], "--propose needs --machine M.toml and --out PLAN.toml"),
     (["EXAMPLE", *PROPOSE], "leave out the one to drive"),
     ([*PROPOSE, "--speed", "0.5"], "--speed 0.5: give 1.5 to 12 m/s"),
@@ -70,6 +82,12 @@ def test_one_line_says_what_to_do(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FOREIGN").write_text("not a plan\n")
     (tmp_path / "WRONG").write_text(EXAMPLE.read_text(encoding="utf-8").replace("speed =", "spede =", 1))
+    for name, old, new in (
+        ("HARD", "speed = 4.5", "speed = 9"),
+        ("NARROW", "width = 80", "width = 12"),
+        ("OTHER", "jd7930-parker500", "fendt"),
+    ):
+        (tmp_path / name).write_text(EXAMPLE.read_text(encoding="utf-8").replace(old, new))
     places = {"MACHINE": str(MACHINE_FILE), "EXAMPLE": str(EXAMPLE)}
     try:
         status: object = main(["experiment", *(places.get(word, word) for word in words)])
@@ -79,6 +97,17 @@ def test_one_line_says_what_to_do(
     assert status == 2
     assert expected in said[-1]
     assert not (tmp_path / "new.toml").exists()
+
+
+def test_a_plan_is_checked_without_a_daemon(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--check", "--machine", str(MACHINE_FILE)]
+    assert main(["experiment", str(EXAMPLE), *words]) == 0
+    said = capsys.readouterr()
+    assert "9 runs, 153 s between their marks, fit the rig and the field" in said.out and said.err == ""
+    edited = tmp_path / "edited.toml"
+    edited.write_text('predicted_for = "00000000"\n' + EXAMPLE.read_text(encoding="utf-8"))
+    assert main(["experiment", str(edited), *words]) == 0
+    assert "was edited after its numbers were predicted" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +183,12 @@ def test_without_a_terminal_it_prints_lines_hears_the_page_and_tells_when_runs_a
         assert "prompted through three-kinds already" in capsys.readouterr().err
         _skip(page, states, 9)
         said, complained = process.communicate(timeout=PATIENCE_S)
+        until(lambda: any("No log was heard of" in line for line in states[-1].learned))  # and stays there
     assert process.returncode == 1  # nothing was driven
-    assert "Arm the first run" in said and "Skipped." in said and "All runs are driven." in said
-    assert "No log was heard of" in said and complained == ""
+    assert "Arm the first run" in said and "Skipped." in said
+    assert "The plan is at its end: 9 of 9 runs were skipped." in said and "All runs" not in said
+    assert "No log was heard of" in said
+    assert complained == "tilth experiment: 9 of 9 runs were skipped\n"
 
 
 def test_a_prompter_that_was_ended_says_how_to_go_on_and_goes_on_there(stage: Stage) -> None:
@@ -175,6 +207,7 @@ def test_a_prompter_that_was_ended_says_how_to_go_on_and_goes_on_there(stage: St
             until(lambda: bool(states))
             assert (states[0].done, states[0].of) == (7, 9)
             assert states[0].text.startswith("The plan goes on with run 8 of 9")
+            assert "drive to where it begins" in states[0].text  # none was armed: nobody knows it
             _skip(page, states, 2)
             process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -193,11 +226,14 @@ def test_what_was_learned_is_told_beside_what_was_expected() -> None:
         "runs": [{}, {}], "joint": {"parameters": rows, "log_covariance": covariance},
         "agreement": {"sentence": "The 2 segments agree."},
     }  # fmt: skip
-    lines = lines_of(answer, {"C_af": 0.06})
+    plan = PLAN.model_copy(update={"predicted": {"C_af": 0.06}, "predicted_for": steered(PLAN)})
+    lines = lines_of(answer, plan)
     assert lines[0] == "C_af: 2.00 ± 0.20 kN/rad (95 %), ±10 %; expected ±12 % (95 %)"
     assert lines[5] == "sigma_i: more steering is needed"
     assert lines[-1] == "The 2 segments agree."
-    assert "tell nothing" in lines_of({"joint": None}, {})[0]
+    other = lines_of(answer, plan.model_copy(update={"run": plan.run[:2]}))
+    assert not any("expected ±" in one for one in other) and "was edited" in other[-1]
+    assert "tell nothing" in lines_of({"joint": None}, PLAN)[0]
 
 
 def test_a_log_on_another_computer_is_told_of() -> None:
@@ -205,7 +241,7 @@ def test_a_log_on_another_computer_is_told_of() -> None:
     lines, commands = fit.told()
     fit.close()
     assert fit.over and "on the daemon's computer" in lines[0]
-    assert "report /nowhere/run_001.mcap --out three-kinds.html" in commands[0]
+    assert "report /nowhere/run_001.mcap --out three-kinds.html --fit all" in commands[0]
 
 
 @pytest.mark.parametrize("wanted", [-0.2, -0.05, 0.0, 0.1, 0.3])
@@ -218,3 +254,10 @@ def test_the_bar_shows_left_and_right_and_stays_in_its_frame(wanted: float) -> N
     assert len(first.split(" ")[-2]) == 61 or "▼" in first
     assert (first.index("▼") > middle) == (wanted > 0) and (first.index("▼") < middle) == (wanted < 0)
     assert panel(state).renderable is not None
+
+
+def test_the_title_tells_what_was_skipped() -> None:
+    state = pb.ExperimentState(plan="p", done=6, of=6)
+    assert title(state) == "p: 6 of 6 runs"
+    state.skipped = 5
+    assert title(state) == "p: 6 of 6 runs, 5 of them skipped"

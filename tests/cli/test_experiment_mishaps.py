@@ -1,5 +1,7 @@
 """What goes wrong while `tilth experiment` runs: real processes, poses as a daemon publishes them."""
 
+import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -46,9 +48,13 @@ class Cab:
         self.marks: list[str] = []
         self._wheel = 0.0
         self._page = self._open()
+        self.prompt(plan)
+
+    def prompt(self, plan: Path, *words: str) -> None:
+        """Start a prompter."""
         start = "import sys; from tilth.cli import main; sys.exit(main())"
         self.process = subprocess.Popen(
-            [sys.executable, "-c", start, "experiment", str(plan), "--connect", self.stage.endpoint],
+            [sys.executable, "-c", start, "experiment", str(plan), "--connect", self.stage.endpoint, *words],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
@@ -146,3 +152,40 @@ def test_lost_rtk_and_a_restarted_daemon_cost_a_try_each_and_no_run(cab: Cab) ->
     goes_on = cab.marks.index(f"experiment mishaps seed 1 goes on: {RESTARTED}")
     assert len(aborted) == 1 and cab.marks.index(f"{second} start") > goes_on
     assert "RTK is lost" in said and "fit /logs/before.mcap /logs/after.mcap" in said
+
+
+ANYWHERE = PLAN.replace(
+    "corner = [43.4995, -83.4005]\nheading_deg = 0\n", ""
+)  # its field begins where it is armed
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_prompter_that_is_ended_in_a_run_notes_it_and_the_next_one_goes_on_in_the_same_field(
+    ending: signal.Signals, tmp_path: Path
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(ANYWHERE, encoding="utf-8")
+    cab = Cab(plan)
+    try:
+        cab.until(lambda now: now.HasField("measured"))
+        cab.begin()
+        cab.process.send_signal(ending)
+        _, complained = cab.process.communicate(timeout=PATIENCE_S)
+        aborted = [
+            mark for mark in cab.marks if mark.endswith("try 1 seed 1 aborted (the prompter was ended)")
+        ]
+        (field,) = [mark for mark in cab.marks if " field corner " in mark]
+        corner = field.partition(" field corner ")[2]
+        words = shlex.split(complained.splitlines()[-1].partition("to go on: ")[2])
+        assert len(aborted) == 1 and cab.process.returncode == 1
+        assert words[-5:] == ["--start-at", "1", "--try", "2", f"--corner={corner}"]
+        cab.states.clear()
+        cab.prompt(plan, *words[-5:])
+        cab.until(lambda now: any(one.name == "room" for one in now.conditions))
+        assert "drive to where it begins" not in cab.states[0].text
+        assert not any("begin where you arm" in one.text for one in cab.states[-1].conditions)
+        cab.finish(1)
+    finally:
+        cab.close()
+    assert "run 1 steps replicate 1 of 2 try 1" not in cab.states[-1].attempts[0].name
+    assert len([mark for mark in cab.marks if " field corner " in mark]) == 1

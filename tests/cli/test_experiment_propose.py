@@ -1,14 +1,16 @@
 """`tilth experiment --propose --from LOG`: what a log has told counts, and what none tells is said."""
 
 import gzip
+import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from logs import MACHINE, MACHINE_FILE, OTHER_TEXT, write_candump
+from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, OTHER_TEXT, write_candump
 from numpy.typing import NDArray
-from recorded_run import write_run
+from recorded_run import START_NS, write_run
 
 from tilth.analysis.experiment.predict import from_machine, sds
 from tilth.cli import main
@@ -48,7 +50,7 @@ def test_what_a_log_told_counts_and_is_not_asked_for_again(
 ) -> None:
     assert proposed(tmp_path / "new.toml") == proposed(tmp_path / "from.toml", [step]) == 0
     said = capsys.readouterr()
-    assert "fitting 1 stretches of driving in the log" in said.err
+    assert "fitting 1 stretch of driving in the log" in said.err
     texts = [(tmp_path / name).read_text(encoding="utf-8") for name in ("new.toml", "from.toml")]
     assert "--propose`. Edit" in texts[0] and "--propose` from step.log. Edit" in texts[1]
     new, known = (sds_of(parse_plan(text).predicted) for text in texts)
@@ -110,6 +112,40 @@ def test_of_a_log_that_tells_nothing_it_is_said_why_and_nothing_is_written(
     last = said.err.splitlines()[-1]
     assert last.startswith("tilth experiment: ") and words in last and "--segment" not in last
     assert said.out == "" and not out.exists()
+
+
+NAMES = itertools.count(60)
+BY_SOURCE = re.sub(r'name = "[0-9A-F]{16}"', lambda found: f"source = {next(NAMES)}", MACHINE_TEXT)
+
+
+def test_of_several_logs_it_is_said_which_told_nothing_and_why(
+    step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of receivers that are found by NAME in the log, and by their source in the machine file of today."""
+    today = tmp_path / "today.toml"
+    today.write_text(BY_SOURCE, encoding="utf-8")
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (log,) = write_run(logs, 60.0)
+    assert proposed(tmp_path / "plan.toml", [log], today) == 1
+    *_, said, last = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"tilth experiment: {log}: no pose comes out of it with {today}")
+    assert "the machine file in it differs in receiver[1].name, receiver[1].source" in said
+    assert "there are no poses in these logs" in last
+
+
+def test_logs_that_were_recorded_over_two_ways_to_the_buses_count_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To which port a bus was opened is of no interest to a fit."""
+    moved = MACHINE_TEXT.replace("bitrate = 250000", "bitrate = 500000", 1)
+    assert moved != MACHINE_TEXT
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    found = [*write_run(logs, 60.0), *write_run(logs, 60.0, start_ns=START_NS + 10**12, text=moved)]
+    assert proposed(tmp_path / "plan.toml", found) == 1  # there is nothing in their frames
+    said = capsys.readouterr().err
+    assert "fitting 2 stretches of driving" in said and "different machine files" not in said
 
 
 def test_a_log_of_another_rig_by_its_devices_alone(

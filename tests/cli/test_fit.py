@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from logs import MACHINE_TEXT
 from recorded import cut, recorded, shared_cache
+from recorded_run import write_run
 
 from tilth.cli import main
 from tilth.schemas.flow import PARAMETERS
@@ -87,3 +88,10 @@ def test_what_is_no_log(fit: Answer, tmp_path: Path) -> None:
     machine.write_text(MACHINE_TEXT)
     status, _, err = fit(foreign, "--machine", machine)
     assert status == 1 and "there are no poses in these logs" in err
+
+
+def test_of_logs_of_two_rigs_the_keys_that_differ_are_named(fit: Answer, tmp_path: Path) -> None:
+    (other,) = write_run(tmp_path, name="fendt")
+    status, _, err = fit(recorded().parts[0], other)
+    assert status == 2 and "are of different machine files" in err
+    assert "They differ in machine.name" in err and "log.chunk_kilobytes" not in err

@@ -110,7 +110,9 @@ def test_a_driver_is_prompted_on_a_phone(
         done = page.locator("#experiment-title").inner_text()
         skip.tap()
         expect(page.locator("#experiment-title")).not_to_have_text(done)
-    expect(page.locator("#experiment-text")).to_have_text("All runs are driven.")
+    skipped = "The plan is at its end: 2 of 2 runs were skipped."
+    expect(page.locator("#experiment-text")).to_have_text(skipped)
+    expect(page.locator("#experiment-title")).to_contain_text("2 of 2 runs, 2 of them skipped")
     expect(page.locator("#experiment-learned")).to_contain_text("No log was heard of")
     expect(part).to_be_hidden(timeout=SOON_MS)  # the prompter has ended
     assert prompter.wait(PATIENCE_S) == 1

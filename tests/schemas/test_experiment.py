@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from paths import ROOT
 
 from tilth.estimator.models.manoeuvres import MANOEUVRES
-from tilth.schemas.experiment import KINDS, ChirpRun, PlanError, parse_plan
+from tilth.schemas.experiment import KINDS, ChirpRun, PlanError, edited, parse_plan, steered
 
 TEXT = (ROOT / "examples/experiments.toml").read_text(encoding="utf-8")
 
@@ -15,7 +15,7 @@ WRONG = [
     ('kind = "chirp"', "", ("run[2]", "kind")),
     ("low_hz = 0.1", "low_Hz = 0.1", ("run[2].low_Hz", 'mean "low_hz"')),
     ("hold_s = 2.0", "hold = 2.0", ("run[1].hold", 'mean "hold_s"')),
-    ("speed = 4.5", 'speed = "fast"', ("run[1].speed = 'fast'", "number")),
+    ("speed = 4.5", 'speed = "fast"', ("run[1].speed = 'fast': give a number (m/s)",)),
     ("speed = 4.5", "speed = 0.5", ("run[1].speed = 0.5", "1.5")),
     ("speed = 4.5", "speed = 16", ("run[1].speed = 16", "12 (m/s)")),
     ("speed = 4.5", 'speed = "16 km/h"', ("run[1].speed = '16 km/h'", "(m/s)")),
@@ -26,6 +26,10 @@ WRONG = [
     ("width = 80", "width = 80\ncorner = [142.0, -93.6]\nheading_deg = 0", ("corner", "90")),
     ("low_hz = 0.1", "low_hz = 0.9", ("run[2]", "high_hz = 0.5", "below low_hz")),
     ("low_hz = 0.06", "low_hz = 0.9", ("high_hz = 0.6", "below low_hz")),
+    ("replicates = 3", "replicates = 2.5", ("run[1].replicates = 2.5: give a whole number",)),
+    ("replicates = 3", 'replicates = "two"', ("run[1].replicates = 'two': give a whole number",)),
+    ("replicates = 3", "replicates = []", ("run[1].replicates: give a whole number",)),
+    ("speed = 4.5", "speed = nan", ("run[1].speed = nan: give a finite number (m/s)",)),
     ("replicates = 3", "replicates = 0", ("run[1].replicates = 0", "1")),
     ('side = "both"', 'side = "middle"', ("run[1].side", "right", "left")),
     ('machine = "jd7930-parker500"', "", ("machine: missing",)),
@@ -52,6 +56,27 @@ def test_a_wrong_plan_says_where_and_what_is_allowed(right: str, wrong: str, wor
     assert "\n" not in said
     for word in words:
         assert word in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "other"),
+    [
+        ("speed = 4.5", "speed = 4.6", True),
+        ("hold_s = 2.0", "hold_s = 2", False),
+        ("hold_s = 2.0", "hold_s = 2.5", True),
+        ("wheel_rate_degps = 15", "wheel_rate_degps = 20", True),
+        ("length = 400", "length = 500", False),
+        ("seed = 1", "seed = 2", False),  # nothing of these runs is drawn
+        ("braking = 1.5", "braking = 1.2", False),
+    ],
+)
+def test_a_plan_whose_steering_was_edited_is_told_from_one_that_was_not(
+    old: str, new: str, other: bool
+) -> None:
+    told = f'predicted_for = "{steered(parse_plan(TEXT))}"\n'
+    assert not edited(parse_plan(told + TEXT)) and not edited(parse_plan(TEXT))
+    assert old in TEXT
+    assert edited(parse_plan(told + TEXT.replace(old, new, 1))) == other
 
 
 @given(st.text(max_size=200))

@@ -30,6 +30,19 @@ def followed(person: Person, seconds: float, seed: int = 1) -> tuple[np.ndarray,
     return np.array(wanted), np.array(hands)
 
 
+@pytest.mark.parametrize("phase", ["", "idle", "finished"])
+@pytest.mark.parametrize("room", [True, False])
+def test_past_the_lane_he_turns_round_whether_or_not_somebody_knows_of_room(phase: str, room: bool) -> None:
+    driver = PromptedDriver(EXACT, LANE, 1)
+    driver.hands(0.0, Bar(phase, 0.0, 4.5, room), at(310.0))
+    assert driver.turning == (not room)
+    driver = PromptedDriver(EXACT, LANE, 1)
+    driver.hands(0.0, Bar(phase, 0.0, 4.5, room), at(LANE[0] + LANE[3] + 1.0))
+    assert driver.turning
+    driver.hands(1.0, Bar(phase, 0.0, 4.5, room), at(LANE[0] + LANE[3] + 60.0))
+    assert not driver.outward and not driver.turning
+
+
 def test_he_is_late_by_his_lag() -> None:
     wanted, hands = followed(EXACT, 20.0)
     assert hands[10:] == pytest.approx(wanted[5:-5], abs=0.02)

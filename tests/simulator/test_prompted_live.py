@@ -2,16 +2,23 @@
 
 import logging
 import re
+import shlex
+import signal
+import subprocess
+import sys
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pytest
+from paths import ROOT
 from prompted_live import Live, drive_plan
+from virtual_cab import plan_of
 
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.runs.segments import MARKED, marked
+from tilth.cli import WrongUse
 from tilth.client.experiment.prompter import RUNNING
 from tilth.client.experiment.runner import RESTARTED
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -91,3 +98,41 @@ def test_a_daemon_that_is_restarted_in_a_run_leaves_the_runs_of_both_logs(tmp_pa
     assert f"experiment short seed 1 goes on: {RESTARTED}" in runs[1].marks["text"].tolist()
     assert "agree" in live.said
     assert all(str(path) in live.said for path in logs)  # in the command for the report
+
+
+@pytest.mark.prompted
+def test_a_plan_is_driven_without_a_tractor_by_the_commands_that_are_printed(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN.replace("width = 100", "width = 100\nheadland = 30"), encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, ROOT / "bench/virtual_cab.py", plan, "--log", tmp_path / "logs"],
+        stdout=subprocess.PIPE, text=True,
+    ) as cab:  # fmt: skip
+        assert cab.stdout is not None
+        words = next(shlex.split(line) for line in cab.stdout if "tilth experiment" in line)
+        start = "import sys; from tilth.cli import main; sys.exit(main())"
+        prompted = subprocess.run(
+            [sys.executable, "-c", start, *words[words.index("tilth") + 1 :]],
+            check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=400.0,
+        )  # fmt: skip
+        cab.send_signal(signal.SIGINT)
+        said, _ = cab.communicate(timeout=60.0)
+    assert (prompted.returncode, cab.returncode) == (0, 0), prompted.stdout + prompted.stderr
+    assert "All runs are driven." in prompted.stdout and "Log: " in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("jd7930-parker500", "fendt", 'is for machine = "fendt"; the virtual tractor is jd7930-parker500'),
+        ("width = 100", "width = 100\ncorner = [42.0, -93.6]\nheading_deg = 0", "is not at field.corner"),
+        ("width = 100", "", "field.width: missing"),
+    ],
+)
+def test_a_plan_that_the_virtual_tractor_cannot_drive_is_refused(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(PLAN.replace(old, new), encoding="utf-8")
+    with pytest.raises(WrongUse, match=re.escape(words)):
+        plan_of(plan, "jd7930-parker500")

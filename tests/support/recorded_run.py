@@ -48,13 +48,15 @@ def write_run(
     finish: bool = True,
     name: str = MACHINE.name,
     note: str = "",
+    text: str = MACHINE_TEXT,
 ) -> list[Path]:
-    """results: all that is published, or frames alone. finish: else the last part has no end."""
+    """results: all that is published, or frames alone. finish: else the last part has no end. text: of the
+    machine file in it."""
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": 16})
     machine = MACHINE.model_copy(
         update={"log": log, "machine": MACHINE.machine.model_copy(update={"name": name})}
     )
-    text = MACHINE_TEXT.replace(f'"{MACHINE.name}"', f'"{name}"')
+    text = text.replace(f'"{MACHINE.name}"', f'"{name}"')
     run = f"{name}_{utc_text(start_ns, STAMP)}"
     rows = list(logged(seconds, start_ns))
     each = -(-len(rows) // parts)

@@ -10,7 +10,7 @@ from tilth.analysis.experiment.predict import from_machine
 from tilth.analysis.experiment.propose import WantedPlan, compared, propose
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.models.planned_run import check, drives
-from tilth.schemas.experiment import ChirpRun, DrivingLimits, PlanError, Rectangle, parse_plan
+from tilth.schemas.experiment import ChirpRun, DrivingLimits, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.flow import PARAMETERS
 
 KNOWN = from_machine(MACHINE)
@@ -37,7 +37,8 @@ def test_a_proposal_can_be_driven_and_is_better_than_held_steps() -> None:
     assert found.swung is not None and found.swung.seconds > 0.0
     assert "searching the best chirp" in said
     text = text_of(found, "PLAN.toml", "a.mcap")
-    assert parse_plan(text) == found.plan
+    assert parse_plan(text) == found.plan and found.plan.predicted_for and not edited(found.plan)
+    assert edited(parse_plan(text.replace("speed = 4.5", "speed = 4.4", 1)))
     chirp = next(run for run in found.plan.run if isinstance(run, ChirpRun))
     assert f"# swinging from {chirp.low_hz:g} to {chirp.high_hz:g} Hz\n" in text
     assert "speed = 4.5  # m/s\n" in text and "length = 300  # m, along the runs\n" in text

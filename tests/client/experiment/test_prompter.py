@@ -15,6 +15,7 @@ from tilth.client.experiment.prompter import (
     FINISHED,
     IDLE,
     LEAD_S,
+    LEFT,
     LINING_UP,
     NOTING,
     RUNNING,
@@ -24,6 +25,7 @@ from tilth.client.experiment.prompter import (
     Anew,
     Course,
     Input,
+    Leave,
     Mark,
     Marked,
     Order,
@@ -31,10 +33,11 @@ from tilth.client.experiment.prompter import (
     Tick,
     conditions_of,
     course_of,
+    name_of,
     step,
 )
 from tilth.client.experiment.shown import shown
-from tilth.client.experiment.sight import FieldPlace, Seen, in_plane
+from tilth.client.experiment.sight import FieldPlace, Seen, corner_of, in_plane
 from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.experiment import Rectangle, parse_plan
@@ -249,11 +252,16 @@ def test_stop_and_skip_do_as_they_say() -> None:
     assert (play.prompt.phase, play.prompt.attempts) == (IDLE, ())
     play.running().take(Order(STOP))
     assert play.prompt.attempts[0].reason == "stopped by the driver"
+    name = name_of(play.prompt, COURSE)
     play.take(Order(SKIP))
     assert play.prompt.attempts[1].outcome == "skipped" and play.prompt.at == 1
+    assert play.marks[-1] == f"{name} skipped (by the driver)"
+    assert play.prompt.said.startswith("Skipped. Arm the next run")
     for _ in COURSE.drives[1:]:
         play.take(Order(SKIP))
     assert play.prompt.phase == FINISHED
+    assert play.prompt.said == "The plan is at its end: 9 of 9 runs were skipped."
+    assert shown(play.prompt, COURSE).skipped == 9
     for order in (ARM, STOP, SKIP, "dance"):
         play.take(Order(order))
     assert play.prompt.phase == FINISHED
@@ -291,6 +299,36 @@ def test_on_the_headland_it_says_how_far_to_go_on() -> None:
     assert "turn round, or start further back" in words["room"]
 
 
+@pytest.mark.parametrize("phase", [IDLE, LINING_UP, COUNTDOWN, RUNNING, NOTING, FINISHED])
+def test_a_prompter_that_is_ended_notes_the_run_under_way_as_not_done(phase: str) -> None:
+    play = Play()
+    if phase == FINISHED:
+        for _ in COURSE.drives:
+            play.take(Order(SKIP))
+    elif phase != IDLE:
+        play.go(3.0)
+        play.take(Order(ARM))
+        play.until(RUNNING if phase == NOTING else phase)
+        play.confirm = phase != NOTING
+        play.until(phase)
+    before, name = len(play.marks), name_of(play.prompt, COURSE) if phase != FINISHED else ""
+    play.take(Leave())
+    unconfirmed = f"{LEFT} before the daemon confirmed the mark at its end"
+    notes = {RUNNING: f"aborted ({LEFT})", NOTING: f"disturbed ({unconfirmed})"}
+    assert play.marks[before:] == ([f"{name} {notes[phase]}"] if phase in notes else [])
+    assert play.prompt.tries == 1 + (phase in notes)
+    assert phase == FINISHED or play.prompt.said == "The prompter was ended."
+
+
+def test_where_the_run_ends_the_bar_goes_straight() -> None:
+    play = Play().running(COURSE.drives[0].seconds - LEAD_S - 1.0)
+    state = shown(play.prompt, COURSE)
+    left = round((state.length_s - state.at_s) / 0.1)
+    assert 10 < left < 30 and any(state.ahead[:left])
+    assert list(state.ahead[left + 1 :]) == [0.0] * (40 - left)
+    assert f", {state.length_s:g} s at " in state.drive
+
+
 def test_what_is_shown_follows_the_phase() -> None:
     play = Play()
     assert shown(play.prompt, COURSE).text.startswith("Arm the first run")
@@ -316,6 +354,8 @@ def test_a_field_without_a_corner_begins_where_the_first_run_is_armed() -> None:
     play.take(Order(ARM))
     place = play.prompt.place
     assert place is not None and place.heading == pytest.approx(1.0)
+    assert play.marks == [f"experiment three-kinds seed 1 field corner {corner_of(place).text}"]
+    assert corner_of(place).heading_deg == pytest.approx(math.degrees(1.0))
     across = (70.0 - place.east) * math.cos(1.0) - (500.0 - place.north) * math.sin(1.0)
     assert across == pytest.approx(PLAN.field.width / 2)
 

@@ -10,6 +10,7 @@ from stage import Point, pose
 from tilth.client.experiment.sight import (
     FieldPlace,
     abort_reason,
+    corner_of,
     in_field,
     in_plane,
     place_of,
@@ -87,6 +88,19 @@ def test_the_field_lies_by_its_corner_or_about_the_tractor() -> None:
     here = place_of(FIELD, seen)
     along, across = in_field(here, seen, np.zeros(1), np.zeros(1))
     assert (along[0], across[0]) == pytest.approx((20.0, 30.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 123.4, 359.9])
+def test_a_field_that_was_begun_lies_where_it_was_by_its_corner(heading_deg: float) -> None:
+    """Also in another plane, as its corner is written."""
+    seen = seen_of(pose(1, AT, ""))._replace(heading=math.radians(heading_deg - 360.0))
+    place = place_of(FIELD, seen)
+    north_east = [float(number) for number in corner_of(place).text.split(",")]
+    told = FIELD.model_copy(update={"corner": tuple(north_east[:2]), "heading_deg": north_east[2]})
+    other = seen._replace(origin_deg=to_degrees(seen.origin_deg, 250.0, -80.0))
+    again = in_plane(place_of(told, other), seen.origin_deg)
+    assert again[:2] == pytest.approx(place[:2], abs=0.02)
+    assert math.remainder(again.heading - place.heading, math.tau) == pytest.approx(0.0, abs=2e-5)
 
 
 def test_room_is_counted_from_where_the_tractor_stands_and_faces() -> None:
