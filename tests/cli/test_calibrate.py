@@ -87,7 +87,7 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
         MACHINE.receiver[0].mount
     ]
     # The linkage's curvature and what the front wheels do show least: twice as well known as before.
-    shown = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
+    shares = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
     assert all(
         share < (0.5 if name in ("wheel_curve", "ackermann") else 0.25) for name, share in shown.items()
     )
