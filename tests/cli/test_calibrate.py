@@ -89,16 +89,16 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     # The linkage's curvature and what the front wheels do show least: twice as well known as before.
     shares = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
     assert all(
-        share < (0.5 if name in ("wheel_curve", "ackermann") else 0.25) for name, share in shown.items()
+        share < (0.5 if name in ("wheel_curve", "ackermann") else 0.25) for name, share in shares.items()
     )
     assert now.tractor.ackermann.value == pytest.approx(1.0, abs=3 * sd["ackermann"])
     assert out.is_symlink() and out.read_text(encoding="utf-8") == told["machine_file"]
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
     assert (tmp_path / "report.html.before-1").read_text(encoding="utf-8") == "of last year"
-    shown = report.read_text(encoding="utf-8")
-    assert "<script" not in shown and "Is it good" in shown
-    assert "100 ms" in shown and "e+0" not in shown
+    page = report.read_text(encoding="utf-8")
+    assert "<script" not in page and "Is it good" in page
+    assert "100 ms" in page and "e+0" not in page
 
 
 def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
