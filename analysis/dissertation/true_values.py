@@ -22,6 +22,7 @@ def true_point(machine: Machine, setting: Setting) -> Array:
     point[SIX] = np.log([setting.parameters[name] for name in PARAMETERS])
     point[AT["wheel_zero"]], point[AT["wheel_gain"]] = told["wheel_zero"], math.log(told["wheel_gain"])
     point[AT["curvature"]], point[AT["rolling"]] = 1.0 / setting.rig.grip_f, setting.rig.roll_f
+    point[AT["parallel"]] = 0.0  # of both plants
     for body, letter in (("tractor", "t"), ("implement", "i")):
         point[AT[f"pair_{letter}"]] = told[f"pair_{body}"]
         point[AT[f"cg_{letter}"]] = told[f"cg_forward_{body}"]
