@@ -40,7 +40,7 @@ kept_length = _named("kept_length", *map(sp.Function, ("kept_length_by_slip", "k
 both_wheels = _named("both_wheels", *map(sp.Function, ("both_wheels_by_speed", "both_wheels_by_difference")))
 
 
-EVEN: Final = sp.Integer(0)
+ZERO: Final = sp.Integer(0)
 Wheel = tuple[Any, Any, Any]  # load, force along, force across
 
 
@@ -50,7 +50,7 @@ def tyre(alpha: Any, stiffness: Any, limit: Any) -> Any:
 
 
 def axle(
-    static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any, apart: Any = EVEN
+    static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any, apart: Any = ZERO
 ) -> list[Wheel]:
     """The left and the right wheel of an axle. shift: load that goes to the left one. apart: by how much the
     right one slips more than their mean, and the left one less."""
@@ -116,7 +116,7 @@ def wheels() -> dict[str, list[Wheel]]:
     speed = {name: along for name, (along, _) in velocities().items()}
     moment_t, moment_i = roll_moments()
     front = (static["f"], level_t, X["alpha_f"], P["C_f"], speed["f"], front_wheels_apart()[0])
-    even = axle(front[0], front[1], sp.Integer(0), *front[2:])
+    even = axle(front[0], front[1], ZERO, *front[2:])
     found = {
         "f": axle(front[0], front[1], P["pin"] * front_side(even) / P["w_f"], *front[2:]),
         "r": axle(static["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),

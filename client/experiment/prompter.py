@@ -289,7 +289,7 @@ def _lined_up(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]
         return replace(prompt, phase=COUNTDOWN, since_s=prompt.now_s, said="Ready: keep straight."), marks
     if prompt.phase == COUNTDOWN and open_ones:
         said = f"Countdown stopped: {open_ones[0].text}."
-        return replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said), ()
+        return replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said), marks
     if prompt.phase == COUNTDOWN and prompt.now_s - prompt.since_s >= course.plan.countdown_s:
         started = replace(
             prompt, phase=RUNNING, since_s=prompt.now_s, track=prompt.track[-1:], off_s=0.0, recorded=False,

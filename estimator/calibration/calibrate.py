@@ -33,6 +33,7 @@ from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
 from tilth.schemas.flow import Measurement
+from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -89,7 +90,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
             break
         followed = follow(applied(machine, changes), measurements, changes)
     assert fit is not None
-    share = float(np.clip(1.0 - fit.mean[AT["parallel"]], *ACKERMANN))
+    share = float(np.clip(1.0 - fit.mean[AT["parallel"]], *LIMITS["tractor.ackermann"].range))
     changes = replace(changes, ackermann=share - machine.tractor.ackermann.value)
     gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
     return Calibration(
@@ -169,7 +170,6 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
 ASIDE_FLOOR: Final = 0.004
-ACKERMANN: Final = (-0.5, 1.5)  # what a machine file takes
 TYPICAL_SPEED: Final = 2.0  # m/s, in turns
 LATE_TOLD: Final = 0.01  # s: sd of what is late between the bodies, from which on it is used
 

@@ -19,6 +19,7 @@ PAIR_SD: Final = math.radians(3.0)
 ZERO_SD: Final = math.radians(5.0)
 GAIN_SD: Final = 0.15
 LATENCY_SD: Final = 0.10  # s: 0 to 200 ms
+ACKERMANN_SD: Final = 0.3
 HITCH_SD: Final = 0.20  # m, of hitch and drawbar
 TOLD: Final = 0.5  # of the prior sd: a larger sd says that the drive tells nothing of a number
 
@@ -66,7 +67,10 @@ NUMBERS: Final = (
         "wheel_curve", "curvature of the wheel's linkage, at 30°", "°", 1 / CURVED, 0.2 / CURVED,
         linkage.CURVE_SD, CIRCLE, "none",
     ),
-    Sought("ackermann", "front wheels, share of Ackermann's angles", "%", 0.01, 0.15, 0.3, CIRCLE, "none"),
+    Sought(
+        "ackermann", "front wheels, share of Ackermann's angles", "%", 0.01, 0.15, ACKERMANN_SD, CIRCLE,
+        "none",
+    ),
     Sought("latency", "latency of the receivers", "ms", 1e-3, 0.010, LATENCY_SD, WEAVE, "none"),
     *(
         Sought(
@@ -100,7 +104,7 @@ def wide(machine: Machine, roll_zero_sd: Array) -> tuple[Array, Array]:
         ("wheel_zero", ZERO_SD), ("wheel_gain", GAIN_SD), ("latency", LATENCY_SD), ("pair_t", PAIR_SD),
         ("pair_i", PAIR_SD), ("lever_t", LEVER_SD), ("lever_i", LEVER_SD),
         ("aside_i", LEVER_SD * math.sqrt(2.0)), ("c", HITCH_SD / machine.tractor.c.value),
-        ("d", HITCH_SD / machine.implement.d.value), ("cg_t", 0.0), ("cg_i", 0.0),
+        ("d", HITCH_SD / machine.implement.d.value), ("cg_t", 0.0), ("cg_i", 0.0), ("parallel", ACKERMANN_SD),
     ):  # fmt: skip
         sd[AT[name]] = value
     known = np.isfinite(roll_zero_sd) & (sd[unknowns.AT_ROLL_ZERO : unknowns.AT_ROLL_ZERO + 4] > 0.0)

@@ -389,10 +389,11 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     known = _informative(state)
     scores = np.array([_log_likelihood(*known, setting) for setting in settings])
     likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
-    unexplained = _best_log_likelihood(*known) - scores.max()  # by any setting: of what else moves antennas
-    if scores[0] == scores.max():
+    lead = scores.max() - scores[0]
+    if lead == 0.0:
         state.wrong, state.unclear = [None] * 4, False
-    elif scores[0] < scores.max() - max(SURE**2 / 2, unexplained):
+    elif lead > SURE**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
+        # What it explains is more than what no setting explains: something else may move antennas.
         sure = np.all(likely != declared, axis=0)
         kinds = [TWICE if t == 1.0 else NOT for t in declared]
         state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]

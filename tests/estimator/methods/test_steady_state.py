@@ -13,7 +13,7 @@ from filterpy.kalman import update as filterpy_update
 from linear_tyres import linear_tyres
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import steady_outputs, unknowns
 from tilth.estimator.filters.propagation import empty_plant, set_parameters
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import Point
@@ -228,14 +228,20 @@ def settled_rolling(point: Array, speed: float, delta: float, slope: float) -> d
     return dict(zip(rolling_terms.STATES, x.tolist(), strict=True))
 
 
+@pytest.fixture
+def slip_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both front wheels slip alike, as those of the nonlinear model do, whatever the turn."""
+    monkeypatch.setattr(steady_outputs, "_front_wheels_apart", lambda turn, rig, driving: (0.0, 0.0))
+
+
+@pytest.mark.usefixtures("slip_alike")
 @pytest.mark.parametrize(("degrees", "speed"), [(4.0, 4.5), (8.0, 4.5), (-10.0, 4.5), *HEADLAND])
 def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float, speed: float) -> None:
-    """Tyre curve, rolling resistance and angles that are not small: to 0.2 percent at 8 degrees. Its front
-    wheels slip alike, which is 1.5 percent at 32 degrees; the plant in space is the judge of that."""
-    error = 2e-3 if abs(degrees) < 9.0 else 4e-3 if abs(degrees) < 20.0 else 0.017
-    for rig, curvature in (
-        (rig_of(MACHINE)._replace(**GRIP, **ROLLING), 1 / 0.7),
-        (linear_tyres(rig_of(MACHINE))._replace(**ROLLING), 0.0),
+    """Tyre curve, rolling resistance and angles that are not small: to 0.15 percent, of which all but 0.02 is
+    the load that moves from wheel to wheel."""
+    for rig, curvature, error in (
+        (rig_of(MACHINE)._replace(**GRIP, **ROLLING), 1 / 0.7, 1.5e-3),
+        (linear_tyres(rig_of(MACHINE))._replace(**ROLLING), 0.0, 3e-4),
     ):
         at = settled(rig, degrees, speed)
         point = point_of(rolling=0.06, curvature=curvature, parallel=0.0, **RIGID)
@@ -260,9 +266,25 @@ def test_its_jacobian_is_that_of_the_outputs() -> None:
         assert found == pytest.approx((after - before) / 2e-4, abs=1e-5)
 
 
+@pytest.mark.parametrize("parallel", [0.0, 0.6])
+@pytest.mark.parametrize(("degrees", "speed"), [(-14.0, 2.1), (25.0, 2.1), (32.0, 1.6)])
+def test_front_wheels_by_themselves_are_those_of_the_rolling_model(
+    degrees: float, speed: float, parallel: float
+) -> None:
+    """Which the plant in space has judged; it is up to 5 percent of the yaw rate here. The load that moves
+    from wheel to wheel, which these equations leave out, is 0.7 percent where the two drag each other."""
+    point, delta = point_of(rolling=0.06, parallel=parallel), math.radians(degrees)
+    at = settled_rolling(point, speed, delta, 0.0)
+    driven = np.array([[speed, delta, at["phi_t"], at["phi_i"], 0.0]])
+    found = outputs(point[None], driven, MACHINE)[0]
+    assert found == pytest.approx(
+        [at["r_t"], at["psi_t"] - at["psi_i"], at["v"]], rel=8e-3 if parallel else 3e-3
+    )
+
+
+@pytest.mark.usefixtures("slip_alike")
 def test_headland_turns_give_the_stiffnesses_of_the_nonlinear_model() -> None:
-    """Linear tyres, full lock, no noise: what small angles would leave is no part of the result. That the
-    front wheels of that model slip alike is 4 percent of C_af."""
+    """Linear tyres, full lock, no noise: what small angles would leave is no part of the result."""
     truth = (200e3, 560e3, 150e3)
     rig = linear_tyres(rig_of(MACHINE))._replace(
         **ROLLING, **dict(zip(("C_af", "C_ar", "C_ai"), truth, strict=True))
@@ -276,7 +298,7 @@ def test_headland_turns_give_the_stiffnesses_of_the_nonlinear_model() -> None:
     for pose in poses:
         steady_state.take(state, MACHINE, pose)
     assert state.steady_s > 120.0
-    assert np.all(np.abs(log_errors(state, truth)) < (0.05, 0.01, 0.01))
+    assert np.abs(log_errors(state, truth)).max() < 0.03
 
 
 def test_it_says_what_is_determined_and_what_the_data_allow() -> None:

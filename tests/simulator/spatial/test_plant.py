@@ -322,7 +322,7 @@ def settled_model(
 @pytest.mark.parametrize("ackermann", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("delta_deg", "rolling"), [(10.0, 0.0), (-20.0, 0.06), (30.0, 0.0), (30.0, 0.06)])
 def test_a_slow_turn_is_that_of_the_filters_model(ackermann: float, delta_deg: float, rolling: float) -> None:
-    """Front wheels towards one centre or not, which is 9 percent of the yaw rate at 30 degrees: to 0.2
+    """Front wheels towards one centre or not, which is 8 percent of the yaw rate at 30 degrees: to 0.2
     percent. Without that share it would pass for half of C_af."""
     plant = stand(
         stiffer(1.0, combined=False, grip=0.7, load_exponent=0.8, ackermann=ackermann), rolling=rolling
