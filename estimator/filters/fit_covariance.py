@@ -24,10 +24,13 @@ MODEL_SD: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05, 0.08])
 transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte Carlo
 on the spatial plant with drawn rigs, tyres and ground."""
 TIGHT: Final = math.radians(15.0)  # of the wheels
-TIGHT_SD: Final = np.array([0.20, 0.18, 0.27, 0.19, 0.28, 0.30])
+TIGHT_SD: Final = np.array([0.17, 0.16, 0.23, 0.16, 0.28, 0.20])
 """The same where wheels were turned further than TIGHT. In headland turns a hundredth of the wheel angle, or
-of the speed, does what a fifth of the front tyres' stiffness does. Root mean square error after fields of
-the spatial (18) and of the planar plant (18), the plants weighted alike."""
+of the speed, does what a fifth of the front tyres' stiffness does. What the covariance of `pem` leaves of its
+root mean square error after fields of the spatial (16) and of the planar plant (17), weighted alike, and a
+tenth more."""
+TRACKED_TIGHT_SD: Final = np.array([0.17, 0.17, 0.23, 0.16, 0.28, 0.28])
+"""The same of `tracker`."""
 ROUGH_SD: Final = 0.1
 """The same of the three stiffnesses on ground that is as uneven as unknowns.ROUGH. Where the loads of the
 wheels come and go, less side force is left on average: on the spatial plant 5 to 16 % less on ground of 3 cm
@@ -37,10 +40,10 @@ BIN_S: Final = 0.1
 LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
 
 
-def model_sd(tight: bool, uneven: float) -> Array:
-    """Sds of the six logarithms, (6,), from errors of the model. tight: wheels were turned beyond TIGHT.
-    uneven: sd of how far the ground turns the wheels about a body's long axis, rad."""
-    sds = np.array(TIGHT_SD if tight else MODEL_SD)
+def model_sd(tight: bool, uneven: float, tight_sd: Array = TIGHT_SD) -> Array:
+    """Sds of the six logarithms, (6,), from errors of the model. tight: wheels were turned beyond TIGHT;
+    then they are tight_sd. uneven: sd of how far the ground turns the wheels about a body's long axis, rad."""
+    sds = np.array(tight_sd if tight else MODEL_SD)
     sds[:3] = np.hypot(sds[:3], ROUGH_SD * (uneven / unknowns.ROUGH) ** 2)
     return sds
 

@@ -180,10 +180,13 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
         )
         if since > ARRIVED_STEP:
             driven, renewed = response_to_steering(search, point), point
-        found, information = apart_from_ground(search, evaluate(search, point, at), driven)
-        if size < SETTLED_STEP or not math.isfinite(found.cost):
+        there = evaluate(search, point, at)
+        if not math.isfinite(there.cost):
+            return *start, False
+        found, information = apart_from_ground(search, there, driven)
+        if size < SETTLED_STEP:
             break
-    if math.isfinite(found.cost) and size < ARRIVED_STEP and moved < FURTHEST:
+    if size < ARRIVED_STEP and moved < FURTHEST:
         return found, information, True
     return *start, False  # nothing better than the likelihood's maximum is known
 

@@ -96,6 +96,9 @@ class PemState:
     covariance: Array
     prior_mean: Array
     prior_sd: Array
+    model_sd: Array = field(default_factory=lambda: np.zeros(6))
+    """Of the six, what errors of the model leave in `mean` and more data do not take away: in `covariance`,
+    too."""
     window: list[Segment] = field(default_factory=list)
     closed: Record | None = None  # a complete window whose fit is not requested yet
     job: Job | None = None  # requested, not adopted yet
@@ -159,14 +162,23 @@ def request_fit(state: PemState, t_ns: int) -> Job | None:
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
+    state.model_sd = state.model_sd * retained_share(state.distance)
     state.covariance, state.distance = drifted(state), 0.0
-    covariance = state.covariance.copy()  # noise levels start again
+    covariance = state.covariance.copy()
+    covariance[SIX, SIX] -= np.diag(_errors_in_common(state, record, state.mean) ** 2)
+    # Noise levels start again.
     covariance[NOISE, :] = 0.0
     covariance[:, NOISE] = 0.0
     noise_sd = np.full(NOISE.stop - NOISE.start, NOISE_SD) if state.fits else state.prior_sd[NOISE]
     covariance[NOISE, NOISE] = np.diag(noise_sd**2)
     state.job = Job(t_ns, record.end_ns, record, state.mean.copy(), covariance)
     return state.job
+
+
+def _errors_in_common(state: PemState, record: Record, point: Array) -> Array:
+    """Sds of the six, (6,), from errors of the model that are the same in what was learned before and in a
+    window: no reason to give the window more weight. point: (n,), as `fit_covariance.model_sd_of`."""
+    return np.minimum(state.model_sd, fit_covariance.model_sd_of(record, point))
 
 
 def drifted(state: PemState) -> Array:
@@ -182,12 +194,12 @@ def fit(machine: Machine, job: Job) -> Fit:
     prior_mean, prior_sd = unknowns.prior(machine)
     mean, covariance = job.mean, job.covariance
     found = _posterior(job.record, setup, mean, covariance, prior_mean)
-    # What the model has wrong in this window changes the six as well.
-    before = covariance[SIX, SIX] + np.diag(fit_covariance.model_sd_of(job.record, found.mean) ** 2)
     change = found.mean[SIX] - mean[SIX]
     contradiction, changed = 0.0, False
     if np.all(np.isfinite(found.covariance)):
-        contradiction = _contradiction(change, before, found.covariance[SIX, SIX])
+        errors = fit_covariance.model_sd_of(job.record, found.mean)
+        after = found.covariance[SIX, SIX] - np.diag(errors**2)
+        contradiction = _contradiction(change, covariance[SIX, SIX], after, errors)
     if contradiction > SUSPECT_CHI_SQUARE:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
@@ -232,15 +244,19 @@ def of_masses(covariance: Array) -> Array:
     return added
 
 
-def _contradiction(change: Array, before: Array, after: Array) -> float:
-    """Chi-square, 6 degrees of freedom, of a window's change of the six. Its covariance is before - after.
+def _contradiction(change: Array, before: Array, after: Array, model_sd: Array) -> float:
+    """Chi-square, 6 degrees of freedom, of a window's change of the six.
 
-    Along directions in which the window removed less than LEAST_SHARE of the variance, that share is used.
-    change: (6,). before, after: covariances, (6, 6).
+    The covariance of the change is before - after, and the part that a window has in it of what the model has
+    wrong, in the window and in what was learned before. Along directions in which that is less than
+    LEAST_SHARE of the variance before, this share is used.
+    change: (6,). before, after: covariances, (6, 6), without errors of the model. model_sd: (6,), these.
     """
     root = np.linalg.inv(np.linalg.cholesky(before))
-    taken, directions = np.linalg.eigh(np.eye(len(change)) - root @ after @ root.T)
-    return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(taken, LEAST_SHARE)))
+    taken = np.eye(len(change)) - root @ after @ root.T
+    wrong = taken @ root * model_sd
+    variances, directions = np.linalg.eigh(taken + 2.0 * wrong @ wrong.T)
+    return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(variances, LEAST_SHARE)))
 
 
 def rehearse(machine: Machine) -> None:
@@ -280,13 +296,35 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
         state.changes += 1
         state.window_s = 0.0
         state.events.append(("soil_change", _describe_change(job, made)))
-    state.mean, state.covariance = made.mean, made.covariance
+    state.model_sd, state.mean, state.covariance = _learned_with(state, job, made)
     state.informed_ns = job.closed_ns
     state.window_s += len(job.record.ticks) * 0.02
     state.fits += 1
     speed, state.advisor.renewed_ns = float(np.mean(job.record.ticks[:, U])), 0  # what it said is past
     advice.renew(state.advisor, machine, state.mean, state.covariance, speed, t_ns)
     return estimate(state, machine, t_ns)
+
+
+def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array, Array]:
+    """(model_sd, mean, covariance) after a fit.
+
+    Errors of the model are not independent from window to window, so they must neither add up nor average
+    out: each parameter has those of before and of this window in the shares in which it has learned from
+    either.
+    """
+    errors = fit_covariance.model_sd_of(job.record, made.mean)
+    of_masses_alone = np.diag(of_masses(job.covariance))[SIX]
+    before = np.diag(job.covariance)[SIX] - of_masses_alone
+    open_ = before > 0.0
+    after = np.diag(made.covariance)[SIX] - of_masses_alone - errors**2
+    learned = np.clip(1.0 - after / np.where(open_, before, 1.0), 0.0, 1.0)
+    if made.changed:
+        learned = np.ones(6)
+    kept = _errors_in_common(state, job.record, job.mean)
+    model_sd = np.where(open_, (1.0 - learned) * kept + learned * errors, 0.0)
+    covariance = made.covariance.copy()
+    covariance[SIX, SIX] += np.diag(np.where(open_, model_sd**2 - errors**2, 0.0))
+    return model_sd, made.mean, covariance
 
 
 def _describe_change(job: Job, made: Fit) -> str:

@@ -385,8 +385,8 @@ def reported_covariance(state: TrackerState) -> Array:
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > TIGHT_SHARE * state.window_s
-    errors = np.diag(fit_covariance.model_sd(tight, math.sqrt(state.push[3])) ** 2)
-    return np.asarray((covariance + covariance.T) / 2.0 + errors, np.float64)
+    room = fit_covariance.model_sd(tight, math.sqrt(state.push[3]), fit_covariance.TRACKED_TIGHT_SD)
+    return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:

@@ -348,8 +348,52 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
         fit_covariance.model_sd_of(of, point)
         for of, point in ((record, mean), (tight, mean), (record, rough))
     )
-    assert np.all(far > plain) and far[0] >= 0.2
+    assert np.all(far > plain) and np.all(far >= fit_covariance.TIGHT_SD)
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
+
+
+def one_more(state: pem.PemState, tight: bool, sd: float, changed: bool = False) -> Array:
+    """Adopt the fit of a window that knows each of the six to that sd, and return the sds then published."""
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
+    turned = replace(record, ticks=record.ticks * np.array([10.0 if tight else 1.0, *[1.0] * 7]))
+    state.closed = turned
+    job = pem.request_fit(state, 0)
+    assert job is not None
+    mean, covariance = job.mean, job.covariance.copy()
+    masses = pem.of_masses(covariance)[SIX, SIX]
+    known = np.linalg.inv(np.linalg.inv(covariance[SIX, SIX] - masses) + sd**-2 * np.eye(6))
+    errors = fit_covariance.model_sd_of(turned, mean)
+    covariance[SIX, SIX] = known + masses + np.diag(errors**2)
+    made = pem.Fit(mean, covariance, np.zeros((6, 6)), 0.0, 0.0, 0.0, 5, 100, changed, "")
+    pem.adopt(state, MACHINE, made, 0)
+    return np.asarray(np.sqrt(np.diag(state.covariance)[SIX] - np.diag(masses)))
+
+
+WINDOWS = {
+    "ten alike": ([(True, 0.2)] * 10, 0.2 / math.sqrt(10.0), fit_covariance.TIGHT_SD),
+    "gentle, then tight": ([(False, 0.05), (True, 0.5)], 0.05, fit_covariance.MODEL_SD),
+    "tight, then gentle": ([(True, 0.1), (False, 0.05)], 0.05, fit_covariance.MODEL_SD),
+}
+
+
+@pytest.mark.parametrize("case", WINDOWS)
+def test_errors_of_the_model_neither_add_up_nor_average_out(case: str) -> None:
+    """Windows of one kind tell more and more, beside what the model has wrong; a window that tells little
+    brings little of its errors; errors that a window does not share count as what it corrects."""
+    windows, data, errors = WINDOWS[case]
+    state = pem.initial(MACHINE)
+    for tight, sd in windows:
+        published = one_more(state, tight, sd)
+    expected = np.hypot(data, errors)
+    assert np.all(published < 1.25 * expected) and np.all(published > 0.9 * expected)
+    assert np.all(np.linalg.eigvalsh(state.covariance[SIX, SIX]) > 0.0)
+
+
+def test_after_a_change_of_soil_errors_of_the_model_are_those_of_the_new_window() -> None:
+    state = pem.initial(MACHINE)
+    one_more(state, True, 0.1)
+    one_more(state, False, 0.1, changed=True)
+    assert state.model_sd == pytest.approx(fit_covariance.model_sd(False, math.exp(state.mean[AT["uneven"]])))
 
 
 # Windows and the age of what was learned.

@@ -487,7 +487,7 @@ def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:
     before.window_s, before.tight_s = 60.0, 20.0
     into_tracker(after, of_tracker(before))
     for state in (before, after):
-        assert np.all(np.sqrt(np.diag(tracker.reported_covariance(state))) >= fit_covariance.TIGHT_SD)
+        assert np.all(np.sqrt(np.diag(tracker.reported_covariance(state))) >= fit_covariance.TRACKED_TIGHT_SD)
 
 
 def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
