@@ -13,6 +13,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
+from tilth.analysis.report.wording import SAYS
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.unread import who
@@ -234,7 +236,10 @@ def _table(title: str, estimate: Estimate) -> Table:
         value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
         table.add_row(name, value_text, p.status.name.lower(), p.reason)
     for name, (value, sd) in estimate.nuisances.items():
-        table.add_row(name, plus_minus(value, sd), "nuisance", "")
+        # What a kernel calls it is in the JSON; a person reads what it is.
+        words = f"{WORDS[name].words} ({name})" if name in WORDS else name
+        text = nuisance_text(name, value, sd) + SAYS if name in WORDS else plus_minus(value, sd)
+        table.add_row(words, text, "nuisance", "")
     return table
 
 

@@ -41,11 +41,22 @@ LAGS: Final = 12  # bins over which scores may be correlated, by waves of the gr
 
 
 def model_sd(tight: bool, uneven: float, tight_sd: Array = TIGHT_SD) -> Array:
-    """Sds of the six logarithms, (6,), from errors of the model. tight: wheels were turned beyond TIGHT;
-    then they are tight_sd. uneven: sd of how far the ground turns the wheels about a body's long axis, rad."""
+    """Sds of the six logarithms, (6,), from errors of the model. tight: wheels were turned beyond TIGHT, so
+    they are tight_sd. uneven: sd of how far the ground turns the wheels about a body's long axis, rad."""
     sds = np.array(tight_sd if tight else MODEL_SD)
     sds[:3] = np.hypot(sds[:3], ROUGH_SD * (uneven / unknowns.ROUGH) ** 2)
     return sds
+
+
+def mixed(kept: Array, added: Array, before: Array, after: Array) -> Array:
+    """Sds of the six, (6,), from errors of the model after more driving.
+
+    They are not independent from window to window, so they must neither add up nor average out: each
+    parameter has those of before (kept) and of this driving (added) in the shares in which it has learned
+    from either. before, after: its variances without them; one that is fixed has 0 and no errors.
+    """
+    learned = np.clip(1.0 - after / np.where(before > 0.0, before, 1.0), 0.0, 1.0)
+    return np.where(before > 0.0, (1.0 - learned) * kept + learned * added, 0.0)
 
 
 def model_sd_of(record: Record, point: Array) -> Array:

@@ -138,8 +138,14 @@ def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None)
         return None
     if state.fits:
         speed = abs(pose.tractor.forward_velocity or 0.0)
-        advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns)
+        _advise(state, machine, speed, pose.t_ns)
     return estimate(state, machine, pose.t_ns)
+
+
+def _advise(state: PemState, machine: Machine, speed: float, t_ns: int) -> None:
+    advice.renew(
+        state.advisor, machine, state.mean, state.covariance, speed, t_ns, kept=state.model_sd
+    )  # fmt: skip
 
 
 def finish(state: PemState) -> None:
@@ -301,29 +307,19 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     state.window_s += len(job.record.ticks) * 0.02
     state.fits += 1
     speed, state.advisor.renewed_ns = float(np.mean(job.record.ticks[:, U])), 0  # what it said is past
-    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, t_ns)
+    _advise(state, machine, speed, t_ns)
     return estimate(state, machine, t_ns)
 
 
 def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array, Array]:
-    """(model_sd, mean, covariance) after a fit.
-
-    Errors of the model are not independent from window to window, so they must neither add up nor average
-    out: each parameter has those of before and of this window in the shares in which it has learned from
-    either.
-    """
+    """(model_sd, mean, covariance) after a fit. Errors of the model are as `fit_covariance.mixed` says."""
     errors = fit_covariance.model_sd_of(job.record, made.mean)
-    of_masses_alone = np.diag(of_masses(job.covariance))[SIX]
-    before = np.diag(job.covariance)[SIX] - of_masses_alone
-    open_ = before > 0.0
-    after = np.diag(made.covariance)[SIX] - of_masses_alone - errors**2
-    learned = np.clip(1.0 - after / np.where(open_, before, 1.0), 0.0, 1.0)
-    if made.changed:
-        learned = np.ones(6)
-    kept = _errors_in_common(state, job.record, job.mean)
-    model_sd = np.where(open_, (1.0 - learned) * kept + learned * errors, 0.0)
+    masses = np.diag(of_masses(job.covariance))[SIX]
+    before, after = (np.diag(covariance)[SIX] - masses for covariance in (job.covariance, made.covariance))
+    kept = errors if made.changed else _errors_in_common(state, job.record, job.mean)
+    model_sd = fit_covariance.mixed(kept, errors, before, after - errors**2)
     covariance = made.covariance.copy()
-    covariance[SIX, SIX] += np.diag(np.where(open_, model_sd**2 - errors**2, 0.0))
+    covariance[SIX, SIX] += np.diag(np.where(before > 0.0, model_sd**2 - errors**2, 0.0))
     return model_sd, made.mean, covariance
 
 

@@ -23,6 +23,7 @@ QUIET: Final = 15  # segments, 3 s, of straight driving after which a window wit
 ENOUGH_S: Final = 8.0  # s with turned wheels: with less, a window waits for the next steering
 TURNED: Final = math.radians(1.5)  # the wheels are turned: further than most corrections along a row
 TOO_LITTLE: Final = "too little steering"
+HELD: Final = "the wheels are held at one angle: steer to both sides"
 TOO_SHORT: Final = f"less than {SHORTEST * 0.2:.0f} s without a gap"
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
@@ -78,6 +79,8 @@ def _add_segment(state: Collecting, segment: Segment, least_steering: float, zer
         _close_full_window(state, least_steering, zero)
     elif _is_complete(window, least_steering, zero):
         close_window(state, least_steering, zero)
+    elif not _has_steering(window, least_steering):
+        state.reason = _lacking(window, zero)
 
 
 def _close_full_window(state: Collecting, least_steering: float, zero: float) -> None:
@@ -111,7 +114,7 @@ def close_window(state: Collecting, least_steering: float, zero: float) -> bool:
     if len(window) < SHORTEST:
         why_not = TOO_SHORT
     elif not _has_steering(window, least_steering):
-        why_not = state.reason = TOO_LITTLE
+        why_not = state.reason = _lacking(window, zero)
     if why_not:
         refuse(state, why_not)
         return False
@@ -146,6 +149,12 @@ def _has_steering(window: list[Segment], least_steering: float) -> bool:
     least_steering: as of `collect`.
     """
     return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOW
+
+
+def _lacking(window: list[Segment], zero: float) -> str:
+    """Why a window has not enough steering."""
+    held = bool(np.all(np.abs(_wheel_angles(window) - zero) > TURNED))
+    return HELD if held else TOO_LITTLE
 
 
 def describe_late(late_ns: int, used: bool) -> str:

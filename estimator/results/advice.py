@@ -257,21 +257,24 @@ def planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
     return np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64)
 
 
-def predicted(covariance: Array, information: Array, model_sd: Array = NO_ERROR) -> Array:
+def predicted(
+    covariance: Array, information: Array, model_sd: Array = NO_ERROR, kept: Array = NO_ERROR
+) -> Array:
     """Sds of the six logarithms, (6,), after the information is added. Both arguments (n, n), over NAMES.
 
-    model_sd: (6,), by which the model itself errs in what brings the information.
+    model_sd: (6,), by which the model itself errs in what brings the information. kept: (6,), how much of
+    such errors is in the covariance (pem.PemState.model_sd).
     """
     known = np.flatnonzero((np.diag(covariance) > 0) & ~_is_noise())
-    prior = covariance[np.ix_(known, known)]
+    prior = covariance[np.ix_(known, known)].copy()
+    common = np.minimum(kept, model_sd)
+    prior[SIX, SIX] -= np.diag(common**2)
     scale = np.sqrt(np.diag(prior))
     added = information[np.ix_(known, known)] * np.outer(scale, scale)
     total = np.linalg.inv(prior / np.outer(scale, scale)) + added
-    after = (np.linalg.inv((total + total.T) / 2) * np.outer(scale, scale))[SIX, SIX]
-    before = np.linalg.inv(prior[SIX, SIX])
-    brought = np.linalg.inv(after) - before  # on the six, with all else as uncertain as it then is
-    counted = np.linalg.solve(np.eye(len(PARAMETERS)) + brought * model_sd**2, brought)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(before + counted))))
+    after = np.diag(np.linalg.inv((total + total.T) / 2) * np.outer(scale, scale))[SIX]
+    errors = fit_covariance.mixed(common, model_sd, np.diag(prior)[SIX], after)
+    return np.asarray(np.sqrt(after + errors**2))
 
 
 def _is_noise() -> NDArray[np.bool_]:
@@ -305,11 +308,12 @@ def advise(
     covariance: Array,
     speed: float,
     table: Mapping[Candidate, Array],
+    kept: Array = NO_ERROR,
 ) -> str:
     """One sentence: what is not determined, and which manoeuvre would help most, by how much.
 
     mean (n,), covariance (n, n): over unknowns.NAMES. table: candidate -> its `information`, as far as
-    computed.
+    computed. kept: as of `predicted`.
     """
     if speed < SLOWEST:
         return f"nothing can be learned below {SLOWEST:g} m/s"
@@ -328,7 +332,7 @@ def advise(
     after = {}
     for candidate, brought in table.items():
         errors = fit_covariance.model_sd(math.radians(candidate.degrees) > fit_covariance.TIGHT, uneven)
-        after[candidate] = predicted(covariance, brought, errors)[undetermined]
+        after[candidate] = predicted(covariance, brought, errors, kept)[undetermined]
     chosen = _choose(after, now[undetermined])
     if chosen is None:
         return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
@@ -368,7 +372,7 @@ class Advisor:
 
 def renew(
     state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int,
-    turns: bool = True,
+    turns: bool = True, kept: Array = NO_ERROR,
 ) -> str:  # fmt: skip
     """The present advice; each EVERY_NS it is renewed with one more candidate. turns: whether the estimator
     learns tyres from headland turns. Other arguments as `advise`."""
@@ -387,5 +391,5 @@ def renew(
     if len(state.table) < len(candidates):
         state.table.append(information(machine, state.point, state.speed, candidates[len(state.table)]))
     table = dict(zip(candidates, state.table, strict=False))
-    state.text = advise(machine, mean, covariance, speed, table)
+    state.text = advise(machine, mean, covariance, speed, table, kept)
     return state.text

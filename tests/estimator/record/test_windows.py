@@ -88,6 +88,15 @@ def test_a_turn_is_not_cut_by_a_small_correction_before_it() -> None:
     assert spans(state) == [(44.6, 61.6)]
 
 
+def test_a_circle_says_that_the_wheels_are_held() -> None:
+    """Its wheel angle is constant: not too little of it, but no change."""
+    state = collected(driving([(29.0, 7.0)]))
+    assert state.records == [] and state.reason == windows.HELD
+    close_window(state, LEAST, 0.0)
+    assert state.refused == {windows.HELD: 1}
+    assert collected(driving([(2.0, 0.0), (20.0, 7.0)])).reason == ""  # it has been turned
+
+
 @pytest.mark.parametrize(("degrees", "fitted"), [(0.7, 0), (0.95, 0), (1.6, 3)])
 def test_corrections_along_a_row_count_by_their_size(degrees: float, fitted: int) -> None:
     """A square wave has the sd of its amplitude; now and then a larger correction, which opens a window."""
