@@ -20,7 +20,7 @@ from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
 
@@ -98,7 +98,19 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(answer))
     else:
         _show(answer)
+    for reason in dict.fromkeys(map(_withheld, runs)):
+        if reason and fitted.joint is not None:
+            _say(f"beware: no number was published live at the end of a log, since {reason}")
     return 0 if fitted.joint is not None else 1
+
+
+def _withheld(run: Run) -> str:
+    """Why no number stands at the end of a run; "" where one does, or where nothing was published."""
+    last = run.estimates()
+    none = (Status.UNESTIMATED, Status.INVALID)
+    if not last.rows or any(last[f"{name}_status"][-1] not in none for name in PARAMETERS):
+        return ""
+    return str(last[f"{PARAMETERS[0]}_reason"][-1])
 
 
 def _check_same_rig(runs: Sequence[Run]) -> None:

@@ -162,3 +162,18 @@ def test_the_spatial_plant_shares_no_equation_with_the_estimators() -> None:
 )
 def test_the_check_sees_what_it_is_for(layer: str, source: str) -> None:
     assert _faults(layer, source)
+
+
+LONGEST_FUNCTION = 60  # lines, of a function that nobody generates
+
+
+def test_functions_are_short() -> None:
+    long = [
+        f"{path.relative_to(ROOT)}: {node.name}"
+        for path in _modules()
+        if not path.name.endswith("rolling_kernels.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or 0) - node.lineno >= LONGEST_FUNCTION
+    ]
+    assert long == []

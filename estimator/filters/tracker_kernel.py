@@ -111,8 +111,12 @@ def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None
 
 
 @kernel
-def add_residual(kind: int, residual: float, stated_sd: float, sums: Array) -> None:
-    """Add the square of a residual to the tally of its sensor."""
+def add_residual(
+    kind: int, error: float, noise_variance: float, variance: float, stated_sd: float, sums: Array
+) -> None:
+    """Add the square of what is left of an innovation after its update to the tally of its sensor."""
+    remaining = noise_variance / variance
+    residual = remaining * remaining * error * error + (1.0 - remaining) * noise_variance
     group = 2
     if kind == YAW_RATE:
         group = 0
@@ -189,9 +193,7 @@ def track_segment(
                 counts[GATED] += 1.0
                 continue
             counts[USED] += 1.0
-            remaining = noise_variance / variance[0]
-            residual = remaining * remaining * error[0] * error[0] + (1.0 - remaining) * noise_variance
-            add_residual(obs.kind, residual, rows[row - 1, SD], tally.sums)
+            add_residual(obs.kind, error[0], noise_variance, variance[0], rows[row - 1, SD], tally.sums)
         set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
         add_ground(x, P[0], ground, tally.sums)
         propagate_covariance(P[0], 0, step, x[X_PSI])

@@ -10,8 +10,9 @@ from logs import MACHINE_TEXT
 from recorded import cut, recorded, shared_cache
 from recorded_run import write_run
 
+from tilth.analysis.runs.run import open_runs
 from tilth.cli import main
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, Status
 
 Answer = Callable[..., tuple[int, str, str]]
 
@@ -95,3 +96,17 @@ def test_of_logs_of_two_rigs_the_keys_that_differ_are_named(fit: Answer, tmp_pat
     status, _, err = fit(recorded().parts[0], other)
     assert status == 2 and "are of different machine files" in err
     assert "They differ in machine.name" in err and "log.chunk_kilobytes" not in err
+
+
+@pytest.mark.parametrize(("share", "withheld"), [(1.0, False), (0.5, True)])
+def test_a_fit_says_where_live_nothing_was_published(
+    fit: Answer, tmp_path: Path, share: float, withheld: bool
+) -> None:
+    """It does not look whether driving has shown yet that the machine file is right."""
+    log, whole = tmp_path / "drive.mcap", recorded().parts[0].read_bytes()
+    log.write_bytes(whole[: round(share * len(whole))])
+    (run,) = open_runs([log])
+    last = run.estimates()
+    status, out, err = fit(log)
+    assert status == 0 and "N/rad" in out and (last["C_af_status"][-1] == Status.UNESTIMATED) == withheld
+    assert (f"live at the end of a log, since {last['C_af_reason'][-1]}" in err) == withheld
