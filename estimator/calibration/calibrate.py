@@ -39,6 +39,7 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]  # what is done, share of all
 
+AS_STATED: Final = (None,) * 4  # roll_corrected of each receiver is what the file says
 LOOKS: Final = 3  # rounds of the first look
 MOST_FITS: Final = 3  # each about the file that the one before gives
 STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
@@ -134,6 +135,16 @@ def tractor_motion(machine: Machine, measurements: Sequence[Measurement]) -> Tra
     return TractorMotion(t_ns, view.along[:, 0], view.rate[:, 0], base)
 
 
+def _by_geometry(
+    machine: Machine, drive: DriveGrid, corrected: tuple[bool | None, ...] = AS_STATED
+) -> tuple[Changes, list[RigFault], Pairs, Rolls, float]:
+    """What needs no likelihood, and the sd of the linkage's curvature. corrected: Changes.roll_corrected."""
+    changes, faults, view, found = _first_look(machine, drive, corrected)
+    changes, curve_sd = _with_linkage(machine, drive, changes, view, found)
+    faults += linkage.kingpin_faults(changes.linkage_before, changes.linkage)
+    return changes, faults, view, found, curve_sd
+
+
 @dataclass(frozen=True, slots=True)
 class _Looked:
     """What the first look gives."""
@@ -155,14 +166,14 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
     check_receivers(machine, heard)
     check_wheel(heard)
     drive = drives.drive_of(heard, machine)
-    changes, faults, view, found_rolls = _first_look(machine, drive)
-    changes, curve_sd = _with_linkage(machine, drive, changes, view, found_rolls)
-    faults += linkage.kingpin_faults(changes.linkage_before, changes.linkage)
+    changes, faults, view, found_rolls, curve_sd = _by_geometry(machine, drive)
     progress("poses by the first values", 0.15)
     followed = follow(applied(machine, changes), measurements, changes)
     more = finding.receiver_faults(followed.flags, followed.poses)
     if any(fault.kind == finding.ROLL_CORRECTED for fault in more):
-        changes = replace(changes, roll_corrected=finding.corrected(changes, more, followed.flags))
+        # Places that were right with the other setting are wrong with this one, by the height times the roll.
+        corrected = finding.corrected(changes, more, followed.flags)
+        changes, faults, view, found_rolls, curve_sd = _by_geometry(machine, drive, corrected)
         followed = follow(applied(machine, changes), measurements, changes)
     return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed, curve_sd)
 
@@ -195,10 +206,12 @@ def _view(now: Machine, placed: DriveGrid, changes: Changes, found: Rolls | None
     return first_look.seen(placed, now, roll, changes.late)
 
 
-def _first_look(machine: Machine, drive: DriveGrid) -> tuple[Changes, list[RigFault], Pairs, Rolls]:
+def _first_look(
+    machine: Machine, drive: DriveGrid, corrected: tuple[bool | None, ...] = AS_STATED
+) -> tuple[Changes, list[RigFault], Pairs, Rolls]:
     stands = standing(drive, machine)
     own = linkage_of(machine)
-    changes = Changes(who=stands.who, linkage_before=own, linkage=own)
+    changes = Changes(who=stands.who, linkage_before=own, linkage=own, roll_corrected=corrected)
     faults = finding.standing_faults(stands.who) if stands.sure else []
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)

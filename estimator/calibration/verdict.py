@@ -2,7 +2,7 @@
 and what it costs the six parameters of soil and tyres."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -78,7 +78,7 @@ def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     zs = [_z(one, found) for one in told if one.halves is not None]
     chi2, dof = float(sum(z * z for z in zs)), len(zs)
     p = float(chdtrc(dof, chi2)) if dof else 1.0
-    soil = _soil(found)
+    soil = soil_cost(found.fit.covariance, found.machine, told)
     return RigVerdict(told, chi2, dof, p, soil, tuple(_sentences(told, p, found)))
 
 
@@ -128,15 +128,21 @@ def _z(one: Told, found: Calibration) -> float:
     return _difference(found.fit.halves, AT[one.number.name])
 
 
-def _soil(found: Calibration) -> dict[str, tuple[float, float]]:
-    """What the six know from this drive, and how much of it is the numbers' own uncertainty."""
-    covariance = found.fit.covariance
+def soil_cost(covariance: Array, machine: Machine, told: Sequence[Told]) -> dict[str, tuple[float, float]]:
+    """Parameter -> (sd of its logarithm from this drive, how much of it is the numbers' own uncertainty).
+    Each number has the sd that is published: what the model leaves out of it moves the six as well.
+
+    covariance: of the fit, (n, n). machine: after the changes.
+    """
     rows = [AT[name] for name in BY_LIKELIHOOD]
     mine = covariance[np.ix_(rows, rows)]
-    across = covariance[SIX][:, rows]
-    part = np.einsum("ij,ji->i", across, np.linalg.solve(mine, across.T))
-    whole = np.sqrt(np.diag(covariance)[SIX])
-    shares = np.sqrt(np.maximum(part, 0.0))
+    moved = np.linalg.solve(mine, covariance[rows][:, SIX]).T  # the six by the numbers, (6, r)
+    sds = {one.number.name: one.sd for one in told}
+    per = dict(zip(BY_LIKELIHOOD, np.abs(priors.slopes(machine)).tolist(), strict=True))
+    published = np.array([sds.get(name, 0.0) / per[name] for name in BY_LIKELIHOOD])
+    further = moved**2 @ np.maximum(published**2 - np.diag(mine), 0.0)
+    shares = np.sqrt(np.diag(moved @ mine @ moved.T) + further)
+    whole = np.sqrt(np.diag(covariance)[SIX] + further)
     return {name: (float(whole[k]), float(shares[k])) for k, name in enumerate(PARAMETERS)}
 
 

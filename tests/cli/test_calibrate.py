@@ -10,9 +10,14 @@ from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
 
 from tilth.analysis.calibration.machine_text import rewritten
 from tilth.cli import main
+from tilth.estimator.calibration.calibrate import _Looked
+from tilth.estimator.calibration.calibrate import _looked as _look_at
 from tilth.estimator.calibration.changes import Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.schemas.machine import parse_machine
+from tilth.replay.readers.any_log import frames
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Measurement
+from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
@@ -99,6 +104,25 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     page = report.read_text(encoding="utf-8")
     assert "<script" not in page and "Is it good" in page
     assert "100 ms" in page and "e+0" not in page
+
+
+def _looked(machine: Machine, log: Path) -> _Looked:
+    decoder, heard = Decoder(machine), list[Measurement]()
+    for frame in frames(log):
+        heard += decoder.measurements(frame)
+    return _look_at(machine, heard, lambda what, share: None)
+
+
+def test_a_wrong_roll_correction_leaves_nothing_in_the_places(tmp_path: Path) -> None:
+    """Where the setting is found to be wrong, geometry is looked at once more: the hitch was 3 cm off."""
+    log = _simulate(tmp_path, DRIVE.replace("slope_deg = 1.5", "slope_deg = 4.0"))
+    right = _looked(MACHINE, log)
+    for k in (1, 2):
+        corrected = tuple(not MACHINE.receiver[i].roll_corrected if i == k else None for i in range(4))
+        found = _looked(applied(MACHINE, Changes(roll_corrected=corrected)), log)
+        assert [fault.kind for fault in found.faults] == ["roll_corrected"]
+        assert found.changes.hitch == pytest.approx(right.changes.hitch, abs=1e-3)
+        assert found.changes.aside == pytest.approx(right.changes.aside, abs=1e-3)
 
 
 def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,26 @@
+"""What a calibration says of itself."""
+
+import math
+
+import numpy as np
+import pytest
+from logs import MACHINE
+
+from tilth.estimator.calibration import priors
+from tilth.estimator.calibration.verdict import TOLD, Told, soil_cost
+from tilth.estimator.filters.unknowns import AT, NAMES, SIX
+from tilth.schemas.flow import PARAMETERS
+
+
+@pytest.mark.parametrize("published", [0.002, 0.008, 0.03])
+def test_what_numbers_cost_goes_with_the_sds_that_are_published(published: float) -> None:
+    """A fit that knows the scale to 0.2 %, and C_af by 10 times the scale beside 1 % of its own."""
+    covariance = np.diag(np.full(len(NAMES), 1e-12))
+    gain, c_af = AT["wheel_gain"], SIX.start
+    covariance[gain, gain] = 0.002**2
+    covariance[c_af, gain] = covariance[gain, c_af] = 10.0 * 0.002**2
+    covariance[c_af, c_af] = 0.01**2 + (10.0 * 0.002) ** 2
+    told = [Told(priors.NUMBER["wheel_gain"], 0.0, published, None, None, TOLD)]
+    whole, share = soil_cost(covariance, MACHINE, told)[PARAMETERS[0]]
+    assert share == pytest.approx(10.0 * published, rel=1e-3)
+    assert whole == pytest.approx(math.hypot(0.01, 10.0 * published), rel=1e-3)
