@@ -119,17 +119,22 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
     shared = places(machine)
     sd, away = prior_sd[shared], (all_of.point - prior_mean)[shared]
     mean = -away  # of the change from the common point
-    covariance = np.diag(sd**2)
+    covariance, errors = np.diag(sd**2), np.zeros(6)
     for k, segment in enumerate(told):
         if k:
             share = retained_share(between[k - 1])
             mean[SIX] = share * (mean[SIX] + away[SIX]) - away[SIX]
             drift(covariance, np.arange(6), share, sd)
-        before = _inverse(covariance)
-        covariance = _inverse(before + _information(segment))
-        mean = covariance @ (before @ mean - sum(one.gradient for one in segment))
+        for one in segment:
+            # As pem: errors of the model that a window does not share count as what it may correct.
+            common = np.minimum(errors, one.model_sd)
+            covariance[SIX, SIX] += np.diag(errors**2 - common**2)
+            before, variances = _inverse(covariance), np.diag(covariance)[SIX].copy()
+            covariance = _inverse(before + one.information)
+            mean = covariance @ (before @ mean - one.gradient)
+            errors = fit_covariance.mixed(common, one.model_sd, variances, np.diag(covariance)[SIX])
     agreement = agree(machine, told, between)
-    covariance = _published(covariance, told, sd, agreement)
+    covariance = _published(covariance, told, sd, agreement, errors)
     whole_mean, whole = prior_mean.copy(), np.zeros((len(NAMES), len(NAMES)))
     whole_mean[shared] = all_of.point[shared] + mean
     whole[np.ix_(shared, shared)] = covariance
@@ -146,8 +151,11 @@ def _information(windows: Sequence[Terms]) -> Array:
     return np.asarray(sum(one.information for one in windows))
 
 
-def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement) -> Array:
-    """Widened as a fit's is (fit_covariance.published), and by the spread where segments do not agree."""
+def _published(
+    covariance: Array, told: Sequence[Told], sd: Array, agreement: Agreement, model_sd: Array
+) -> Array:
+    """Widened as a fit's is (fit_covariance.published), and by the spread where segments do not agree.
+    model_sd: (6,), of the errors of the model in what was learned."""
     every = [one for segment in told for one in segment]
     prior = np.diag(sd**-2.0)
     still = _inverse(prior + _information(every))  # without drift
@@ -158,8 +166,7 @@ def _published(covariance: Array, told: Sequence[Told], sd: Array, agreement: Ag
     factors = np.ones(len(out))
     factors[SIX] = colour * math.sqrt(agreement.widening)
     out = out * np.outer(factors, factors)
-    model = np.max([one.model_sd for one in every], axis=0)
-    out[SIX, SIX] += np.diag(model**2)
+    out[SIX, SIX] += np.diag(model_sd**2)
     return np.asarray((out + out.T) / 2, np.float64)
 
 

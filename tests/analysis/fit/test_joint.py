@@ -82,6 +82,21 @@ def test_errors_of_the_model_do_not_average_out() -> None:
     assert np.all(sds >= 0.05) and np.all(sds < 0.08)
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_sharp_turn_takes_nothing_from_what_gentle_steering_has_told(order: tuple[int, int]) -> None:
+    """Whichever was driven first: the errors of the model in it count as far as it was learned from."""
+    rng = np.random.default_rng(4)
+    truth = drawn(rng)
+    gentle = told(truth, root_of(rng, 80, 40.0), rng, np.full(6, 0.03))
+    sharp = told(truth, root_of(rng, 80, 10.0), rng, np.full(6, 0.2))
+    masses_sd = np.diag(masses())[:6]
+    alone, both, last = (
+        np.sqrt(np.diag(join(MACHINE, around(segments)).covariance)[:6] - masses_sd)
+        for segments in ([gentle], [(gentle, sharp)[k] for k in order], [sharp])
+    )
+    assert np.all(both < 1.5 * alone) and np.all(both < 0.5 * last)
+
+
 def test_soil_that_is_far_away_tells_less() -> None:
     rng = np.random.default_rng(4)
     truth = drawn(rng)
