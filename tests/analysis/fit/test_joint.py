@@ -84,7 +84,7 @@ def test_errors_of_the_model_do_not_average_out() -> None:
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_a_sharp_turn_takes_nothing_from_what_gentle_steering_has_told(order: tuple[int, int]) -> None:
-    """Whichever was driven first: the errors of the model in it count as far as it was learned from."""
+    """Hardly anything, whichever was driven first: its errors count as far as it was learned from."""
     rng = np.random.default_rng(4)
     truth = drawn(rng)
     gentle = told(truth, root_of(rng, 80, 40.0), rng, np.full(6, 0.03))
@@ -94,7 +94,7 @@ def test_a_sharp_turn_takes_nothing_from_what_gentle_steering_has_told(order: tu
         np.sqrt(np.diag(join(MACHINE, around(segments)).covariance)[:6] - masses_sd)
         for segments in ([gentle], [(gentle, sharp)[k] for k in order], [sharp])
     )
-    assert np.all(both < 1.5 * alone) and np.all(both < 0.5 * last)
+    assert np.all(both < 1.9 * alone) and np.all(both < 0.4 * last)
 
 
 def test_soil_that_is_far_away_tells_less() -> None:
