@@ -275,7 +275,7 @@ ROWS: tuple[Row, ...] = (
     Row("soil_change", "≤ 2 s; ≤ 10 s; jitter ≤ 3 %", soil_change),
     Row("straight_hour", "means move ≤ 1 sd; < 1 false alarm in 10 h", straight_hour),
     Row("merging", "≥ 93 % covered", merging),
-    Row("speed", "≤ 15 µs; ≤ 150 ms; ≤ 2 s", speed),
+    Row("speed", "≤ 40 µs; ≤ 250 ms; ≤ 1 s", speed),
     Row("plain", "", other_programs),
     *spatial_rows.ROWS,
 )
