@@ -238,6 +238,17 @@ def test_the_implement_meets_what_the_tractor_met() -> None:
     assert highest[1] - highest[0] == pytest.approx((2.1 - 1.2 + 3.72) / 4.5, abs=0.02)
 
 
+@pytest.mark.parametrize("ramp", [0.1, 0.3])
+@pytest.mark.parametrize("speed", [1.0, 2.0, 4.5])
+def test_a_steep_bump_throws_nothing_over(speed: float, ramp: float) -> None:
+    """One side climbs 0.2 m. Standing on it the tractor rolls by 7°; driven over it, by some more."""
+    bump = Bump(8.0, 0.96, 0.2, 2.0, 1.2, ramp)
+    motion = drive(stand(ground=Ground(bumps=(bump,))), 20.0 / speed, speed=speed)
+    assert np.abs(motion.bodies[:, 0, AT["roll"]]).max() < math.radians(18.0)
+    assert motion.tyres[:, :, TYRE_COLUMNS.index("deflection")].max() < 0.3
+    assert abs(motion.bodies[-1, 0, AT["roll"]]) < math.radians(3.0)
+
+
 def test_a_tyre_that_is_lifted_neither_pulls_nor_steers() -> None:
     motion = drive(stand(ground=Ground(bumps=(Bump(8.0, 0.96, -0.3, 2.0, 1.2),))), 3.0)
     loads, forces = motion.tyres[:, :, LOAD], motion.tyres[:, :, [ALONG, ACROSS]]
