@@ -100,6 +100,8 @@ WRONG = [
     ("seconds = 180.0", "spatial = { step = 0.01 }", ["spatial.step", "0.01", "0.0025"]),
     ("seconds = 180.0", "ground = { bumps = [{ north = 1 }] }", ["ground.bumps[1]", "missing"]),
     ("seconds = 180.0", "roll_sensor = { zero_deg = 9.0 }", ["roll_sensor.zero_deg", "9.0", "5"]),
+    ("seconds = 180.0", "utc_start_ns = -1", ["utc_start_ns", "-1"]),
+    ("seconds = 180.0", "clock_offset_s = 1e12", ["clock_offset_s", "1000000000000"]),
     ("[link]", "[link", ["not a TOML file"]),
 ]
 
