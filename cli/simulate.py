@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tilth.cli import WrongUse, say_unusual
-from tilth.logger.can.bus_opening import check_interface
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
@@ -75,8 +74,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
     """1 where it was not sent, or not to its end."""
-    import_can()
+    import_can()  # before the others, which import it too
     from tilth.cli.discover import parse_buses
+    from tilth.logger.can.bus_opening import check_interface
     from tilth.simulator.on_a_bus import CannotSend, send, stays_here
 
     given, names = parse_buses(args.bus), [bus.name for bus in source.machine.bus]

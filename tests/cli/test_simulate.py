@@ -3,6 +3,8 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +204,15 @@ def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert output["frames"] == len(log.read_text().splitlines())
     assert [Path(output[key]).exists() for key in ("log", "truth", "table")] == [True] * 3
     assert output["parameters"] == _truth(log)["parameters"]
+
+
+def test_a_log_is_written_without_python_can(tmp_path: Path) -> None:
+    order = ["simulate", str(SCENARIOS / "demo.toml"), "--seconds", "1", "--json", "--out", "run.mcap"]
+    code = f"import sys; from tilth.cli import main; main({order})\n"
+    code += "print({'can', 'asammdf', 'pandas', 'polars'} & set(sys.modules))"
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1:] == ["set()"]
 
 
 @pytest.mark.parametrize(
