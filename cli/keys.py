@@ -7,8 +7,7 @@ from pathlib import Path
 from tilth.cli import WrongUse
 from tilth.client.refusal import try_key
 from tilth.deploy import keys
-from tilth.logger.checks.check import YEARS
-from tilth.logger.clock import Clock
+from tilth.logger.clock import YEARS, Clock
 from tilth.logger.machine_file import read_machine
 
 

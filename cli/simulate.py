@@ -15,12 +15,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tilth.cli import WrongUse, say_unusual
-from tilth.logger.can.bus_opening import check_interface
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import Scenario, ScenarioError, check_mounts, parse_scenario
+from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 from tilth.simulator.tractor import drive
@@ -64,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         try:
             simulated = simulate_to(source, args.out, progress)
         except ValueError as error:
-            raise WrongUse(f"this machine cannot be driven: {error}") from None
+            raise _not_driven(args.scenario, error) from None
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             print(f"tilth simulate: {error.filename or args.out}: {reason}", file=sys.stderr)
@@ -75,8 +74,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
     """1 where it was not sent, or not to its end."""
-    import_can()
+    import_can()  # before the others, which import it too
     from tilth.cli.discover import parse_buses
+    from tilth.logger.can.bus_opening import check_interface
     from tilth.simulator.on_a_bus import CannotSend, send, stays_here
 
     given, names = parse_buses(args.bus), [bus.name for bus in source.machine.bus]
@@ -98,7 +98,7 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
                 progress=lambda seconds: progress("driving", seconds),
             )  # fmt: skip
         except ValueError as error:
-            raise WrongUse(f"this machine cannot be driven: {error}") from None
+            raise _not_driven(args.scenario, error) from None
     try:
         sent = send(source.machine, truth, dict(zip(names, given, strict=True)), _say)
     except CannotSend as error:
@@ -111,6 +111,12 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
     if sent.stopped:
         _say(f"stopped: {sent.stopped}")
     return int(bool(sent.stopped))
+
+
+def _not_driven(scenario: Path, error: ValueError) -> WrongUse:
+    if isinstance(error, CannotBeDriven):
+        return WrongUse(f"{scenario}: {error}")
+    return WrongUse(f"this machine cannot be driven: {error}")
 
 
 def _say(text: str) -> None:

@@ -5,29 +5,59 @@ deploy/constraints.txt, the versions that a recorder is installed with; deploy/m
 estimator/models/rolling_kernels.py.
 """
 
+import argparse
 import json
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
 from tilth.deploy import motion_equations
 from tilth.schemas.machine import Machine
 
-ROOT = Path(__file__).resolve().parents[1]
-SCHEMAS = ROOT / "schemas"
-EXPORT = "uv export --frozen --no-dev --no-hashes --no-header --no-annotate --no-emit-project --quiet"
+ROOT: Final = Path(__file__).resolve().parents[1]
+PROTO: Final = "schemas/proto"
+EXPORT: Final = "uv export --frozen --no-dev --no-hashes --no-header --no-annotate --no-emit-project --quiet"
 
 
-def main() -> None:
-    proto = SCHEMAS / "proto"
-    command = ["-m", "grpc_tools.protoc", f"-I{proto}", f"--python_out={proto}", f"--pyi_out={proto}"]
-    subprocess.run([sys.executable, *command, str(proto / "tilth.proto")], check=True)
-    schema = json.dumps(Machine.model_json_schema(), indent=2) + "\n"
-    (SCHEMAS / "machine.schema.json").write_text(schema)
-    (ROOT / motion_equations.TARGET).write_text(motion_equations.source())
-    exported = subprocess.run([*EXPORT.split(), "--directory", str(ROOT)], capture_output=True, check=True)
-    (ROOT / "deploy" / "constraints.txt").write_bytes(exported.stdout)
+def generated(root: Path) -> Iterator[tuple[str, bytes]]:
+    """(path below root, what has to be in it) of each generated file of a tree."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = ["-m", "grpc_tools.protoc", f"-I{root / PROTO}"]
+        command += [f"--python_out={folder}", f"--pyi_out={folder}", str(root / PROTO / "tilth.proto")]
+        subprocess.run([sys.executable, *command], check=True)
+        for path in sorted(Path(folder).iterdir()):
+            yield f"{PROTO}/{path.name}", path.read_bytes()
+    yield "schemas/machine.schema.json", (json.dumps(Machine.model_json_schema(), indent=2) + "\n").encode()
+    yield motion_equations.TARGET, motion_equations.source().encode()
+    exported = subprocess.run([*EXPORT.split(), "--directory", str(root)], capture_output=True, check=True)
+    yield "deploy/constraints.txt", exported.stdout
+
+
+def main(words: Sequence[str] | None = None, root: Path = ROOT) -> int:
+    """1 where --check finds a file that is not current."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tilth.deploy.generate",
+        description="Write the files that are generated from the tree, and say which of them have changed.",
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit status 1 if one would change"
+    )
+    args = parser.parse_args(words)
+    status = 0
+    for name, content in generated(root):
+        path = root / name
+        if path.exists() and path.read_bytes() == content:
+            continue
+        print(f"{name}: {'not current' if args.check else 'written'}")
+        if args.check:
+            status = 1
+        else:
+            path.write_bytes(content)
+    return status
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -16,6 +16,7 @@ NEWEST_NS = -1_000_000  # nor one this far in the future; a little, because two 
 LOOKS = 20  # at both clocks, to begin with
 WRONG_NS = 2_000_000_000  # receivers tell the time up to a second late: only more than this is a wrong clock
 EARLIEST_NS = 1_735_689_600_000_000_000  # 2025-01-01: no clock that is right says less
+YEARS = range(2025, 2100)  # a clock that is right is in one of these
 DATED_NS = 315_532_800_000_000_000  # 1980-01-01: a time before is of a clock that nobody has set
 LEAST_TIMES = (
     8  # times told by receivers before they are believed, and at most so many times that are remembered:

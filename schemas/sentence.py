@@ -24,9 +24,7 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
         given = _keys_given(raw, where[:-1])
         near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
         return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
-    message = _PLAIN.get(first["type"], first["msg"].removeprefix("Value error, "))
-    if first["type"] == "model_type" and where and isinstance(where[-1], str):
-        message = f"is a section: give [{key}] with its keys below it"
+    message = _section(first["type"], key, where, model, raw) or _in_words(first)
     if first["type"] in _NUMBERS:
         meaning = _meaning_at(model, where, raw)
         message += f" ({meaning})" if meaning else ""
@@ -41,8 +39,37 @@ _PLAIN = {
     "finite_number": "give a finite number",
 }  # fmt: skip
 """What pydantic says in words of its own."""
+_OTHERS = {
+    "string_type": "give a text in quotes", "bool_type": "give true or false",
+    "bool_parsing": "give true or false", "literal_error": "give {expected}", "enum": "give {expected}",
+    "too_short": "give at least {min_length} of them", "too_long": "give at most {max_length} of them",
+    "tuple_type": "give a list, in [ ]", "list_type": "give a list, in [ ]",
+    "dict_type": "give a table, in {{ }}", "mapping_type": "give a table, in {{ }}",
+}  # fmt: skip
+"""The same, of what is no number."""
 _NUMBERS = ("less_than", "less_than_equal", "greater_than", "greater_than_equal", *_PLAIN)
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def _in_words(problem: Any) -> str:
+    kind = problem["type"]
+    if kind in _OTHERS:
+        return _OTHERS[kind].format(**problem.get("ctx", {}))
+    text: str = problem["msg"]
+    return _PLAIN.get(kind, text.removeprefix("Value error, ").replace("Input should be", "must be"))
+
+
+def _section(kind: str, key: str, where: list[int | str], model: Any, raw: Any) -> str:
+    """What to give where a section, or several, were expected at `where`; "" where none were."""
+    if kind in ("tuple_type", "list_type") and where and isinstance(where[-1], str):
+        field = _fields_at(model, where[:-1], raw).get(where[-1])
+        if field is None or not _sections_of(field.annotation):
+            return ""
+    elif kind not in ("model_type", "dataclass_type") or not where:
+        return ""
+    elif isinstance(where[-1], str):
+        return f"is a section: give [{key}] with its keys below it"
+    return f"give [[{key.rpartition('[')[0] or key}]] with its keys below it, once for each"
 
 
 def _place(raw: Any, where: tuple[int | str, ...], missing: bool) -> list[int | str]:

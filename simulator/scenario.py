@@ -21,6 +21,10 @@ class ScenarioError(Exception):
     """The scenario is wrong; the text says where and what to do."""
 
 
+class CannotBeDriven(ValueError):
+    """The scenario asks too much of this machine; the text says what, and what to change."""
+
+
 STEP_S: Final = 0.01  # between samples of a simulated run
 _CONFIG: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -32,10 +36,11 @@ Duration = Annotated[float, Field(gt=0, le=86_400)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angle = Annotated[float, Field(ge=-45, le=45)]  # of wheels, degrees
 Speed = Annotated[float, Field(ge=-4, le=15)]
-Stiffness = Annotated[float, Field(ge=20e3, le=100e6)]
+Stiffness = Annotated[float, Field(ge=20e3, le=20e6)]
 Track = Annotated[float, Field(ge=0.8, le=6)]
 Gyration = Annotated[float, Field(ge=0.2, le=3)]
 Wave = Annotated[float, Field(ge=0.3, le=1000)]
+Instant = Annotated[int, Field(ge=946_684_800_000_000_000, le=4_102_444_800_000_000_000)]  # ns; 2000 to 2100
 Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
 FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
 
@@ -358,8 +363,9 @@ class Scenario:
     wheel_sensor: bool = True
     claims: bool = True  # False: everybody has claimed an address before the recording began
     other_traffic: bool = True  # the frames that nobody wants
-    utc_start_ns: int = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
-    clock_offset_s: float | None = None  # host clock minus UTC at the start; None: drawn
+    utc_start_ns: Instant = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
+    clock_offset_s: Annotated[float, Field(ge=-1e8, le=1e8)] | None = None  # host clock minus UTC at the
+    # start; None: drawn
 
     def __post_init__(self) -> None:
         slowest = min(row[1] for row in self.speed) if isinstance(self.speed, tuple) else self.speed

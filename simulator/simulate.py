@@ -110,10 +110,11 @@ def files_of(log: Path) -> tuple[Path, Path, Path]:
 def simulate_to(
     source: SimulationInput, log: Path, progress: Progress = lambda what, seconds: None
 ) -> Simulated:
-    """Drive a scenario and write its three files; the same source gives the same bytes.
+    """Drive a scenario and write its three files; the same source gives the same bytes. All three or none.
 
     Raises OSError, FileExistsError before anything is written; ValueError where the machine is none that can
-    be driven, KeyError where the log's name has no ending of WRITERS.
+    be driven, CannotBeDriven, which is one too, where the scenario asks too much of it; KeyError where the
+    log's name has no ending of WRITERS.
     """
     make, files = WRITERS[log.suffix], files_of(log)
     for path in files:
@@ -123,15 +124,27 @@ def simulate_to(
         source.machine, source.seed, source.seconds, source.scenario,
         progress=lambda seconds: progress("driving", seconds),
     )  # fmt: skip
-    with closing(make(log, source)) as writer:
-        _write_truth(source, truth, files)
-        count = 0
-        start_ns = host_clock(truth)(0.0)
-        for count, frame in enumerate(traffic(source.machine, truth), start=1):
-            writer.frame(frame)
-            if count % SHOWN == 0:
-                progress("frames", (frame.t_ns - start_ns) * 1e-9)
+    try:
+        with closing(make(log, source)) as writer:
+            _write_truth(source, truth, files)
+            count = 0
+            start_ns = host_clock(truth)(0.0)
+            for count, frame in enumerate(traffic(source.machine, truth), start=1):
+                writer.frame(frame)
+                if count % SHOWN == 0:
+                    progress("frames", (frame.t_ns - start_ns) * 1e-9)
+    except BaseException as error:
+        _discard(files, error)
+        raise
     return Simulated(truth, count, files)
+
+
+def _discard(files: tuple[Path, Path, Path], error: BaseException) -> None:
+    """Remove what was begun; not what somebody else has made meanwhile, and what would have come after it."""
+    for path in files:
+        if isinstance(error, FileExistsError) and Path(error.filename) == path:
+            return
+        path.unlink(missing_ok=True)
 
 
 # The truth.

@@ -10,9 +10,10 @@ from tilth.simulator import noise
 from tilth.simulator.noise import generator
 from tilth.simulator.pilots import HOLD, Driver
 from tilth.simulator.scenario import STEP_S
+from tilth.simulator.spatial.engine import check_inertia
 from tilth.simulator.spatial.height_field import height_field
 from tilth.simulator.spatial.plant import AT, Space, run, settled_plant
-from tilth.simulator.spatial.vehicle import Masses, Vehicle, vehicle_of
+from tilth.simulator.spatial.vehicle import Masses, Vehicle, check_tyres, vehicle_of
 from tilth.simulator.tractor import BodyTrack, Setting, Truth, rig_seed
 
 Array = NDArray[np.float64]
@@ -26,10 +27,12 @@ def vehicle_in(setting: Setting) -> Vehicle:
 
 
 def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], None] | None) -> Truth:
-    """Raises NotInstalled."""
+    """Raises NotInstalled, CannotBeDriven."""
     scenario, vehicle = setting.scenario, vehicle_in(setting)
     ground = height_field(scenario.ground, vehicle.rms, generator(setting.seed, noise.GROUND))
     step = STEP_S / math.ceil(STEP_S / scenario.spatial.step - 1e-9)
+    check_inertia(vehicle)
+    check_tyres(vehicle, step)
     start = driver.start()
     plant = settled_plant(vehicle, ground, step, float(start[2]), setting.soil.theta)
     act = driver.actuator

@@ -119,7 +119,8 @@ def drive(
     """Drive the machine of a machine file for so long. `progress` is told the seconds driven.
 
     driven_by: instead of the scenario's own driver. Raises ValueError where the machine is none that can be
-    driven, and NotInstalled, which is one too, where the spatial plant lacks its package.
+    driven, and, which are such too, CannotBeDriven where the scenario asks too much of it and NotInstalled
+    where the spatial plant lacks its package.
     """
     scenario = scenario or Scenario()
     setting = setting_of(machine, seed, seconds, scenario)

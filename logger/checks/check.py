@@ -16,7 +16,7 @@ from tilth.logger.can.buses import Buses
 from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
 from tilth.logger.checks.finding import CheckFinding, Level
-from tilth.logger.clock import Clock
+from tilth.logger.clock import YEARS, Clock
 from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
@@ -24,7 +24,6 @@ from tilth.schemas.plausible import unusual
 
 TURN_S = 0.05
 OPEN_S = 15.0  # some adapters take two seconds, a server that does not answer ten
-YEARS = range(2025, 2100)
 NOT_SYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.schemas.invocation import installing
+from tilth.simulator.scenario import CannotBeDriven
 from tilth.simulator.spatial.vehicle import BEAM_GYRATION, BEAM_MASS, GRAVITY, PITCH_INERTIA, Vehicle
 
 Array = NDArray[np.float64]
 
 TRACTOR, BEAM, IMPLEMENT = 1, 2, 3  # numbers of the engine's bodies
+GYRATIONS: Final = (0.2, 3.005, 0.01)  # m, from, to and by: those that a scenario may give
 Tensor = NDArray[np.float64]
 """Inertia, kg m^2, shape (3, 3)."""
 
@@ -40,7 +42,11 @@ def check_installed() -> None:
 def mujoco() -> Any:
     """The package. Raises NotInstalled."""
     check_installed()
-    return importlib.import_module("mujoco")
+    package = importlib.import_module("mujoco")
+    package.set_mju_user_warning(
+        lambda text: None
+    )  # else to MUJOCO_LOG.TXT where one stands; we look ourselves
+    return package
 
 
 def engine(vehicle: Vehicle, step: float) -> tuple[Any, Any]:
@@ -52,10 +58,39 @@ def engine(vehicle: Vehicle, step: float) -> tuple[Any, Any]:
     return model, data
 
 
-def _mjcf(vehicle: Vehicle, step: float) -> str:
+def check_inertia(vehicle: Vehicle) -> None:
+    """Raises CannotBeDriven where no distribution of a body's mass rolls as it is to."""
+    for k, name in enumerate(("tractor", "implement")):
+        if _is_a_body(_inertias(vehicle)[k]):
+            continue
+        given, fitting = list(vehicle.roll_gyration), []
+        for radius in np.arange(*GYRATIONS).tolist():
+            given[k] = radius
+            if _is_a_body(_inertias(vehicle._replace(roll_gyration=(given[0], given[1])))[k]):
+                fitting.append(radius)
+        cure = f"give {fitting[0]:.2f} to {fitting[-1]:.2f}" if fitting else "check its yaw_inertia"
+        raise CannotBeDriven(
+            f"spatial.roll_gyration[{k + 1}] = {vehicle.roll_gyration[k]:g} m: no body with the mass and yaw "
+            f"inertia of the {name} has it; {cure}"
+        )
+
+
+def _is_a_body(inertia: Tensor) -> bool:
+    """Whether some distribution of mass has this inertia."""
+    least, middle, most = np.linalg.eigvalsh(inertia)
+    return bool(least > 0.0 and least + middle >= most)
+
+
+def _pin(vehicle: Vehicle) -> Array:
+    """Of the front axle, in the frame of T, z down, m."""
     m = vehicle.masses
-    beam = BEAM_MASS * m.m_t
-    pin = np.array([m.a, 0.0, m.h_t - vehicle.pin_height])  # of T, z down
+    return np.array([m.a, 0.0, m.h_t - vehicle.pin_height])
+
+
+def _inertias(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
+    """Of the tractor without its front axle, of the implement and of the front axle, each about its CG."""
+    m = vehicle.masses
+    pin, beam = _pin(vehicle), BEAM_MASS * m.m_t
     side = BEAM_GYRATION[0] * vehicle.track[0] / 2
     beam_inertia = beam * np.diag([side**2, BEAM_GYRATION[1] ** 2, side**2])
     roll_t, roll_i = vehicle.roll_gyration
@@ -65,10 +100,19 @@ def _mjcf(vehicle: Vehicle, step: float) -> str:
     inertia = whole - _about(beam, pin) - _about(chassis, centre)
     inertia -= np.diag([0.0, beam_inertia[1, 1], beam_inertia[2, 2]])  # the beam rolls by itself
     cart = np.diag([m.m_i * roll_i**2, PITCH_INERTIA * m.I_i, m.I_i])
+    return inertia, cart, beam_inertia
+
+
+def _mjcf(vehicle: Vehicle, step: float) -> str:
+    m = vehicle.masses
+    beam = BEAM_MASS * m.m_t
+    chassis, pin = m.m_t - beam, _pin(vehicle)
+    centre = -beam / chassis * pin
+    inertia, cart, beam_inertia = _inertias(vehicle)
     return f"""<mujoco>
   <compiler boundmass="1" balanceinertia="false"/>
   <option timestep="{step!r}" gravity="0 0 {GRAVITY}" integrator="Euler">
-    <flag contact="disable" energy="enable"/>
+    <flag contact="disable" energy="enable" autoreset="disable"/>
   </option>
   <worldbody>
     <body name="tractor">

@@ -1,8 +1,8 @@
 """Forces of ground and drive on the six tyres, computed at each step and applied to the engine's bodies.
 
-A tyre is a thin disc. It meets the ground in its own plane, straight below its centre; its radial spring and
-damper push along the ground's normal and never pull. Side force, drive and rolling resistance lie in the
-ground's plane at the contact. World: x north, y east, z down; a height is positive upwards.
+A tyre is a thin disc (simulator/spatial/contact.py). Its radial spring and damper push along the ground's
+normal and never pull. Side force, drive and rolling resistance lie in the ground's plane at the contact.
+World: x north, y east, z down; a height is positive upwards.
 """
 
 import math
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.simulator.spatial.height_field import HeightField, height
+from tilth.simulator.spatial.contact import contact_of, cross, dot, rotated
+from tilth.simulator.spatial.height_field import HeightField
 from tilth.simulator.spatial.tyre import (
     CURVES,
     RELAXATIONS,
@@ -32,9 +33,6 @@ TYRE_COLUMNS: Final = ("load", "along", "across", "slip", "deflection", "elevati
 GOVERNOR: Final = (60e3, 60e3)  # N s/m and N/m: proportional, integral; assumed: a transmission's
 DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
 ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
-
-
-Vector = tuple[float, float, float]
 
 
 class TyreSet(NamedTuple):
@@ -85,36 +83,6 @@ def tyres_of(vehicle: Vehicle) -> TyreSet:
 
 
 @kernel
-def _unit(x: float, y: float, z: float) -> Vector:
-    long = math.sqrt(x * x + y * y + z * z)
-    return x / long, y / long, z / long
-
-
-@kernel
-def _cross(one: Vector, two: Vector) -> Vector:
-    return (
-        one[1] * two[2] - one[2] * two[1],
-        one[2] * two[0] - one[0] * two[2],
-        one[0] * two[1] - one[1] * two[0],
-    )
-
-
-@kernel
-def _dot(one: Vector, two: Vector) -> float:
-    return one[0] * two[0] + one[1] * two[1] + one[2] * two[2]
-
-
-@kernel
-def _rotated(turn: Array, v: Vector) -> Vector:
-    """turn: a body's axes as columns, shape (9,), row by row."""
-    return (
-        turn[0] * v[0] + turn[1] * v[1] + turn[2] * v[2],
-        turn[3] * v[0] + turn[4] * v[1] + turn[5] * v[2],
-        turn[6] * v[0] + turn[7] * v[1] + turn[8] * v[2],
-    )
-
-
-@kernel
 def tyre_on_ground(
     k: int, tyres: TyreSet, soil: Array, drive: float, slip: float, along: float, across: float, load: float,
     camber: float, step: float,
@@ -143,9 +111,9 @@ def tyre_on_ground(
 def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float:
     """Of a body along its own x axis, m/s. arguments as those of plant.body_motion."""
     arm = (place[0] - root[0], place[1] - root[1], place[2] - root[2])
-    spin = _cross((twist[0], twist[1], twist[2]), arm)
+    spin = cross((twist[0], twist[1], twist[2]), arm)
     velocity = (twist[3] + spin[0], twist[4] + spin[1], twist[5] + spin[2])
-    return _dot(velocity, (turn[0], turn[3], turn[6]))
+    return dot(velocity, (turn[0], turn[3], turn[6]))
 
 
 @kernel
@@ -168,30 +136,6 @@ def steering_angles(tyres: TyreSet, mean: float) -> tuple[float, float]:
 
 
 @kernel
-def contact_of(
-    field: HeightField, turn: Array, hub: Vector, delta: float, radius: float
-) -> tuple[Vector, Vector, Vector, Vector, float, float, float]:
-    """(point of contact, m; its unit vectors ahead, to the right and down along the ground's normal; distance
-    of the hub, m; height of the ground, m; camber, rad) of a disc.
-
-    turn: the axes of its body as columns, shape (9,). hub: place of its centre, m. delta: rad.
-    """
-    axis = _rotated(turn, (-math.sin(delta), math.cos(delta), 0.0))
-    reach = (turn[2] * radius, turn[5] * radius, turn[8] * radius)  # below, along the body's z
-    up, north, east = height(field, hub[0] + reach[0], hub[1] + reach[1])
-    down = _unit(north, east, 1.0)  # the ground's normal
-    ahead = _cross(axis, down)
-    ahead = _unit(ahead[0], ahead[1], ahead[2])
-    right = _cross(down, ahead)
-    below = _cross(ahead, axis)
-    # The ground near by is a plane: where the disc's plane meets it, along `below`.
-    short = north * reach[0] + east * reach[1] + reach[2] - (hub[2] + reach[2] + up)
-    far = short / (north * below[0] + east * below[1] + below[2])
-    contact = (hub[0] + far * below[0], hub[1] + far * below[1], hub[2] + far * below[2])
-    return contact, ahead, right, down, far, up, math.asin(_dot(axis, down))
-
-
-@kernel
 def apply_forces(
     field: HeightField, tyres: TyreSet, soil: Array, delta: float, target_speed: float, step: float,
     xpos: Array, xmat: Array, xipos: Array, cvel: Array, com: Array,
@@ -210,19 +154,19 @@ def apply_forces(
     for k in range(6):
         b = tyres.body[k]
         turn = xmat[b]
-        place = _rotated(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
+        place = rotated(turn, (tyres.place[k, 0], tyres.place[k, 1], tyres.place[k, 2]))
         hub = (xpos[b, 0] + place[0], xpos[b, 1] + place[1], xpos[b, 2] + place[2])
         steered = angles[k] if k < 2 else 0.0
         contact, ahead, right, down, far, up, camber = contact_of(field, turn, hub, steered, tyres.radius[k])
         arm = (contact[0] - root[0], contact[1] - root[1], contact[2] - root[2])
-        spun = _cross((cvel[b, 0], cvel[b, 1], cvel[b, 2]), arm)
+        spun = cross((cvel[b, 0], cvel[b, 1], cvel[b, 2]), arm)
         moving = (cvel[b, 3] + spun[0], cvel[b, 4] + spun[1], cvel[b, 5] + spun[2])
         deflection = tyres.radius[k] - far
         load = 0.0
         if deflection > 0.0:
-            load = max(tyres.stiffness[k] * deflection + tyres.damping[k] * _dot(moving, down), 0.0)
+            load = max(tyres.stiffness[k] * deflection + tyres.damping[k] * dot(moving, down), 0.0)
         pushed, side, slip[k] = tyre_on_ground(
-            k, tyres, soil, drive[0], slip[k], _dot(moving, ahead), _dot(moving, right), load, camber, step
+            k, tyres, soil, drive[0], slip[k], dot(moving, ahead), dot(moving, right), load, camber, step
         )
         if load <= 0.0:
             pushed = 0.0
@@ -232,7 +176,7 @@ def apply_forces(
             pushed * ahead[2] + side * right[2] - load * down[2],
         )
         lever = (contact[0] - xipos[b, 0], contact[1] - xipos[b, 1], contact[2] - xipos[b, 2])
-        moment = _cross(lever, force)
+        moment = cross(lever, force)
         for i in range(3):
             xfrc[b, i] += force[i]
             xfrc[b, 3 + i] += moment[i]
@@ -246,7 +190,7 @@ def apply_forces(
             deflection,
             up,
             camber,
-            _dot(force, moving),
+            dot(force, moving),
         )
 
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 WAVES: Final = 96
 WAVINESS: Final = 0.5  # amplitude grows with the length to this power, per equal step of its logarithm
+SHARP: Final = 0.2  # 1/m, rms of the curvature: a fifth of a wheel's
 
 
 class HeightField(NamedTuple):
@@ -26,6 +27,7 @@ class HeightField(NamedTuple):
     plane: Array  # (2,), slope to north and to east
     wave: Array  # (WAVES or 0, 4): amplitude (m), wavenumber north and east (rad/m), phase
     bump: Array  # (any, 6): north, east, height, half length, half width, ramp, m
+    sharp: bool  # whether the waves bend so much within a wheel that no plane stands for them
 
 
 @kernel
@@ -38,6 +40,13 @@ def _step(inside: float, ramp: float) -> tuple[float, float]:
 @kernel
 def height(field: HeightField, x: float, y: float) -> tuple[float, float, float]:
     """(height, m; slope to north; slope to east) at a place."""
+    up, north, east = without_bumps(field, x, y)
+    return with_bumps(field, x, y, up, north, east)
+
+
+@kernel
+def without_bumps(field: HeightField, x: float, y: float) -> tuple[float, float, float]:
+    """As height, of plane and waves only."""
     north, east = field.plane[0], field.plane[1]
     up = north * x + east * y
     wave = field.wave
@@ -47,6 +56,14 @@ def height(field: HeightField, x: float, y: float) -> tuple[float, float, float]
         steep = -wave[k, 0] * math.sin(angle)
         north += steep * wave[k, 1]
         east += steep * wave[k, 2]
+    return up, north, east
+
+
+@kernel
+def with_bumps(
+    field: HeightField, x: float, y: float, up: float, north: float, east: float
+) -> tuple[float, float, float]:
+    """Height and slopes at a place, where up, north and east are those without bumps."""
     bump = field.bump
     for k in range(bump.shape[0]):
         along, across = x - bump[k, 0], y - bump[k, 1]
@@ -58,6 +75,16 @@ def height(field: HeightField, x: float, y: float) -> tuple[float, float, float]
     return up, north, east
 
 
+@kernel
+def bump_within(field: HeightField, x: float, y: float, reach: float) -> bool:
+    """Whether the foot of a bump's ramp is so near to a place, m."""
+    bump = field.bump
+    for k in range(bump.shape[0]):
+        if abs(x - bump[k, 0]) < bump[k, 3] + reach and abs(y - bump[k, 1]) < bump[k, 4] + reach:
+            return True
+    return False
+
+
 def height_field(ground: Ground, rms: float, rng: np.random.Generator) -> HeightField:
     """The ground of a scenario; rms: m, of the waves."""
     fall, towards = math.tan(math.radians(ground.slope_deg)), math.radians(ground.downhill_deg)
@@ -66,7 +93,10 @@ def height_field(ground: Ground, rms: float, rng: np.random.Generator) -> Height
         (b.north, b.east, b.height, b.length / 2, b.width / 2, min(b.ramp, b.length / 2, b.width / 2))
         for b in ground.bumps
     ]
-    return HeightField(plane, _waves(rng, rms, ground.waves), np.array(bumps).reshape(-1, 6))
+    wave = _waves(rng, rms, ground.waves)
+    curvature = wave[:, 0] * (wave[:, 1] ** 2 + wave[:, 2] ** 2)
+    sharp = bool(0.5 * curvature @ curvature > SHARP**2)
+    return HeightField(plane, wave, np.array(bumps).reshape(-1, 6), sharp)
 
 
 def _waves(rng: np.random.Generator, rms: float, band: tuple[float, float]) -> Array:

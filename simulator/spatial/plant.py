@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.simulator.scenario import STEP_S
+from tilth.simulator.scenario import STEP_S, CannotBeDriven
 from tilth.simulator.spatial.engine import IMPLEMENT, TRACTOR, engine, mujoco
 from tilth.simulator.spatial.forces import TYRE_COLUMNS, TyreSet, apply_forces, tyres_of
 from tilth.simulator.spatial.height_field import HeightField, height
-from tilth.simulator.spatial.vehicle import Vehicle
+from tilth.simulator.spatial.vehicle import SETTLING_DAMPING, Vehicle
 
 Array = NDArray[np.float64]
 
+MOST_TILT_DEG: Final = 45.0  # of either body: a rig that leans so far has turned over, or soon will
 SETTLING_S: Final = 2.0
-SETTLING_DAMPING: Final = 6.0  # times that of the tyres, meanwhile
 BODIES: Final = (TRACTOR, IMPLEMENT)
 BODY_COLUMNS: Final = (
     "north", "east", "down", "roll", "pitch", "heading", "forward", "right", "roll_rate", "pitch_rate",
@@ -148,9 +148,11 @@ def body_motion(place: Array, turn: Array, twist: Array, root: Array, before: fl
 def settled_plant(
     vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array
 ) -> SpatialPlant:
-    """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,)."""
+    """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,).
+
+    Raises CannotBeDriven.
+    """
     plant = SpatialPlant(vehicle, ground, step)
-    plant.turns = [heading, heading]
     plant.soil = np.ascontiguousarray(soil, np.float64)
     up, north, east = height(ground, 0.0, 0.0)
     plane_north, plane_east = (north, east) if not len(ground.wave) else map(float, ground.plane)
@@ -163,7 +165,37 @@ def settled_plant(
         plant.kinematics()
         plant.advance(0.0, 0.0, thick)
     plant.data.time = 0.0
+    check_upright(plant.bodies(), ground, None)
+    plant.turns = [heading, heading]
     return plant
+
+
+def check_upright(rows: Array, ground: HeightField, at_s: float | None) -> None:
+    """Raises CannotBeDriven where a body has turned over.
+
+    rows: as SpatialPlant.bodies. at_s: when, s; None before the run begins.
+    """
+    tilts = np.degrees(np.abs(rows[:, [AT["roll"], AT["pitch"]]]))
+    if np.isfinite(rows).all() and tilts.max() <= MOST_TILT_DEG:
+        return
+    when = "before it sets off" if at_s is None else f"at {at_s:.2f} s"
+    if not np.isfinite(rows).all():
+        raise CannotBeDriven(
+            f"the rig's motion grows beyond all numbers {when}; "
+            "give a lower speed, a smaller spatial.step, or softer tyres"
+        )
+    k, angle = np.unravel_index(np.argmax(tilts), tilts.shape)
+    north, east = rows[k, [AT["north"], AT["east"]]]
+    where = f"{abs(north):.1f} m {'south' if north < 0 else 'north'} and "
+    where += f"{abs(east):.1f} m {'west' if east < 0 else 'east'} of the start"
+    cures = ["a lower speed", "smaller wheel angles"] if at_s else []
+    cures += ["lower bumps with longer ramps"] if len(ground.bump) else []
+    cures += ["a smaller ground.rms"] if len(ground.wave) else []
+    body, tilt = ("tractor", "implement")[k], ("roll", "pitch")[angle]
+    raise CannotBeDriven(
+        f"the {body} turns over {when}, {where}: its {tilt} passes {MOST_TILT_DEG:g}°; "
+        f"give {', '.join([*cures, 'stiffer tyres'])} or a wider track"
+    )
 
 
 def _quaternion(roll: float, pitch: float, heading: float) -> Array:
@@ -210,7 +242,7 @@ def run(
 
     start: first state, shape (13,), of which speed and wheel angle are taken. valve: wheel's angular
     acceleration per command, 1/s^2, and its damping, 1/s; None: the wheels are turned directly. soil: of time
-    and state, shape (6,).
+    and state, shape (6,). Raises CannotBeDriven.
     """
     substeps = round(STEP_S / plant.step)
     into = Motion(
@@ -222,7 +254,9 @@ def run(
     plant.kinematics()
     for k in range(0, n, hold):
         end = min(k + hold, n)
-        x = _state(plant, plant.bodies(), delta, rate)
+        rows = plant.bodies()
+        check_upright(rows, plant.ground, k * STEP_S)
+        x = _state(plant, rows, delta, rate)
         pair = steering.steer(k, min(end, n - 1), x)
         shape = (min(end, n - 1) - k + 1,)
         commands, speeds = (np.broadcast_to(np.asarray(one, np.float64), shape).tolist() for one in pair)
@@ -232,6 +266,7 @@ def run(
             if valve is None:
                 delta, rate = commands[now], (commands[after] - commands[now]) / STEP_S
             rows, beam = plant.bodies(), float(plant.data.qpos[7])
+            check_upright(rows, plant.ground, j * STEP_S)
             at_sample = delta, rate
             for s in range(substeps):
                 share = (s + 0.5) / substeps

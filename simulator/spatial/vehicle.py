@@ -4,12 +4,13 @@ Frames: tractor T and implement I at their CGs, x forward, y right, z down (SAE 
 order of WHEELS. What is marked "assumed" is a usual value of such a machine.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.simulator.scenario import Scenario, Spatial
+from tilth.simulator.scenario import CannotBeDriven, Scenario, Spatial
 from tilth.simulator.spatial.tyre import CURVES, RELAXATIONS
 
 Array = NDArray[np.float64]
@@ -37,6 +38,9 @@ DRAWN: Final = {
     "grip": (0.5, 0.9), "rms": (0.0, 0.02),
 }  # fmt: skip
 """From, to: of a factor on the nominal value, or of the value itself."""
+
+SETTLING_DAMPING: Final = 6.0  # times that of the tyres, while the rig settles before a run
+STABLE: Final = 3.6  # of (omega step)^2 + 2 (damping/mass) step; from 4 on an oscillator grows by steps
 
 
 class Masses(NamedTuple):
@@ -139,3 +143,43 @@ def wheel_places(vehicle: Vehicle) -> Array:
     across = np.array([SIDE[k % 2] * vehicle.track[k // 2] / 2 for k in range(6)])
     down = np.repeat([m.h_t - RADIUS[0], m.h_t - RADIUS[1], m.h_i - RADIUS[2]], 2)
     return np.column_stack([along, across, down])
+
+
+def check_tyres(vehicle: Vehicle, step: float) -> None:
+    """Raises CannotBeDriven where the tyres do not hold the rig upright, or where steps of `step` s are too
+    long for them."""
+    m = vehicle.masses
+    arm = m.h_t - m.b / (m.a + m.b) * vehicle.pin_height  # the front axle swings on its pin
+    for k, name, moment in ((1, "tractor", m.m_t * arm), (2, "implement", m.m_i * m.h_i)):
+        least, given = 2 * GRAVITY * moment / vehicle.track[k] ** 2, vehicle.stiffness[k]
+        if given <= least:
+            raise CannotBeDriven(
+                f"spatial.vertical_stiffness[{k + 1}] = {given:g} N/m does not hold the {name} upright; "
+                f"give more than {1e3 * math.ceil(least / 1e3):.0f}, or a wider track"
+            )
+    for k, name in enumerate(("front", "rear", "implement's")):
+        mass = _moved_by_a_tyre(vehicle, k)
+        square, damped = vehicle.stiffness[k] / mass, SETTLING_DAMPING * vehicle.damping[k] / mass
+        longest = STABLE / (damped + math.sqrt(damped**2 + STABLE * square))
+        if step > longest:
+            cure = (
+                f"give spatial.step = {math.floor(1e5 * longest) / 1e5:g}, or " if longest > 2e-4 else "give "
+            )
+            raise CannotBeDriven(
+                f"the {name} tyres are too stiff, or damped too much, for steps of {step:g} s; {cure}smaller "
+                f"spatial.vertical_stiffness[{k + 1}] and vertical_damping[{k + 1}]"
+            )
+
+
+def _moved_by_a_tyre(vehicle: Vehicle, k: int) -> float:
+    """The least mass that one tyre of an axle moves up and down, kg: both alike, or against each other."""
+    m = vehicle.masses
+    if k == 0:
+        return BEAM_MASS * m.m_t * BEAM_GYRATION[0] ** 2 / 2  # the axle rolls by itself
+    mass, yaw, arm, roll = (
+        (m.m_t, m.I_t, m.b, vehicle.roll_gyration[0])
+        if k == 1
+        else (m.m_i, m.I_i, m.e, vehicle.roll_gyration[1])
+    )
+    alike = 1 / (1 / mass + arm**2 / (PITCH_INERTIA * yaw)) / 2
+    return min(alike, 2 * mass * (roll / vehicle.track[k]) ** 2)

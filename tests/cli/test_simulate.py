@@ -3,6 +3,8 @@
 import csv
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,8 @@ from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.rig import machine_in
 from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import parse_scenario
+from tilth.simulator.scenario import Scenario, parse_scenario
+from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import host_clock, simulate
 
@@ -203,6 +206,15 @@ def test_json_names_the_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert output["parameters"] == _truth(log)["parameters"]
 
 
+def test_a_log_is_written_without_python_can(tmp_path: Path) -> None:
+    order = ["simulate", str(SCENARIOS / "demo.toml"), "--seconds", "1", "--json", "--out", "run.mcap"]
+    code = f"import sys; from tilth.cli import main; main({order})\n"
+    code += "print({'can', 'asammdf', 'pandas', 'polars'} & set(sys.modules))"
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1:] == ["set()"]
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -242,3 +254,49 @@ def test_wrong_use_is_one_sentence_and_exit_status_2(
         assert word in captured.err
     assert sorted(tmp_path.iterdir()) == before
     assert names["old"].read_bytes() == b"precious"
+
+
+SPACE = 'plant = "spatial"\nseconds = 10.0\n'
+OVER = "steering = [[10.0, 40.0]]\nspeed = 15.0\n"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "expected"),
+    [
+        (SPACE + OVER, ["the tractor turns over at", "m north", "its roll passes 45°", "a lower speed"]),
+        (SPACE + "[ground]\nrms = 0.1\nwaves = [0.3, 1.0]", ["turns over at", "ground.rms"]),
+        (SPACE + "[spatial]\nroll_gyration = [0.2, 0.2]", ["roll_gyration[1] = 0.2 m", "give 0.43 to 2.63"]),
+        (SPACE + "[spatial]\nvertical_stiffness = [2e7, 2e7, 2e7]", ["too stiff", "vertical_stiffness[1]"]),
+        (SPACE + "[spatial]\nvertical_stiffness = [20e3, 20e3, 20e3]", ["does not hold the tractor upright"]),
+    ],
+    ids=["over", "rough", "inertia", "stiff", "soft"],
+)
+def test_what_does_not_stay_on_its_wheels_is_refused_and_leaves_nothing(
+    scenario: str,
+    expected: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra `spatial`")
+    monkeypatch.chdir(tmp_path)
+    Path("over.toml").write_text(scenario)
+    assert main(["simulate", "over.toml", "--out", "run.mcap"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1) and err.startswith("tilth simulate: over.toml: ")
+    for word in expected:
+        assert word in err
+    assert [path.name for path in tmp_path.iterdir()] == ["over.toml"]
+
+
+@pytest.mark.parametrize("ending", ["mcap", "log"])
+def test_a_simulation_that_is_stopped_leaves_nothing(tmp_path: Path, machine: Machine, ending: str) -> None:
+    def stop(what: str, at_s: float) -> None:
+        if what == "frames":
+            assert len(list(tmp_path.iterdir())) == 3
+            raise KeyboardInterrupt
+
+    source = SimulationInput(machine, MACHINE.read_text(), Scenario(), "", 1, 10.0)
+    with pytest.raises(KeyboardInterrupt):
+        simulate_to(source, tmp_path / f"run.{ending}", stop)
+    assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
 
-from tilth.cli import COMMANDS, main
+from tilth.cli import COMMANDS, RECORDERS, main
 from tilth.schemas.invocation import command
 
 NOWHERE = "tcp/127.0.0.1:1"
@@ -72,6 +72,19 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         main([name, "--help"])
     out, err = capsys.readouterr()
     assert end.value.code == 0 and err == "" and out.startswith(f"usage: {command(name)}")
+
+
+BESIDES = (*RECORDERS, "discover")  # these listen to buses; who draft from a bus or a log may read MF4
+
+
+def test_commands_without_a_bus_start_without_python_can() -> None:
+    """It brings asammdf and pandas along: a second before the first word."""
+    names = [name for name, _ in COMMANDS if name not in BESIDES]
+    code = "import importlib, sys\n"
+    code += f"for name in {names}: importlib.import_module(f'tilth.cli.{{name}}')\n"
+    code += "print({'can', 'asammdf', 'pandas', 'polars'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
 
 
 WITHOUT_PRIVILEGE = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]  # even root

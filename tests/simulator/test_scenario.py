@@ -100,6 +100,21 @@ WRONG = [
     ("seconds = 180.0", "spatial = { step = 0.01 }", ["spatial.step", "0.01", "0.0025"]),
     ("seconds = 180.0", "ground = { bumps = [{ north = 1 }] }", ["ground.bumps[1]", "missing"]),
     ("seconds = 180.0", "roll_sensor = { zero_deg = 9.0 }", ["roll_sensor.zero_deg", "9.0", "5"]),
+    (
+        "seconds = 180.0",
+        "ground.bumps = { north = 3 }",
+        ["ground.bumps: give [[ground.bumps]] with its keys"],
+    ),
+    ("seconds = 180.0", "ground.bumps = [[3.0, 1.0]]", ["ground.bumps[1]: give [[ground.bumps]]", "each"]),
+    ("seconds = 180.0", "ground = 3", ["ground = 3: is a section: give [ground] with its keys"]),
+    ("seconds = 180.0", "steering = { kind = 'field', turns = 3 }", ["give [[steering.turns]]"]),
+    ("seconds = 180.0", "spatial.track = 2", ["spatial.track = 2: give a list, in [ ]"]),
+    ("grip = 0.7", "parameters = 3", ["soil.parameters = 3: give a table, in { }"]),
+    ("seconds = 180.0", "swapped = ['a', 'b', 'c']", ["swapped: give at most 2"]),
+    ("seconds = 180.0", "machine = 3", ["machine = 3: give a text in quotes"]),
+    ("seconds = 180.0", "claims = 3", ["claims = 3: give true or false"]),
+    ("seconds = 180.0", "utc_start_ns = -1", ["utc_start_ns", "-1"]),
+    ("seconds = 180.0", "clock_offset_s = 1e12", ["clock_offset_s", "1000000000000"]),
     ("[link]", "[link", ["not a TOML file"]),
 ]
 
@@ -116,6 +131,8 @@ def test_a_wrong_file_gets_one_sentence_that_names_it(old: str, new: str, words:
     assert "\n" not in error
     for word in words:
         assert word in error
+    for foreign in ("Input", "Tuple", "tuple", "dictionary", "instance", "valid", "validation"):  # pydantic's
+        assert foreign not in error
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)

@@ -12,12 +12,12 @@ import pytest
 
 from tilth.estimator.models.rolling import empty_motion, rates
 from tilth.estimator.models.rolling_terms import CONSTANTS, PARAMETERS, STATES
-from tilth.simulator.scenario import STEP_S, Bump, Ground, Scenario, Soil, Spatial
+from tilth.simulator.scenario import STEP_S, Bump, CannotBeDriven, Ground, Scenario, Soil, Spatial
 from tilth.simulator.spatial import vehicle as v
-from tilth.simulator.spatial.engine import TRACTOR
+from tilth.simulator.spatial.engine import TRACTOR, check_inertia, engine
 from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.height_field import height_field
-from tilth.simulator.spatial.plant import AT, Motion, SpatialPlant, run, settled_plant
+from tilth.simulator.spatial.plant import AT, Motion, SpatialPlant, check_upright, run, settled_plant
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra `spatial`")
 
@@ -236,6 +236,63 @@ def test_the_implement_meets_what_the_tractor_met() -> None:
     motion = drive(stand(ground=Ground(bumps=(bump,))), 9.0)
     highest = np.argmax(motion.tyres[:, [2, 4], TYRE_COLUMNS.index("elevation")] > 0.045, axis=0) * STEP_S
     assert highest[1] - highest[0] == pytest.approx((2.1 - 1.2 + 3.72) / 4.5, abs=0.02)
+
+
+@pytest.mark.parametrize("ramp", [0.1, 0.3])
+@pytest.mark.parametrize("speed", [1.0, 2.0, 4.5])
+def test_a_steep_bump_throws_nothing_over(speed: float, ramp: float) -> None:
+    """One side climbs 0.2 m. Standing on it the tractor rolls by 7°; driven over it, by some more."""
+    bump = Bump(8.0, 0.96, 0.2, 2.0, 1.2, ramp)
+    motion = drive(stand(ground=Ground(bumps=(bump,))), 20.0 / speed, speed=speed)
+    assert np.abs(motion.bodies[:, 0, AT["roll"]]).max() < math.radians(18.0)
+    assert motion.tyres[:, :, TYRE_COLUMNS.index("deflection")].max() < 0.3
+    assert abs(motion.bodies[-1, 0, AT["roll"]]) < math.radians(3.0)
+
+
+def test_who_turns_over_is_told_where_and_why() -> None:
+    """A brick of 0.25 m under the right wheels at 16 km/h, and a turn at 54 km/h."""
+    bump = Ground(bumps=(Bump(8.0, 0.96, 0.25, 1.0, 1.2, 0.1),))
+    told = (
+        r"implement turns over at \d\.\d\d s, \d+\.\d m north and \d\.\d m .* roll passes 45°.*longer ramps"
+    )
+    with pytest.raises(CannotBeDriven, match=told):
+        drive(stand(ground=bump), 5.0)
+    with pytest.raises(CannotBeDriven, match=r"tractor turns over at 1\.\d\d s.*smaller wheel angles"):
+        drive(stand(), 5.0, 30.0, 15.0)
+
+
+def test_a_rig_that_does_not_stand_is_told_before_it_sets_off() -> None:
+    with pytest.raises(CannotBeDriven, match=r"tractor turns over before it sets off.*stiffer tyres"):
+        stand(Spatial(vertical_stiffness=(250e3, 20e3, 300e3)), Ground(slope_deg=15.0))
+
+
+def test_what_is_no_number_any_more_is_told() -> None:
+    """100 times as much damping as the tyres may have with this step."""
+    front, rear, implement = (1.2 * k for k in v.STIFFNESS)
+    with pytest.raises(CannotBeDriven, match="before it sets off"):
+        stand(Spatial(vertical_stiffness=v.STIFFNESS, vertical_damping=(front, rear, implement)))
+    rows = np.zeros((2, len(AT)))
+    rows[1, AT["north"]] = np.nan
+    with pytest.raises(CannotBeDriven, match=r"beyond all numbers at 3\.50 s; give .*step"):
+        check_upright(rows, height_field(EVEN, 0.0, np.random.default_rng(2)), 3.5)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_roll_gyrations_are_those_that_a_body_can_have(k: int) -> None:
+    """The engine makes the bodies at both ends that the sentence gives."""
+    made = v.vehicle_of(RIG, Scenario(plant="spatial"), np.random.default_rng(1))
+    for wrong in (0.2, 3.0):
+        radii = list(made.roll_gyration)
+        radii[k] = wrong
+        with pytest.raises(
+            CannotBeDriven, match=rf"roll_gyration\[{k + 1}\] = {wrong:g} m.* give "
+        ) as caught:
+            check_inertia(made._replace(roll_gyration=(radii[0], radii[1])))
+        for end in str(caught.value).partition("; give ")[2].split(" to "):
+            radii[k] = float(end)
+            possible = made._replace(roll_gyration=(radii[0], radii[1]))
+            check_inertia(possible)
+            assert engine(possible, 0.002)[0].nv == 10
 
 
 def test_a_tyre_that_is_lifted_neither_pulls_nor_steers() -> None:

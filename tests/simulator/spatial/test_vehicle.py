@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tilth.schemas.axle_loads import axle_loads
-from tilth.simulator.scenario import Scenario, Spatial, parse_scenario
+from tilth.simulator.scenario import CannotBeDriven, Scenario, Spatial, parse_scenario
 from tilth.simulator.spatial import vehicle as v
 
 RIG = v.Masses(1.7, 1.2, 2.1, 3.62, 0.1, 9391.0, 2127.0, 35709.0, 6402.0, 1.1, 1.2)
@@ -53,3 +53,31 @@ def test_static_loads_are_those_of_the_layer_below() -> None:
     given = axle_loads(*RIG[:7], v.GRAVITY)
     assert v.static_loads(made(Spatial())) == pytest.approx(given)
     assert sum(v.static_loads(made(Spatial()))) == pytest.approx(v.GRAVITY * (RIG.m_t + RIG.m_i))
+
+
+def test_drawn_rigs_stand_and_their_steps_are_short_enough() -> None:
+    for seed in range(200):
+        v.check_tyres(made(Spatial(draw=True), seed), 0.0025)
+
+
+@pytest.mark.parametrize(
+    ("spatial", "step", "told"),
+    [
+        (Spatial(vertical_stiffness=(20e3,) * 3), 0.002, r"vertical_stiffness\[2\] = 20000 N/m .*40000"),
+        (Spatial(vertical_stiffness=(1e5, 1e5, 20e3), track=(2, 2, 1)), 0.002, r"\[3\] .* the implement"),
+        (
+            Spatial(vertical_stiffness=(5e6,) * 3),
+            0.002,
+            r"front tyres .* spatial\.step = 0\.00091, or smaller",
+        ),
+        (
+            Spatial(vertical_stiffness=(20e6,) * 3, vertical_damping=(2e6, 0, 0)),
+            0.0002,
+            "0002 s; give smaller",
+        ),
+        (Spatial(vertical_damping=(0, 0, 2e5)), 0.002, r"implement's tyres .*vertical_damping\[3\]"),
+    ],
+)
+def test_tyres_that_do_not_hold_the_rig_are_refused(spatial: Spatial, step: float, told: str) -> None:
+    with pytest.raises(CannotBeDriven, match=told):
+        v.check_tyres(made(spatial), step)

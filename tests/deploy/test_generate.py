@@ -1,0 +1,70 @@
+"""Writing what is generated: which files, only where they differ, and none by --check or --help."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from paths import ROOT
+
+from tilth.deploy import motion_equations
+from tilth.deploy.generate import PROTO, main
+
+pytestmark = pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv")
+SOURCES = ("pyproject.toml", "uv.lock", f"{PROTO}/tilth.proto")
+FILES = {
+    f"{PROTO}/tilth_pb2.py",
+    f"{PROTO}/tilth_pb2.pyi",
+    "schemas/machine.schema.json",
+    motion_equations.TARGET,
+    "deploy/constraints.txt",
+}
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """The sources of what is generated, and two generated files that are out of date."""
+    for name in SOURCES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    for name in FILES:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    for name in ("schemas/machine.schema.json", f"{PROTO}/tilth_pb2.py"):
+        (tmp_path / name).write_text("old")
+    return tmp_path
+
+
+def _contents(tree: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(tree)): path.read_bytes() for path in tree.rglob("*") if path.is_file()}
+
+
+def test_check_names_what_is_not_current_and_writes_nothing(
+    tree: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = _contents(tree)
+    assert main(["--check"], tree) == 1
+    assert {line.removesuffix(": not current") for line in capsys.readouterr().out.splitlines()} == FILES
+    assert _contents(tree) == before
+
+
+def test_it_writes_what_differs_and_is_current_then(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([], tree) == 0
+    assert {line.removesuffix(": written") for line in capsys.readouterr().out.splitlines()} == FILES
+    assert set(_contents(tree)) == {*SOURCES, *FILES}
+    (tree / "deploy" / "constraints.txt").write_text("old")
+    assert main(["--check"], tree) == 1
+    assert capsys.readouterr().out == "deploy/constraints.txt: not current\n"
+    assert main([], tree) == 0
+    assert capsys.readouterr().out == "deploy/constraints.txt: written\n"
+    assert (main(["--check"], tree), capsys.readouterr().out) == (0, "")
+
+
+@pytest.mark.parametrize(("words", "status"), [(["--help"], 0), (["--chekc"], 2), (["all"], 2)])
+def test_help_and_wrong_words_write_nothing(
+    words: list[str], status: int, tree: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = _contents(tree)
+    with pytest.raises(SystemExit) as end:
+        main(words, tree)
+    assert end.value.code == status
+    assert "--check" in "".join(capsys.readouterr())
+    assert _contents(tree) == before
