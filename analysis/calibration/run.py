@@ -191,12 +191,14 @@ def _places(found: Calibration) -> dict[str, str]:
 
 
 def _notes(heard: LogHeard) -> list[str]:
-    many = sorted(name for name, other in heard.strangers.items() if other.count > MANY)
+    many = ", ".join(other.words for _, other in sorted(heard.strangers.items()) if other.count > MANY)
     if not many:
         return []
+    if not heard.rig:
+        return [f"Positions come from other devices: {many}."]
     return [
-        f"Devices that the machine file does not name send positions from this rig, too: {', '.join(many)}. "
-        "They are left out."
+        f"Devices that the machine file does not name send positions from this rig, too: {many}. They are "
+        "left out."
     ]
 
 

@@ -85,6 +85,7 @@ def _only_rows(at: Path, rows: Driven) -> list[Path]:
 
 
 Make = Callable[[Path, Driven], list[Path]]
+PART_TEXT = MACHINE_TEXT.replace("A00017000421E24", "A00017000421F24")
 LONGER = MACHINE_TEXT.replace("position = [1.60, 0.0, 2.9]", "position = [3.60, 0.0, 2.9]")
 NO_WHEEL = re.sub(r"(\[wheel_angle\][^\[]*?\nid = )\S+", r"\g<1>0x0CFF7777", MACHINE_TEXT)
 CASES: dict[str, tuple[Make, str, int, str]] = {  # logs, machine file, exit status, sentence
@@ -96,7 +97,9 @@ CASES: dict[str, tuple[Make, str, int, str]] = {  # logs, machine file, exit sta
     "twice the same time": (
         lambda at, rows: [rows.log, rows.log], MACHINE_TEXT, 1, "rows.log begins before",
     ),
-    "a file of other devices": (_short, OTHER_TEXT, 1, "no position of tractor_front, tractor_rear, "),
+    "a file of other devices": (_only_rows, OTHER_TEXT, 1, "none of the receivers of the machine file is in"),
+    "who is there then": (_only_rows, OTHER_TEXT, 1, "come from other devices: address 28 on can0 (NAME A00"),
+    "a part of its devices": (_only_rows, PART_TEXT, 1, "no position of tractor_front, tractor_rear is in"),
     "a file of other lengths": (_only_rows, LONGER, 1, "m closer than in the machine file: it is of another"),
     "a file of another wheel": (_only_rows, NO_WHEEL, 1, "no wheel angle is in the drive"),
     "nothing in it": (_empty, MACHINE_TEXT, 1, "empty.log: an empty file"),

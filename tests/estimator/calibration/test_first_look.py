@@ -148,7 +148,7 @@ def test_circles_to_one_side_are_taken_and_said(sign: int, missing: str) -> None
         (lambda: measurements(ONE_SIDE, fix=FixType.GNSS), "no RTK fix"),
         (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not MOUNTS[2]], "implement_front"),
         (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not None], "no wheel angle"),
-        (lambda: [], "no position of"),
+        (lambda: [], "none of the receivers of the machine file"),
     ],
 )
 def test_refusals(made: Callable[[], list[Measurement]], match: str) -> None:
