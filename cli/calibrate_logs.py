@@ -62,7 +62,7 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
     try:
         return read_machine(args.machine)
     except MachineError:
-        lines = unfilled(args.machine.read_text(encoding="utf-8")) if args.machine.is_file() else []
+        lines = _unfilled_of(args.machine)
         if not lines:
             raise
         keys = ", ".join(f"{key} (line {number})" for number, key in lines)
@@ -70,6 +70,14 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
             f"{args.machine}: fill in {keys}. Lengths by a tape to 20 cm are good enough, masses by a scale "
             "or the papers; calibrate finds the rest"
         ) from None
+
+
+def _unfilled_of(path: Path) -> list[tuple[int, str]]:
+    """Lines of a draft without a value; none of what cannot be read, which was said already."""
+    try:
+        return unfilled(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return []
 
 
 def _refused(args: argparse.Namespace, error: CannotCalibrate) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
+from paths import ROOT
 
 from tilth.analysis.calibration.machine_text import rewritten
 from tilth.cli import main
@@ -16,6 +17,7 @@ from tilth.schemas.machine import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
+PICTURE = ROOT / "docs/pictures/page-demo.png"
 DRIVE = """
 seconds = 160.0
 noise = 0.5
@@ -127,6 +129,7 @@ def test_a_draft_is_told_what_to_fill_in(
         (["nowhere.mcap"], "nowhere.mcap"),
         ([str(MACHINE_FILE)], "jd7930-parker500.toml"),
         ([str(MACHINE_FILE), "--machine", "nowhere.toml"], "nowhere.toml"),
+        ([str(MACHINE_FILE), "--machine", str(PICTURE)], "the machine file is not UTF-8 text"),
     ],
 )
 def test_wrong_use(arguments: list[str], match: str, capsys: pytest.CaptureFixture[str]) -> None:
