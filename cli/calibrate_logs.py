@@ -35,7 +35,8 @@ def run_logs(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from None
     try:
         with log_errors(), ExitStack() as stack:
-            found = calibrate_logs(args.logs, machine, text, buses, _say, _progress(stack, args.json))
+            progress = _progress(stack, args.json)
+            found = calibrate_logs(args.logs, machine, text, buses, _say, progress, growing=args.live)
     except CannotCalibrate as error:
         return _refused(args, error)
     if not args.json:

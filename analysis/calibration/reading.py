@@ -64,9 +64,12 @@ class LogHeard:
 
 def read(
     paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say,
-    progress: Callable[[int, int], None],
+    progress: Callable[[int, int], None], *, growing: bool = False,
 ) -> LogHeard:  # fmt: skip
-    """Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs."""
+    """growing: the last one is still being written, so it has no end.
+
+    Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs.
+    """
     heard, decoder = LogHeard(), Decoder(machine)
     _check_same_receivers(paths)
     earlier: tuple[Path, int] | None = None
@@ -82,6 +85,9 @@ def read(
                     _take(heard, decoder, record)
                     if heard.frames % SHOWN_EVERY == 0:
                         progress(before + log.position(), whole)
+        if not (growing and path == paths[-1]):
+            for text in log.lacks():
+                say(f"{path}: {text}")
         if heard.last_at is None and len(paths) > 1:
             say(f"{path.name} does not count: {NO_RECEIVER}")
         before += log.size

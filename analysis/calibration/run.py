@@ -102,12 +102,15 @@ class Calibrated:
 
 
 def calibrate_logs(
-    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say, progress: Progress
-) -> Calibrated:
-    """Raises CannotCalibrate, LogError, OSError, MachineError."""
-    heard = read(
-        paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1))
-    )
+    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say,
+    progress: Progress, *, growing: bool = False,
+) -> Calibrated:  # fmt: skip
+    """growing: as of `read`. Raises CannotCalibrate, LogError, OSError, MachineError."""
+
+    def reading(done: int, of: int) -> None:
+        progress("reading", READING * done / max(of, 1))
+
+    heard = read(paths, machine, buses, say, reading, growing=growing)
     faults, others = list[RigFault](), list[str]()
     described = machine
 
@@ -155,7 +158,7 @@ def look_at_logs(
         if better is None:
             raise
         described, fault, _ = better
-        again = read(paths, described, buses, say, lambda done, of: None)
+        again = read(paths, described, buses, lambda text: None, lambda done, of: None)
         return [fault, *look(described, again.measurements)]
 
 

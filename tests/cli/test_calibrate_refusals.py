@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump
+from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump, write_mcap
 
 from tilth.cli import main
 from tilth.estimator.calibration.drive import MOUNTS
@@ -138,6 +138,14 @@ def test_without_a_terminal_each_stage_is_a_line(
     assert said[:2] == ["tilth calibrate: reading …", "tilth calibrate: looking at the drive …"]
     assert main(["calibrate", str(rows.log), "--machine", str(machine), "--json"]) == 1
     assert "…" not in capsys.readouterr().err
+
+
+def test_a_log_that_is_cut_off_is_said(
+    rows: Driven, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = write_mcap(tmp_path / "cut.mcap", rows.frames[:5000], finish=False)
+    assert main(["calibrate", str(cut)]) == 1
+    assert f"{cut}: cut off; replayed as far as it is whole\n" in capsys.readouterr().err
 
 
 def test_two_machine_files_are_no_better_without_one_that_is_given(
