@@ -13,7 +13,7 @@ import zenoh
 
 from tilth.cli import WrongUse
 from tilth.cli.calibrate_computing import BackgroundEstimates
-from tilth.cli.calibrate_screen import KEYS, line, panel
+from tilth.cli.calibrate_screen import KEYS, line, panel, without_seconds
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
 from tilth.cli.live_screen import Screen
 from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, shown
@@ -207,7 +207,7 @@ def _estimates(args: argparse.Namespace, stack: ExitStack) -> BackgroundEstimate
 def _watch(live: LiveCalibration) -> bool:
     """Whether the driver has finished. Raises WrongUse."""
     finished = False
-    with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
+    with Screen(panel, line, KEYS, without_seconds) as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
             try:
