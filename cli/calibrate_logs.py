@@ -187,6 +187,8 @@ def _show(found: Calibrated) -> None:
     console.print(table)
     for sentence in found.sentences():
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    for receiver in found.receivers:
+        console.print(f"{receiver.words}.", highlight=False, markup=False, soft_wrap=True)
     for one in found.verdict.told:
         if one.why_not:
             verb = "not told" if one.status == NOT_TOLD else "better told"

@@ -9,6 +9,7 @@ from typing import Any, Final
 from tilth.analysis.calibration.machine_text import difference, rewritten
 from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration import receivers
 from tilth.estimator.calibration.calibrate import (
     Calibration,
     CannotCalibrate,
@@ -19,6 +20,7 @@ from tilth.estimator.calibration.calibrate import (
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
+from tilth.estimator.calibration.receivers import ReceiverRow
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
@@ -46,6 +48,7 @@ class Calibrated:
     when: str  # date of the drive
     logs: tuple[str, ...]
     told: Machine
+    receivers: tuple[ReceiverRow, ...]
 
     @property
     def title(self) -> str:
@@ -96,6 +99,7 @@ class Calibrated:
                 "rows": self.found.fit.rows,
             },
             "not_used": self.found.refused,
+            "receivers": [one._asdict() for one in self.receivers],
             "sentences": self.sentences(),
             "machine_file": self.after,
         }  # fmt: skip
@@ -130,7 +134,11 @@ def calibrate_logs(
     judged = verdict(described, found)
     told = told_machine(described, found, judged)
     when = datetime.fromtimestamp(heard.first_ns * 1e-9, UTC).strftime("%Y-%m-%d")
-    after = rewritten(text, machine, told, _places(found), when)
+    places = _places(found)
+    after = rewritten(text, machine, told, places, when)
+    senders = receivers.HeardReceivers()
+    for measurement in heard.measurements:
+        receivers.take(senders, measurement)
     names = tuple(path.name for path in paths)
     return Calibrated(
         machine,
@@ -143,6 +151,7 @@ def calibrate_logs(
         when,
         names,
         told,
+        receivers.rows(senders, machine, places, told),
     )
 
 

@@ -98,7 +98,14 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
     assert (tmp_path / "report.html.before-1").read_text(encoding="utf-8") == "of last year"
+    senders = {one["mount"]: one for one in told["receivers"]}
+    for receiver in now.receiver:
+        sender = senders[receiver.mount.value]
+        assert sender["name"] == f"{receiver.name:016X}" and sender["bus"] == receiver.bus
+        assert 4.9 < sender["per_s"] < 10.1 and 0.005 < sender["jitter"] < 0.02
+        assert sender["latency"] == pytest.approx(receiver.latency.value, abs=1e-4)
     page = report.read_text(encoding="utf-8")
+    assert "jitter at standstill" in page and "A00017000421E240" in page
     assert "<script" not in page and "Is it good" in page
     assert "100 ms" in page and "e+0" not in page
 

@@ -27,13 +27,14 @@ from tilth.client.calibration.shown import (
     FINISHING,
     STOPPED,
     ComputedSoFar,
+    ParkedSenders,
     shown,
 )
 from tilth.client.calibration.wires import ENCODING
 from tilth.client.link import open_session
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.stage_words import STAGES
+from tilth.estimator.calibration.stage_words import PARK_S, STAGES
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -155,6 +156,21 @@ def test_the_panel_fits_and_the_keys_are_always_there(width: int, height: int) -
         rows = drawn.get().splitlines()
         assert len(rows) <= height and "c: compute now   f: finish   q: stop" in drawn.get()
         assert given is not answer or "8 of 17 numbers are known as well as is wanted" in drawn.get()
+
+
+def test_who_sends_is_said_once_the_rig_has_been_parked() -> None:
+    """In sentences that do not change with each position."""
+    senders, fold, made = ParkedSenders(MACHINE), stages.initial(MACHINE), measurements(((30, 0.0, 0),))
+    said = list[str]()
+    for measurement in made:
+        stages.take(fold, measurement)
+        if (now := senders.lines(fold)) and now != said:
+            assert not said and fold.tally.parked * stages.TICK_S == PARK_S
+            said = now
+    assert len(said) == 4 and said[0].startswith("tractor front: ")
+    assert all("5.0 positions a second, jitter " in one and "mm at standstill, " in one for one in said)
+    assert all(one.endswith("latency 100 ms by the file.") for one in said)
+    assert senders.lines(stages.initial(MACHINE)) == said
 
 
 def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands() -> None:
