@@ -36,7 +36,16 @@ def _numbers(found: Calibrated) -> ReportSection:
         )
         for one, row in zip(found.verdict.told, found.rows(), strict=True)
     )
-    columns = ("number", "change ± 95 %", "sd before", "sd now", "sd wanted", "by either half", "status")
+    columns = (
+        "number",
+        "change ± 95 %",
+        "in the file",
+        "sd before",
+        "sd now",
+        "sd wanted",
+        "by either half",
+        "status",
+    )
     table = ReportTable("numbers", "What the drive told, on top of what the file said", columns, rows)
     asked = []
     for one in found.verdict.told:

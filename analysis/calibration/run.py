@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.analysis.calibration.machine_text import difference, rewritten
+from tilth.analysis.calibration.machine_text import difference, from_to, rewritten
 from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration import receivers
@@ -60,7 +60,8 @@ class Calibrated:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Of the table of numbers, as texts."""
-        return [_row(one) for one in self.verdict.told]
+        written = from_to(self.machine, self.told, _places(self.found))
+        return [_row(one, written[one.number.name]) for one in self.verdict.told]
 
     def sentences(self) -> list[str]:
         """What a person should know of it."""
@@ -214,14 +215,17 @@ def _notes(heard: LogHeard) -> list[str]:
     ]
 
 
-def _row(one: Told) -> tuple[str, ...]:
+def _row(one: Told, written: str) -> tuple[str, ...]:
+    """written: what its key in the file goes from and to."""
     number = one.number
     unit, per = number.unit, number.per_unit
 
     def shown(value: float) -> str:
         return f"{float(f'{value / per:.2g}'):g} {unit}"  # two digits, and 100, not 1e+02
 
-    change = "stays" if one.status == NOT_TOLD else plus_minus(one.moved / per, one.sd / per, unit)
+    change = "stays"
+    if one.status != NOT_TOLD:
+        change = plus_minus(one.moved / per, one.sd / per, unit).removesuffix(" (95 %)")
     halves = ""
     if one.halves is not None and one.p is not None:
         digits = 3 if unit == "m" else 2
@@ -230,6 +234,7 @@ def _row(one: Told) -> tuple[str, ...]:
     return (
         number.words,
         change,
+        "" if one.status == NOT_TOLD else written,
         shown(number.prior_sd),
         shown(one.sd),
         shown(number.wanted_sd),
