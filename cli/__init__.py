@@ -105,7 +105,7 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LOG=MACHINE",
-        help="what a bus of the log is called in the machine file",
+        help="what a bus of the log is called in the machine file; LOG= leaves that bus out",
     )
 
 

@@ -13,10 +13,10 @@ import zenoh
 
 from tilth.cli import WrongUse
 from tilth.cli.calibrate_computing import BackgroundEstimates
-from tilth.cli.calibrate_screen import KEYS, line, panel
+from tilth.cli.calibrate_screen import KEYS, line, panel, without_seconds
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
 from tilth.cli.live_screen import Screen
-from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, shown
+from tilth.client.calibration.shown import DRIVING, FINISHED, FINISHING, STOPPED, ParkedSenders, shown
 from tilth.client.calibration.wires import COMPUTE, FINISH, CalibrationWires, calibrates_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused, parse
@@ -133,6 +133,7 @@ class LiveCalibration:
         self._stream: Iterator[Measurement] | None = None
         self._rescan_s = self._measured_s = time.monotonic()
         self.phase = DRIVING
+        self._senders = ParkedSenders(machine)
 
     def turn(self) -> pb.CalibrationState:
         """Take what has been written; say how it stands. Raises LogError, of logs of before."""
@@ -155,9 +156,8 @@ class LiveCalibration:
         self._show("")
 
     def _show(self, trouble: str) -> pb.CalibrationState:
-        state = shown(
-            self._machine.name, self.fold, self.estimates.so_far, self._logs.notes, trouble, self.phase
-        )
+        notes = [*self._senders.lines(self.fold), *self._logs.notes]
+        state = shown(self._machine.name, self.fold, self.estimates.so_far, notes, trouble, self.phase)
         self.wires.show(state)
         return state
 
@@ -207,7 +207,7 @@ def _estimates(args: argparse.Namespace, stack: ExitStack) -> BackgroundEstimate
 def _watch(live: LiveCalibration) -> bool:
     """Whether the driver has finished. Raises WrongUse."""
     finished = False
-    with Screen(panel, line, KEYS) as screen, suppress(KeyboardInterrupt):
+    with Screen(panel, line, KEYS, without_seconds) as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
             try:

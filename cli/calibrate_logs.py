@@ -35,7 +35,8 @@ def run_logs(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from None
     try:
         with log_errors(), ExitStack() as stack:
-            found = calibrate_logs(args.logs, machine, text, buses, _say, _progress(stack, args.json))
+            progress = _progress(stack, args.json)
+            found = calibrate_logs(args.logs, machine, text, buses, _say, progress, growing=args.live)
     except CannotCalibrate as error:
         return _refused(args, error)
     if not args.json:
@@ -62,7 +63,7 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
     try:
         return read_machine(args.machine)
     except MachineError:
-        lines = unfilled(args.machine.read_text(encoding="utf-8")) if args.machine.is_file() else []
+        lines = _unfilled_of(args.machine)
         if not lines:
             raise
         keys = ", ".join(f"{key} (line {number})" for number, key in lines)
@@ -70,6 +71,14 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
             f"{args.machine}: fill in {keys}. Lengths by a tape to 20 cm are good enough, masses by a scale "
             "or the papers; calibrate finds the rest"
         ) from None
+
+
+def _unfilled_of(path: Path) -> list[tuple[int, str]]:
+    """Lines of a draft without a value; none of what cannot be read, which was said already."""
+    try:
+        return unfilled(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return []
 
 
 def _refused(args: argparse.Namespace, error: CannotCalibrate) -> int:
@@ -171,13 +180,15 @@ def _show(found: Calibrated) -> None:
     for fault in found.faults:
         console.print(f"FOUND {fault.text}", highlight=False, markup=False, soft_wrap=True)
     table = RichTable(title=found.title, title_justify="left")
-    for heading in ("", "change ± 95 %", "sd before", "sd now", "sd wanted", "halves", ""):
+    for heading in ("", "change ± 95 %", "in the file", "sd before", "sd now", "sd wanted", "halves", ""):
         table.add_column(heading, overflow="fold")
     for row in found.rows():
         table.add_row(*row)
     console.print(table)
     for sentence in found.sentences():
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    for receiver in found.receivers:
+        console.print(f"{receiver.words}.", highlight=False, markup=False, soft_wrap=True)
     for one in found.verdict.told:
         if one.why_not:
             verb = "not told" if one.status == NOT_TOLD else "better told"

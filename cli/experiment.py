@@ -72,7 +72,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     new.add_argument("--out", type=Path, metavar="PLAN.toml", help="where to write it")
     new.add_argument("--speed", type=duration, metavar="M/S", help="of all runs (4.5)")
-    new.add_argument("--seconds", type=duration, metavar="S", help="of each run, at most (20)")
+    new.add_argument("--seconds", type=duration, metavar="S", help="of each run, at most, 8 to 60 (20)")
     new.add_argument("--replicates", type=int, metavar="N", help="of each run (3)")
     new.add_argument("--runs", type=int, metavar="N", help="how many kinds (3)")
     new.add_argument("--kind", action="append", choices=KINDS, help="only these; again for more")
@@ -128,8 +128,12 @@ def run(args: argparse.Namespace) -> int:
         return _check(args)
     if args.plan is None:
         raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
-    if args.machine or args.logs or args.out:
-        raise WrongUse("--machine, --from and --out are for --propose")
+    if args.machine:
+        raise WrongUse(
+            "--machine is for --propose and --check; to drive, the machine file is that of the daemon"
+        )
+    if args.logs or args.out:
+        raise WrongUse("--from and --out are for --propose")
     _refuse_proposing(args)
     plan = _read(args.plan)
     count = sum(one.replicates for one in plan.run)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
 from tilth.analysis.experiment.predict import Known, from_log, from_machine
-from tilth.analysis.experiment.propose import WantedPlan
+from tilth.analysis.experiment.propose import SHORTEST_S, WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
@@ -61,8 +61,10 @@ def _wanted(args: argparse.Namespace) -> WantedPlan:
     field, limits = _field(args.field, args.headland), _limits(args.angle)
     if not 1.5 <= args.speed <= 12:
         raise WrongUse(f"--speed {args.speed:g}: give 1.5 to 12 m/s; slip is too small to learn from below")
-    if not 6 <= args.seconds <= 60:
-        raise WrongUse(f"--seconds {args.seconds:g}: give 6 to 60 s for a run")
+    if not SHORTEST_S <= args.seconds <= 60:
+        raise WrongUse(
+            f"--seconds {args.seconds:g}: give {SHORTEST_S:g} to 60 s for a run; less tells too little"
+        )
     kinds = tuple(args.kind) or KINDS_PROPOSED
     return WantedPlan(
         name=_name(args.out), speed=args.speed, seconds=args.seconds, replicates=args.replicates,

@@ -21,11 +21,12 @@ class Screen(Generic[State]):
     """A live panel and keys where there is a terminal; else lines for what is new."""
 
     def __init__(
-        self, panel: Callable[[State], Panel], line: Callable[[State], str], keys: Mapping[str, str]
-    ) -> None:
-        """keys: the order that each stands for."""
+        self, panel: Callable[[State], Panel], line: Callable[[State], str], keys: Mapping[str, str],
+        told_by: Callable[[str], str] = lambda line: line,
+    ) -> None:  # fmt: skip
+        """keys: the order that each stands for. told_by: what of a line makes it a new one."""
         self.asks = sys.stdin.isatty() and sys.stdout.isatty()
-        self._panel, self._line, self._keys = panel, line, dict(keys)
+        self._panel, self._line, self._keys, self._told_by = panel, line, dict(keys), told_by
         self._live: Live | None = None
         self._before: Any = None
         self._told: str = ""
@@ -50,8 +51,8 @@ class Screen(Generic[State]):
         """Draw it; the order whose key was pressed, or ""."""
         if self._live is None:
             line = self._line(state)
-            if line != self._told:
-                self._told = line
+            if (told := self._told_by(line)) != self._told:
+                self._told = told
                 print(line, flush=True)
             return ""
         self._live.update(self._panel(state), refresh=True)

@@ -36,7 +36,7 @@ from tilth.logger.log.runs import stored_runs
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, OpenLog, Record
 from tilth.replay.readers.mcap_reader import MACHINE, Channels, from_summary
-from tilth.replay.readers.rig import on_buses_of
+from tilth.replay.readers.rig import NO_RECEIVER, on_buses_of
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 from tilth.schemas.machine import Machine
@@ -57,6 +57,7 @@ class _Followed:
 
     path: Path
     log: "GrowingLog"
+    rig: bool = False  # whether one of the rig's receivers was heard in it
 
 
 class GrowingLog:
@@ -72,6 +73,11 @@ class GrowingLog:
         self._looked_at = 0  # bytes of the file, when all of them had been read
         self.finished = False
         self.waits_for_end = False  # only the index at its end tells what the next chunk holds
+
+    @property
+    def read_to_end(self) -> bool:
+        """Whether all that was in the file at the last call of `frames` has been read."""
+        return self.finished or self._looked_at == self._log.size > 0
 
     @property
     def skipped(self) -> dict[str, int]:
@@ -223,6 +229,7 @@ class FollowedLogs:
         self.writes(begun)
         self._given = [path for path in given if _key(path) not in self._files]
         self._earlier = list(self._given)  # not read yet
+        self._without_rig: list[Path] = []  # of those that were given
 
     @property
     def notes(self) -> list[str]:
@@ -233,12 +240,22 @@ class FollowedLogs:
                 found.append(AWAITED.format(one.path.name))
             elif count := sum(one.log.skipped.values()):
                 found.append(DAMAGED.format(one.path.name, count))
+        found += [f"{path.name} does not count: {NO_RECEIVER}." for path in self._silent()]
         return found
 
     @property
     def paths(self) -> list[Path]:
         """Of the logs that count, as they are called now."""
-        return [*self._given, *(one.path for one in self._files.values())]
+        silent = self._silent()
+        found = [*self._given, *(one.path for one in self._files.values())]
+        return [path for path in found if path not in silent]
+
+    def _silent(self) -> list[Path]:
+        """Earlier logs that were read without one of the rig's receivers. In the one that the daemon writes
+        they may still come."""
+        earlier = list(self._files.values())[:-1]
+        files = [one.path for one in earlier if not one.rig and one.log.read_to_end]
+        return [*self._without_rig, *files]
 
     def writes(self, path: Path) -> None:
         """The daemon has named a file that it writes: its folder is looked through again."""
@@ -268,18 +285,24 @@ class FollowedLogs:
             yield from self._of_given(self._earlier.pop(0))
         for one in list(self._files.values()):
             for frame in one.log.frames():
-                yield from self._decoder.measurements(frame)
+                for measurement in self._decoder.measurements(frame):
+                    one.rig = one.rig or measurement.origin.mount is not None
+                    yield measurement
 
     def close(self) -> None:
         for one in self._files.values():
             one.log.close()
 
     def _of_given(self, path: Path) -> Iterator[Measurement]:
-        log = open_log(path)
+        log, rig = open_log(path), False
         with log.file:
             for record in on_buses_of(self._machine, log, self._buses, self._notes.append):
                 if isinstance(record, Frame):
-                    yield from self._decoder.measurements(record)
+                    for measurement in self._decoder.measurements(record):
+                        rig = rig or measurement.origin.mount is not None
+                        yield measurement
+        if not rig:
+            self._without_rig.append(path)
 
     def _look(self, path: Path) -> None:
         """Whether a file counts; said once where it does not."""

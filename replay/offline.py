@@ -362,13 +362,9 @@ class _Run:
             self._outputs.comparison.finish(log.truncated)
         if not self._fold.ready:
             self._say(f"{log.path}: it ends before the estimators were ready; nothing is estimated, as live")
-        if log.truncated:
-            self.summary.truncated = True
-            self._say(f"{log.path}: cut off; replayed as far as it is whole")
-        if log.note:
-            self._say(f"{log.path}: {log.note}")
-        if log.skipped.get("damaged_chunk"):
-            self._say(f"{log.path}: {log.skipped['damaged_chunk']} damaged parts of it were left out")
+        self.summary.truncated = self.summary.truncated or log.truncated
+        for text in log.lacks():
+            self._say(f"{log.path}: {text}")
 
 
 def _counts(fold: GuardedFold) -> Counter[tuple[str, str]]:

@@ -20,6 +20,8 @@ _WHEEL: Final = (
 )  # fmt: skip
 _HEXADECIMAL: Final = ("id", "mask", "not_available")
 _TRACTOR: Final = ("c", "ackermann", "pair_yaw_sd", "lever_sd", "kingpin_distance")
+_UNSAID: Final = {"roll_zero": "0 (sd 0.57) by default"}
+"""What a key stands for that has no value without being written."""
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
 
@@ -50,7 +52,9 @@ def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: s
         if _plain(old, key) == _plain(new, key) or new is None:
             continue
         was = f"0x{old:X}" if key in _HEXADECIMAL and old is not None else _words(_plain(old, key))
-        said = f"{note}; was {was}" if key in table else note
+        if key not in table:
+            was = _UNSAID.get(key, "") if old is None else f"{was} by default"
+        said = f"{note}; was {was}" if was else note
         _put(table, key, _plain(new, key), said)
 
 
@@ -101,6 +105,48 @@ def _words(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_words(one) for one in value) + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def from_to(before: Machine, after: Machine, places: Mapping[str, str]) -> dict[str, str]:
+    """Name of a number -> the key of the file that holds it, with what it goes from and to. Arguments as of
+    `rewritten`."""
+    by_mount = {r.mount.value: r for r in after.receiver}
+    pairs = [(r, by_mount[places[r.mount.value]]) for r in before.receiver]
+    wheel = before.wheel_angle, after.wheel_angle
+    gain = "scale" if wheel[0].lookup is None and wheel[0].pgn is None else "lookup"
+    found = {
+        "c": _key("c", (before.tractor, after.tractor)),
+        "d": _key("d", (before.implement, after.implement)),
+        "ackermann": _key("ackermann", (before.tractor, after.tractor)),
+        "wheel_zero": _key("zero", wheel),
+        "wheel_gain": _key(gain, wheel)
+        if gain == "scale"
+        else "lookup" * (wheel[0].lookup != wheel[1].lookup),
+        "wheel_curve": _key("curve", wheel),
+        "latency": _key("latency", *pairs),
+    }
+    found |= {f"roll_zero_{there.mount.value}": _key("roll_zero", (r, there)) for r, there in pairs}
+    for body, suffix in (("tractor", "t"), ("implement", "i")):
+        moved = [r.position != there.position for r, there in pairs if there.mount.body == body]
+        found |= {f"{name}_{suffix}": "position" * any(moved) for name in ("pair", "aside", "lever")}
+    return found
+
+
+def _key(key: str, *pairs: tuple[Any, Any]) -> str:
+    """ "" where nothing changes. pairs: of sections, before and after."""
+    olds, news = ([_bare(getattr(pair[k], key), key) for pair in pairs] for k in (0, 1))
+    if olds == news:
+        return ""
+    return f"{key} {', '.join(dict.fromkeys(olds))} → {', '.join(news)}"
+
+
+def _bare(value: Any, key: str) -> str:
+    """As it stands in the file, without its sd."""
+    if value is None:
+        return "0"
+    plain = _plain(value, key)
+    number = plain["value"] if isinstance(plain, dict) else plain
+    return f"{number:g}"
 
 
 def difference(before: str, after: str, name: str) -> str:

@@ -14,7 +14,8 @@ from tilth.estimator.calibration.verdict import NOT_TOLD
 
 def report_of(found: Calibrated) -> DriveReport:
     """All of it; every number is in its data."""
-    sections = (_at_a_glance(found), _numbers(found), _residuals(found), _soil(found), _file(found))
+    parts = (_at_a_glance, _numbers, _receivers, _residuals, _soil, _file)
+    sections = tuple(part(found) for part in parts)
     return DriveReport(f"Calibration of {found.machine.name}", sections, found.as_json())
 
 
@@ -35,7 +36,16 @@ def _numbers(found: Calibrated) -> ReportSection:
         )
         for one, row in zip(found.verdict.told, found.rows(), strict=True)
     )
-    columns = ("number", "change ± 95 %", "sd before", "sd now", "sd wanted", "by either half", "status")
+    columns = (
+        "number",
+        "change ± 95 %",
+        "in the file",
+        "sd before",
+        "sd now",
+        "sd wanted",
+        "by either half",
+        "status",
+    )
     table = ReportTable("numbers", "What the drive told, on top of what the file said", columns, rows)
     asked = []
     for one in found.verdict.told:
@@ -43,6 +53,26 @@ def _numbers(found: Calibrated) -> ReportSection:
             verb = "is not told" if one.status == NOT_TOLD else "would be told better"
             asked.append(ReportText(f"{one.number.words}: {verb}; {one.why_not}."))
     return ReportSection("numbers", "Numbers", (table, *asked))
+
+
+def _receivers(found: Calibrated) -> ReportSection:
+    rows = []
+    for one in found.receivers:
+        jitter = "no standstill" if one.jitter is None else f"{one.jitter * 1e3:.0f} mm"
+        per_s = "" if one.per_s is None else f"{one.per_s:.1f} Hz"
+        late, stated = (f"{s * 1e3:.0f} ms" for s in (one.latency, one.stated))
+        rows.append(
+            (
+                ReportCell(one.mount.replace("_", " ")), ReportCell(one.name),
+                ReportCell("not heard" if one.source is None else f"{one.source} on {one.bus}"),
+                ReportCell(per_s, one.per_s), ReportCell(jitter, one.jitter), ReportCell(late, one.latency),
+                ReportCell(stated, one.stated),
+            )
+        )  # fmt: skip
+    columns = ("receiver", "NAME", "address", "positions", "jitter at standstill", "latency", "by the file")
+    return ReportSection(
+        "receivers", "Receivers", (ReportTable("receivers", "Who sends", columns, tuple(rows)),)
+    )
 
 
 def _residuals(found: Calibrated) -> ReportSection:

@@ -12,11 +12,11 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.pose.geometry import to_plane
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, LogError
-from tilth.replay.readers.rig import Say, machine_in, on_buses_of
+from tilth.replay.readers.rig import NO_RECEIVER, Say, machine_in, on_buses_of
 from tilth.replay.wheel_by_way import WheelMessages
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Frame, Measurement, Position
+from tilth.schemas.flow import Frame, Measurement, Origin, Position
 from tilth.schemas.machine import Machine, MachineError
 
 SHOWN_EVERY: Final = 8192  # frames
@@ -31,13 +31,12 @@ FARTHEST_M: Final = 30.0  # between receivers of one rig
 class OtherSender:
     """Of positions that the machine file does not name, about one a second."""
 
+    bus: str
+    words: str  # who it is
     last_ns: int = 0
-    alone: int = 0  # without one of the rig's receivers beside it
+    count: int = 0
+    alone: int = 0  # of them, after the rig has gone silent in the same log
     metres: list[float] = field(default_factory=list)  # from a receiver of the rig
-
-    @property
-    def count(self) -> int:
-        return self.alone + len(self.metres)
 
     @property
     def of_another_rig(self) -> str:
@@ -45,7 +44,7 @@ class OtherSender:
         if len(self.metres) >= FEWEST_SECONDS and float(np.median(self.metres)) > FARTHEST_M:
             return f"{np.median(self.metres):.0f} m away from the rig most of the time"
         if self.alone >= FEWEST_SECONDS and self.alone > len(self.metres):
-            return "heard while none of the rig's receivers was"
+            return "heard after the rig's receivers have fallen silent"
         return ""
 
 
@@ -58,21 +57,26 @@ class LogHeard:
     last_ns: int = 0
     frames: int = 0
     messages: WheelMessages = field(default_factory=WheelMessages)
-    strangers: dict[str, OtherSender] = field(default_factory=dict)
-    last_at: tuple[int, tuple[float, float]] | None = None  # of the rig: ns, latitude and longitude
+    strangers: dict[tuple[str, int], OtherSender] = field(default_factory=dict)  # by bus and address
+    last_at: tuple[int, tuple[float, float]] | None = None  # of the rig in this log: ns, degrees north, east
+    rig: bool = False  # whether a receiver of the rig was heard at all
 
 
 def read(
     paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say,
-    progress: Callable[[int, int], None],
+    progress: Callable[[int, int], None], *, growing: bool = False,
 ) -> LogHeard:  # fmt: skip
-    """Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs."""
+    """growing: the last one is still being written, so it has no end.
+
+    Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs.
+    """
     heard, decoder = LogHeard(), Decoder(machine)
     _check_same_receivers(paths)
     earlier: tuple[Path, int] | None = None
     whole, before = sum(path.stat().st_size for path in paths), 0
     for path in paths:
         log, frames = open_log(path), heard.frames
+        heard.last_at = None
         with log.file:
             for record in on_buses_of(machine, log, buses, say):
                 if isinstance(record, Frame):
@@ -81,11 +85,16 @@ def read(
                     _take(heard, decoder, record)
                     if heard.frames % SHOWN_EVERY == 0:
                         progress(before + log.position(), whole)
+        if not (growing and path == paths[-1]):
+            for text in log.lacks():
+                say(f"{path}: {text}")
+        if heard.last_at is None and len(paths) > 1:
+            say(f"{path.name} does not count: {NO_RECEIVER}")
         before += log.size
         earlier = path, heard.last_ns
     if not heard.frames:
         raise EmptyLog(f"{paths[0]}: no frame is in it")
-    _check_one_rig(heard)
+    _check_one_rig(heard, machine, buses)
     return heard
 
 
@@ -97,7 +106,10 @@ def _take(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     for measurement in decoder.measurements(frame):
         heard.measurements.append(measurement)
         if isinstance(measurement, Position) and measurement.origin.mount is not None:
+            heard.rig = True
             heard.last_at = measurement.rx_ns, (measurement.latitude_deg, measurement.longitude_deg)
+            # Its NAME may have been heard late: what it sent before was its own.
+            heard.strangers.pop((measurement.origin.bus, measurement.origin.source), None)
     if frame.extended and split(frame.can_id).pgn in POSITIONS:
         _take_stranger(heard, decoder, frame)
 
@@ -107,28 +119,41 @@ def _take_stranger(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     origin = decoder.origin(frame.bus, frame.can_id & 0xFF)
     if origin.mount is not None:
         return
-    other = heard.strangers.setdefault(f"address {origin.source} on {origin.bus}", OtherSender())
+    other = heard.strangers.setdefault((origin.bus, origin.source), OtherSender(origin.bus, _words(origin)))
     if 0 <= frame.rx_ns - other.last_ns < SECOND_NS:
         return
     for message in Decoder().messages(frame):
         if "latitude_deg" not in message.values or "longitude_deg" not in message.values:
             continue
         here = float(message.values["latitude_deg"]), float(message.values["longitude_deg"])
-        other.last_ns = frame.rx_ns
-        if heard.last_at is None or abs(frame.rx_ns - heard.last_at[0]) > BESIDE_NS:
+        other.last_ns, other.words = frame.rx_ns, _words(origin)
+        other.count += 1
+        if heard.last_at is None:
+            continue  # before the rig is heard nobody knows whose it is
+        if abs(frame.rx_ns - heard.last_at[0]) > BESIDE_NS:
             other.alone += 1
         else:
             other.metres.append(math.hypot(*to_plane(heard.last_at[1], *here)))
 
 
-def _check_one_rig(heard: LogHeard) -> None:
+def _words(origin: Origin) -> str:
+    name = "" if origin.name is None else f" (NAME {origin.name:016X})"
+    return f"address {origin.source} on {origin.bus}{name}"
+
+
+def _check_one_rig(heard: LogHeard, machine: Machine, buses: Mapping[str, str]) -> None:
     """Raises CannotCalibrate."""
-    others = [f"{name} ({why})" for name, o in sorted(heard.strangers.items()) if (why := o.of_another_rig)]
-    if others:
-        raise CannotCalibrate(
-            f"two rigs are in this: the receivers at {', '.join(others)} are none of the machine file; give "
-            "the logs of one rig, or take the other's bus out with --bus"
-        )
+    others = [o for _, o in sorted(heard.strangers.items()) if o.of_another_rig]
+    if not others:
+        return
+    said = ", ".join(f"{o.words}, {o.of_another_rig}" for o in others)
+    theirs = {o.bus for o in others} - {r.bus for r in machine.receiver}
+    in_log = {ours: name for name, ours in buses.items()}
+    out = " ".join(f"--bus {in_log.get(bus, bus)}=" for bus in sorted(theirs))
+    raise CannotCalibrate(
+        f"two rigs are in this: the receivers at {said}, are none of the machine file; give the logs of one "
+        "rig" + (f", or leave the other's bus out with {out}" if out else "")
+    )
 
 
 def _check_order(path: Path, before: tuple[Path, int], first_ns: int) -> None:

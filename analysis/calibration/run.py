@@ -6,9 +6,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.analysis.calibration.machine_text import difference, rewritten
+from tilth.analysis.calibration.machine_text import difference, from_to, rewritten
 from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration import faults as finding
+from tilth.estimator.calibration import receivers
 from tilth.estimator.calibration.calibrate import (
     Calibration,
     CannotCalibrate,
@@ -19,6 +20,7 @@ from tilth.estimator.calibration.calibrate import (
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
+from tilth.estimator.calibration.receivers import ReceiverRow
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
@@ -46,6 +48,7 @@ class Calibrated:
     when: str  # date of the drive
     logs: tuple[str, ...]
     told: Machine
+    receivers: tuple[ReceiverRow, ...]
 
     @property
     def title(self) -> str:
@@ -57,7 +60,8 @@ class Calibrated:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Of the table of numbers, as texts."""
-        return [_row(one) for one in self.verdict.told]
+        written = from_to(self.machine, self.told, _places(self.found))
+        return [_row(one, written[one.number.name]) for one in self.verdict.told]
 
     def sentences(self) -> list[str]:
         """What a person should know of it."""
@@ -96,18 +100,22 @@ class Calibrated:
                 "rows": self.found.fit.rows,
             },
             "not_used": self.found.refused,
+            "receivers": [one._asdict() for one in self.receivers],
             "sentences": self.sentences(),
             "machine_file": self.after,
         }  # fmt: skip
 
 
 def calibrate_logs(
-    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say, progress: Progress
-) -> Calibrated:
-    """Raises CannotCalibrate, LogError, OSError, MachineError."""
-    heard = read(
-        paths, machine, buses, say, lambda done, of: progress("reading", READING * done / max(of, 1))
-    )
+    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say,
+    progress: Progress, *, growing: bool = False,
+) -> Calibrated:  # fmt: skip
+    """growing: as of `read`. Raises CannotCalibrate, LogError, OSError, MachineError."""
+
+    def reading(done: int, of: int) -> None:
+        progress("reading", READING * done / max(of, 1))
+
+    heard = read(paths, machine, buses, say, reading, growing=growing)
     faults, others = list[RigFault](), list[str]()
     described = machine
 
@@ -127,7 +135,11 @@ def calibrate_logs(
     judged = verdict(described, found)
     told = told_machine(described, found, judged)
     when = datetime.fromtimestamp(heard.first_ns * 1e-9, UTC).strftime("%Y-%m-%d")
-    after = rewritten(text, machine, told, _places(found), when)
+    places = _places(found)
+    after = rewritten(text, machine, told, places, when)
+    senders = receivers.HeardReceivers()
+    for measurement in heard.measurements:
+        receivers.take(senders, measurement)
     names = tuple(path.name for path in paths)
     return Calibrated(
         machine,
@@ -140,6 +152,7 @@ def calibrate_logs(
         when,
         names,
         told,
+        receivers.rows(senders, machine, places, told),
     )
 
 
@@ -155,7 +168,7 @@ def look_at_logs(
         if better is None:
             raise
         described, fault, _ = better
-        again = read(paths, described, buses, say, lambda done, of: None)
+        again = read(paths, described, buses, lambda text: None, lambda done, of: None)
         return [fault, *look(described, again.measurements)]
 
 
@@ -191,23 +204,28 @@ def _places(found: Calibration) -> dict[str, str]:
 
 
 def _notes(heard: LogHeard) -> list[str]:
-    many = sorted(name for name, other in heard.strangers.items() if other.count > MANY)
+    many = ", ".join(other.words for _, other in sorted(heard.strangers.items()) if other.count > MANY)
     if not many:
         return []
+    if not heard.rig:
+        return [f"Positions come from other devices: {many}."]
     return [
-        f"Devices that the machine file does not name send positions from this rig, too: {', '.join(many)}. "
-        "They are left out."
+        f"Devices that the machine file does not name send positions from this rig, too: {many}. They are "
+        "left out."
     ]
 
 
-def _row(one: Told) -> tuple[str, ...]:
+def _row(one: Told, written: str) -> tuple[str, ...]:
+    """written: what its key in the file goes from and to."""
     number = one.number
     unit, per = number.unit, number.per_unit
 
     def shown(value: float) -> str:
         return f"{float(f'{value / per:.2g}'):g} {unit}"  # two digits, and 100, not 1e+02
 
-    change = "stays" if one.status == NOT_TOLD else plus_minus(one.moved / per, one.sd / per, unit)
+    change = "stays"
+    if one.status != NOT_TOLD:
+        change = plus_minus(one.moved / per, one.sd / per, unit).removesuffix(" (95 %)")
     halves = ""
     if one.halves is not None and one.p is not None:
         digits = 3 if unit == "m" else 2
@@ -216,6 +234,7 @@ def _row(one: Told) -> tuple[str, ...]:
     return (
         number.words,
         change,
+        "" if one.status == NOT_TOLD else written,
         shown(number.prior_sd),
         shown(one.sd),
         shown(number.wanted_sd),

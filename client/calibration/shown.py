@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from tilth.estimator.calibration.priors import NUMBER, Sought
-from tilth.estimator.calibration.stage_words import StageProgress, happening, next_step, progress
-from tilth.estimator.calibration.stages import StageFold
+from tilth.estimator.calibration.receivers import rows
+from tilth.estimator.calibration.stage_words import PARK_S, StageProgress, happening, next_step, progress
+from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import half_alone, plus_minus
 
@@ -33,6 +35,24 @@ class ComputedSoFar:
     answer: Mapping[str, Any] = field(default_factory=dict)
     busy: bool = False
     text: str = "Nothing has been computed yet; that begins by itself after some driving."
+
+
+class ParkedSenders:
+    """What the stage `park` shows: who sends. In sentences that stay as they are until the next whole stage,
+    for who hears or reads them line by line."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._parked = 0  # whole stages
+        self._lines: list[str] = []
+
+    def lines(self, fold: StageFold) -> list[str]:
+        """One for each receiver; none before it is parked."""
+        parked = int(fold.tally.parked * TICK_S / PARK_S)
+        if parked > self._parked:
+            self._parked = parked
+            self._lines = [f"{row.words}." for row in rows(fold.senders, self._machine, {})]
+        return self._lines
 
 
 def shown(

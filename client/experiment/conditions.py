@@ -34,12 +34,11 @@ def of(
     if not track or now_s - track[-1].t_s > FRESH_S:
         return (Condition("receivers", False, "no pose is heard"),)
     now = track[-1]
-    lately = [one for one in track if now.t_s - one.t_s <= STEADY_S]
-    long = now.t_s - track[0].t_s >= STEADY_S - 0.3
+    lately, long = _lately(track)
     return (
         Condition("receivers", not now.trouble, now.trouble or "receivers are well"),
         _speed(lately, run, long),
-        _straight(lately, long),
+        _straight(drives_straight(track)),
         _room(now, run, way, plan, place, slack),
     )
 
@@ -53,9 +52,19 @@ def _speed(lately: Sequence[Seen], run: AnyRun, long: bool) -> Condition:
     return Condition("speed", met, kmh if met else f"{kmh}: hold this speed")
 
 
-def _straight(lately: Sequence[Seen], long: bool) -> Condition:
-    bends = [abs(one.yaw_rate) / max(one.speed, 0.5) for one in lately]
-    straight = long and max(bends) <= BEND
+def _lately(track: Sequence[Seen]) -> tuple[list[Seen], bool]:
+    """Poses within STEADY_S, and whether they are as long."""
+    now = track[-1]
+    return [one for one in track if now.t_s - one.t_s <= STEADY_S], now.t_s - track[0].t_s >= STEADY_S - 0.3
+
+
+def drives_straight(track: Sequence[Seen]) -> bool:
+    """For STEADY_S, or stands."""
+    lately, long = _lately(track)
+    return long and max(abs(one.yaw_rate) / max(one.speed, 0.5) for one in lately) <= BEND
+
+
+def _straight(straight: bool) -> Condition:
     return Condition("straight", straight, "straight" if straight else "drive straight")
 
 

@@ -88,6 +88,7 @@ class Prompt:
     now_s: float = -math.inf
     track: tuple[Seen, ...] = ()  # lately; in a run, all of it
     place: FieldPlace | None = None
+    armed: Seen | None = None  # where the run was armed
     off_s: float = 0.0  # how long the wheels have been off the bar
     attempts: tuple[Attempt, ...] = ()
     said: str = ""  # the last thing to tell the driver
@@ -228,7 +229,9 @@ def _order(prompt: Prompt, course: Course, kind: str) -> tuple[Prompt, tuple[Mar
         return prompt, ()
     if kind == ARM and prompt.phase == IDLE:
         said = "Line up: drive straight at the speed shown."
-        return _begin_field(replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said), course)
+        armed = prompt.track[-1] if prompt.track else None
+        lining_up = replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said, armed=armed)
+        return _begin_field(lining_up, course)
     if kind == STOP and prompt.phase == RUNNING:
         return _end(prompt, course, "aborted", "stopped by the driver")
     if kind == STOP and prompt.phase in (LINING_UP, COUNTDOWN):
@@ -300,13 +303,27 @@ def _lined_up(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]
 
 
 def _begin_field(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
-    """An armed run is where the field begins, if that is not known yet. It is noted: a prompter that was
+    """An armed run is where the field begins, if that is not known yet: beside where it was armed, in the way
+    that is driven once it is straight, since a driver may arm it in a turn. It is noted: a prompter that was
     killed tells nobody."""
     if prompt.place is not None or not prompt.track or prompt.track[-1].trouble:
         return prompt, ()
-    place = place_of(course.plan.field, prompt.track[-1])
+    if not conditions.drives_straight(prompt.track):
+        return prompt, ()
+    place = place_of(course.plan.field, _beside(prompt.track[-1], prompt.armed))
     told = f"experiment {course.plan.name} seed {course.plan.seed} field corner {corner_of(place).text}"
     return replace(prompt, place=place), (Mark(told),)
+
+
+def _beside(seen: Seen, armed: Seen | None) -> Seen:
+    """On the line that is driven, as far along it as where the run was armed."""
+    if armed is None or armed.origin_deg != seen.origin_deg:
+        return seen
+    cosine, sine = math.cos(seen.heading), math.sin(seen.heading)
+    back = (armed.north - seen.north) * cosine + (armed.east - seen.east) * sine
+    if not math.isfinite(back):
+        return seen
+    return seen._replace(north=seen.north + back * cosine, east=seen.east + back * sine)
 
 
 def _while_running(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark, ...]]:

@@ -24,6 +24,8 @@ CRUISE: Final = 1.5  # m/s
 MOVING: Final = 0.8  # m/s
 LEAST_DRIVEN_S: Final = 60.0  # of moving: less tells nothing
 SLOW: Final = 2.6  # m/s: below, slip is small
+HARDLY: Final = 0.5  # sd of the wheel angle in slow driving over that in all of it: less is mostly noise
+JUMPS: Final = math.radians(0.1)  # of the wheels between instants; 0.01 degrees are usual, 0.5 by wrong bytes
 SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
 NOISE_M: Final = 0.01  # of a position
 WHEEL_DELAY_S: Final = np.arange(-0.25, 0.2501, 0.01)  # that are tried
@@ -163,17 +165,31 @@ def wheel(view: Pairs, wheelbase: float, rate: Array) -> Solved:
 
 
 def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> float:
-    """Share of the wheel angle's variance that the way explains, in slow driving where there is some; 0
-    without driving."""
+    """Share of the wheel angle's variance that the way explains; 0 without driving.
+
+    In slow driving, where there is some in which the wheels are turned: on one circle they stand still, and
+    only noise varies. Then in all driving, unless the reading jumps as one in the wrong byte order does: few
+    angles go with the way by chance.
+    """
     rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
     slow = rows & (view.along[:, 0] < SLOW)
-    rows = slow if np.count_nonzero(slow) > 200 else rows
+    still = np.std(view.wheel[slow]) < HARDLY * np.std(view.wheel[rows]) if slow.any() else True
+    jumps = _jumps(view.wheel[rows]) > JUMPS * abs(float(found.value[1]))
+    if np.count_nonzero(slow) > 200 and (jumps or not still):
+        rows = slow
     if np.count_nonzero(rows) < 50:
         return 0.0
     u, r = view.along[rows, 0], rate[rows]
     design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
     left = view.wheel[rows] - design @ found.value
     return 1.0 - float(np.var(left)) / max(float(np.var(view.wheel[rows])), 1e-12)
+
+
+def _jumps(angle: Array) -> float:
+    """How far an instant is usually from the middle between those beside it, rad."""
+    if len(angle) < 3:
+        return 0.0
+    return float(np.median(np.abs(angle[1:-1] - (angle[:-2] + angle[2:]) / 2)))
 
 
 def common_latency(view: Pairs, wheelbase: float, found: Solved) -> float:

@@ -38,6 +38,11 @@ def check_receivers(machine: Machine, heard: drives.MeasuredLists) -> None:
             f"the machine file has {len(names)} receivers; calibrating takes two on the tractor and two on "
             "the implement"
         )
+    if len(missing) == len(MOUNTS):
+        raise CannotCalibrate(
+            "none of the receivers of the machine file is in the drive: the file may be of another rig, or "
+            "name other devices than those that send; `tilth discover LOG` lists who is there"
+        )
     if missing:
         raise CannotCalibrate(
             f"no position of {', '.join(missing)} is in the drive: the log is of another rig, or the machine "

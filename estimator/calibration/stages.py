@@ -15,7 +15,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.calibration import receivers
 from tilth.estimator.calibration.first_look import CRUISE, MOVING, SLOW, STRAIGHT
+from tilth.estimator.calibration.receivers import HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
@@ -83,6 +85,7 @@ class StageFold:
     lately_tick: int = 0  # and when
     trouble: str = ""  # why it does not count, in words
     tally: StageTally = field(default_factory=StageTally)
+    senders: HeardReceivers = field(default_factory=HeardReceivers)
 
 
 def initial(machine: Machine) -> StageFold:
@@ -99,6 +102,7 @@ def take_all(state: StageFold, measurements: Iterable[Measurement]) -> StageFold
 
 def take(state: StageFold, measurement: Measurement) -> None:
     """Count what an instant has shown once the next one begins."""
+    receivers.take(state.senders, measurement)
     tick = measurement.rx_ns // TICK_NS
     if state.tick is None or abs(tick - state.tick) > GAP_TICKS:
         _forget(state)

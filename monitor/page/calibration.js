@@ -88,7 +88,9 @@ export class Calibration {
       row.dataset.status = one.status;
       const name = element("th");
       name.scope = "row";
-      name.append(element("span", "", one.words), element("span", "quiet", one.tell ? one.tell : `change of the file: ${one.change}`));
+      name.append(element("span", "", one.words));
+      if (one.status !== "not told") name.append(element("span", "quiet", `change of the file: ${one.change}`));
+      if (one.tell) name.append(element("span", "quiet", one.tell));
       row.append(name, element("td", "", `${whole(one.before)} → ${whole(one.now)}`), element("td", "", whole(one.wanted)), element("td", "calibration-word", `${SIGNS[one.status] ?? "?"} ${WORDS[one.status] ?? one.status}`));
       return row;
     }));

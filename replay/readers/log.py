@@ -95,6 +95,14 @@ class OpenLog:
     def skip(self, reason: str) -> None:
         self.skipped[reason] = self.skipped.get(reason, 0) + 1
 
+    def lacks(self) -> list[str]:
+        """What is missing in it, in sentences without its name."""
+        found = ["cut off; replayed as far as it is whole"] if self.truncated else []
+        found += [self.note] if self.note else []
+        if damaged := self.skipped.get("damaged_chunk"):
+            found.append(f"{damaged} damaged parts of it were left out")
+        return found
+
     def position(self) -> int:
         """Bytes read so far, for a progress bar."""
         return self.size if self.file.closed else min(self.file.tell(), self.size)

@@ -12,6 +12,8 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError, parse_machine
 
 PEEKED = 2000  # records among which the buses of a log are looked for
+NO_RECEIVER = "none of the machine file's receivers is heard in it"
+LEFT_OUT = ""  # instead of a name of the machine file: the frames of that bus are left out
 
 Say = Callable[[str], None]
 
@@ -46,15 +48,17 @@ def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machin
 def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: Say) -> Iterator[Record]:
     """Records of a log with the bus names of the machine file.
 
-    `given` maps names of the log to names of the machine file. Without it a log with one bus (as far as its
-    first PEEKED records show) is that of a machine file with one bus. Says what it did and what does not fit.
+    `given` maps names of the log to names of the machine file, or to LEFT_OUT. Where it names none, a log
+    with one bus (as far as its first PEEKED records show) is that of a machine file with one bus. Says what
+    it did and what does not fit.
     """
     names = [bus.name for bus in machine.bus]
     first = list(islice(log.records, PEEKED))
-    log_buses = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
+    heard = dict.fromkeys(record.bus for record in first if isinstance(record, Frame))
+    log_buses = [bus for bus in heard if given.get(bus) != LEFT_OUT]
     renames = {bus: name for bus, name in given.items() if bus != name}
-    if not given and len(log_buses) == len(names) == 1 and log_buses != names:
-        renames = {log_buses[0]: names[0]}
+    if set(given.values()) <= {LEFT_OUT} and len(log_buses) == len(names) == 1 and log_buses != names:
+        renames[log_buses[0]] = names[0]
         say(f"{log.path}: its bus {log_buses[0]} is taken for {names[0]} of the machine file")
     elif log_buses and not any(renames.get(bus, bus) in names for bus in log_buses):
         say(
@@ -67,21 +71,25 @@ def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: S
 
 def _renamed(records: Iterator[Record], renames: Mapping[str, str]) -> Iterator[Record]:
     for r in records:
-        if isinstance(r, Frame) and r.bus in renames:
-            yield Frame(r.t_ns, r.rx_ns, renames[r.bus], r.can_id, r.extended, r.error, r.data)
-        else:
+        if not isinstance(r, Frame) or r.bus not in renames:
             yield r
+        elif (name := renames[r.bus]) != LEFT_OUT:
+            yield Frame(r.t_ns, r.rx_ns, name, r.can_id, r.extended, r.error, r.data)
 
 
 def bus_names(pairs: Sequence[str], machine: Machine | None) -> dict[str, str]:
-    """{name in the log: name in the machine file} of --bus LOG=MACHINE. Raises ValueError in one sentence."""
+    """{name in the log: name in the machine file, or LEFT_OUT} of --bus LOG=MACHINE. Raises ValueError in one
+    sentence."""
     if pairs and machine is None:
         raise ValueError("--bus LOG=MACHINE needs --machine M.toml, whose buses it names")
     names = [bus.name for bus in machine.bus] if machine is not None else []
     found = {}
     for pair in pairs:
         theirs, equals, ours = pair.partition("=")
-        if not equals or ours not in names:
-            raise ValueError(f"--bus {pair}: write LOG=MACHINE; the machine file has {', '.join(names)}")
+        if not equals or ours not in (*names, LEFT_OUT):
+            raise ValueError(
+                f"--bus {pair}: write LOG=MACHINE; the machine file has {', '.join(names)}; {theirs}= leaves "
+                "the bus out"
+            )
         found[theirs] = ours
     return found

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
+from paths import ROOT
 
 from tilth.analysis.calibration.machine_text import rewritten
 from tilth.cli import main
@@ -21,6 +22,7 @@ from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
+PICTURE = ROOT / "docs/pictures/page-demo.png"
 DRIVE = """
 seconds = 160.0
 noise = 0.5
@@ -101,7 +103,14 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     (kept,) = tmp_path.glob("m.toml.before-1")
     assert kept.read_text(encoding="utf-8") == WRONG
     assert (tmp_path / "report.html.before-1").read_text(encoding="utf-8") == "of last year"
+    senders = {one["mount"]: one for one in told["receivers"]}
+    for receiver in now.receiver:
+        sender = senders[receiver.mount.value]
+        assert sender["name"] == f"{receiver.name:016X}" and sender["bus"] == receiver.bus
+        assert 4.9 < sender["per_s"] < 10.1 and 0.005 < sender["jitter"] < 0.02
+        assert sender["latency"] == pytest.approx(receiver.latency.value, abs=1e-4)
     page = report.read_text(encoding="utf-8")
+    assert "jitter at standstill" in page and "A00017000421E240" in page
     assert "<script" not in page and "Is it good" in page
     assert "100 ms" in page and "e+0" not in page
 
@@ -151,6 +160,7 @@ def test_a_draft_is_told_what_to_fill_in(
         (["nowhere.mcap"], "nowhere.mcap"),
         ([str(MACHINE_FILE)], "jd7930-parker500.toml"),
         ([str(MACHINE_FILE), "--machine", "nowhere.toml"], "nowhere.toml"),
+        ([str(MACHINE_FILE), "--machine", str(PICTURE)], "the machine file is not UTF-8 text"),
     ],
 )
 def test_wrong_use(arguments: list[str], match: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,10 +13,12 @@ import zenoh
 from client_daemon import until
 from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
 from loopback import PATIENCE_S
+from rich.console import Console
 from stage import Stage
 
 from tilth.cli import main
 from tilth.cli.calibrate_computing import EVERY_S, LEAST_S, SOON_S, BackgroundEstimates
+from tilth.cli.calibrate_screen import line, panel, without_seconds
 from tilth.client.calibration import shown as screen
 from tilth.client.calibration.shown import (
     ALL_DRIVEN,
@@ -25,13 +27,14 @@ from tilth.client.calibration.shown import (
     FINISHING,
     STOPPED,
     ComputedSoFar,
+    ParkedSenders,
     shown,
 )
 from tilth.client.calibration.wires import ENCODING
 from tilth.client.link import open_session
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.stage_words import STAGES
+from tilth.estimator.calibration.stage_words import PARK_S, STAGES
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -137,6 +140,51 @@ def test_numbers_are_shown_as_before_and_now() -> None:
 def test_the_end_has_its_own_sentence(phase: str) -> None:
     state = _shown(_fold(STANDS), {}, phase)
     assert state.text == screen.PHASE_TEXT[phase] and ALL_DRIVEN not in state.text and not state.happening
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 30), (60, 20)])
+def test_the_panel_fits_and_the_keys_are_always_there(width: int, height: int) -> None:
+    answer = _answer()
+    for row in answer["numbers"][::2]:
+        row.update(status="rough", tell="drive slow circles to both sides, at three angles of the wheels")
+    for given in (answer, {"refused": "the drive has rows only: " + "drive circles " * 20}):
+        state = _shown(_fold(GUIDED), given)
+        state.notes.extend(["a log does not count, " + "as is said here " * 10] * 3)
+        console = Console(width=width, height=height, color_system=None)
+        with console.capture() as drawn:
+            console.print(panel(state))
+        rows = drawn.get().splitlines()
+        assert len(rows) <= height and "c: compute now   f: finish   q: stop" in drawn.get()
+        assert given is not answer or "8 of 17 numbers are known as well as is wanted" in drawn.get()
+
+
+def test_who_sends_is_said_once_the_rig_has_been_parked() -> None:
+    """In sentences that do not change with each position."""
+    senders, fold, made = ParkedSenders(MACHINE), stages.initial(MACHINE), measurements(((30, 0.0, 0),))
+    said = list[str]()
+    for measurement in made:
+        stages.take(fold, measurement)
+        if (now := senders.lines(fold)) and now != said:
+            assert not said and fold.tally.parked * stages.TICK_S == PARK_S
+            said = now
+    assert len(said) == 4 and said[0].startswith("tractor front: ")
+    assert all("5.0 positions a second, jitter " in one and "mm at standstill, " in one for one in said)
+    assert all(one.endswith("latency 100 ms by the file.") for one in said)
+    assert senders.lines(stages.initial(MACHINE)) == said
+
+
+def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands() -> None:
+    fold = _fold(STANDS)
+    silent = _shown(fold, {}, trouble="Nothing of the rig has been heard for 7 s: is the bus silent?")
+    assert "\n  Nothing of the rig has been heard for 7 s" in line(silent)
+    assert "This counts for: Park." not in line(_shown(fold, {})), "which changes with each bend"
+    state = _shown(fold, {})
+    told = []
+    for took in range(3):
+        state.computed = f"Computing with 65 s of driving, for {took} s now."
+        told.append(line(state))
+        assert state.computed in told[-1]
+    assert len({without_seconds(one) for one in told}) == 1 < len(set(told))
 
 
 def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump
+from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump, write_mcap
 
 from tilth.cli import main
 from tilth.estimator.calibration.drive import MOUNTS
@@ -85,6 +85,7 @@ def _only_rows(at: Path, rows: Driven) -> list[Path]:
 
 
 Make = Callable[[Path, Driven], list[Path]]
+PART_TEXT = MACHINE_TEXT.replace("A00017000421E24", "A00017000421F24")
 LONGER = MACHINE_TEXT.replace("position = [1.60, 0.0, 2.9]", "position = [3.60, 0.0, 2.9]")
 NO_WHEEL = re.sub(r"(\[wheel_angle\][^\[]*?\nid = )\S+", r"\g<1>0x0CFF7777", MACHINE_TEXT)
 CASES: dict[str, tuple[Make, str, int, str]] = {  # logs, machine file, exit status, sentence
@@ -96,7 +97,9 @@ CASES: dict[str, tuple[Make, str, int, str]] = {  # logs, machine file, exit sta
     "twice the same time": (
         lambda at, rows: [rows.log, rows.log], MACHINE_TEXT, 1, "rows.log begins before",
     ),
-    "a file of other devices": (_short, OTHER_TEXT, 1, "no position of tractor_front, tractor_rear, "),
+    "a file of other devices": (_only_rows, OTHER_TEXT, 1, "none of the receivers of the machine file is in"),
+    "who is there then": (_only_rows, OTHER_TEXT, 1, "come from other devices: address 28 on can0 (NAME A00"),
+    "a part of its devices": (_only_rows, PART_TEXT, 1, "no position of tractor_front, tractor_rear is in"),
     "a file of other lengths": (_only_rows, LONGER, 1, "m closer than in the machine file: it is of another"),
     "a file of another wheel": (_only_rows, NO_WHEEL, 1, "no wheel angle is in the drive"),
     "nothing in it": (_empty, MACHINE_TEXT, 1, "empty.log: an empty file"),
@@ -135,6 +138,14 @@ def test_without_a_terminal_each_stage_is_a_line(
     assert said[:2] == ["tilth calibrate: reading …", "tilth calibrate: looking at the drive …"]
     assert main(["calibrate", str(rows.log), "--machine", str(machine), "--json"]) == 1
     assert "…" not in capsys.readouterr().err
+
+
+def test_a_log_that_is_cut_off_is_said(
+    rows: Driven, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = write_mcap(tmp_path / "cut.mcap", rows.frames[:5000], finish=False)
+    assert main(["calibrate", str(cut)]) == 1
+    assert f"{cut}: cut off; replayed as far as it is whole\n" in capsys.readouterr().err
 
 
 def test_two_machine_files_are_no_better_without_one_that_is_given(

@@ -127,6 +127,7 @@ def test_bus_names_are_mapped(answer: Answer, tmp_path: Path) -> None:
     _, out, err = answer("--json", "--machine", MACHINE_FILE, "--bus", "vcan7=can0", log)
     assert rows_of(out)[0]["bus"] == "can0" and "taken" not in err
     assert answer("--json", "--bus", "vcan7=can0", log)[0] == 2
+    assert rows_of(answer("--json", "--machine", MACHINE_FILE, "--bus", "vcan7=", log)[1]) == []
 
 
 def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
-from logs import chunk_ends, write_mcap
+from logs import chunk_ends, write_candump, write_mcap
 from mcap.opcode import Opcode
 from paths import ROOT
 
@@ -16,6 +16,7 @@ from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
 from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
+from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 
@@ -113,6 +114,26 @@ def test_what_is_of_another_rig_or_of_another_day_does_not_count(log: Path, tmp_
     ]
     followed.rescan()
     assert len(followed.notes) == 2
+    followed.close()
+
+
+def test_an_earlier_log_without_the_rig_does_not_count(log: Path, tmp_path: Path) -> None:
+    """As long as it is the last one, the receivers may still say their NAMEs."""
+    rows = list(frames(log))
+    unnamed = [row for row in rows if split(row.can_id).pgn != 60928]
+    given = write_candump(tmp_path / "given.log", unnamed)
+    before = write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", unnamed)
+    followed = FollowedLogs(MACHINE, [given], {}, before)
+    assert not any(one.origin.mount for one in followed.measurements())
+    assert followed.paths == [before]
+    followed.writes(write_mcap(tmp_path / f"{RUNS[1]}_001.mcap", rows))
+    for _ in range(2):
+        list(followed.measurements())
+        assert followed.paths == [tmp_path / f"{RUNS[1]}_001.mcap"]
+        assert followed.notes == [
+            f"{path.name} does not count: none of the machine file's receivers is heard in it."
+            for path in (given, before)
+        ]
     followed.close()
 
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from kinematic_drive import FILE, MACHINE
 
-from tilth.analysis.calibration.machine_text import difference, rewritten, unfilled
+from tilth.analysis.calibration.machine_text import difference, from_to, rewritten, unfilled
 from tilth.estimator.calibration.changes import KINGPIN_DISTANCE_M, Changes, applied, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.priors import NUMBER
 from tilth.replay.wheel_by_way import WheelWord, reading_as
 from tilth.schemas.machine import parse_machine
 
@@ -37,6 +38,31 @@ def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
         assert one.roll_sign == other.roll_sign
     changed = [line for line in difference(text, made, "m.toml").splitlines() if line.startswith("-")]
     assert len(changed) == 1 + 1 + 2 + 1  # the heading, c, the tractor's positions, scale; others are new
+
+
+def test_keys_that_stood_at_their_default_say_it() -> None:
+    changes = Changes(roll_zero=np.array([0.01, 0.0, 0.0, 0.0]), ackermann=-0.1, late=np.full(4, 0.02))
+    made = rewritten(TEXT, MACHINE, applied(MACHINE, changes), SAME, "2026-05-04")
+    ackermann = MACHINE.tractor.ackermann
+    assert f"was {ackermann.value:g} (sd {ackermann.sd:g}) by default\n" in made
+    assert "; was 0 (sd 0.57) by default\n" in made and "; was 0.1 (sd 0.05) by default\n" in made
+
+
+def test_what_the_file_goes_from_and_to() -> None:
+    """The zero is on what is measured: with the scale both change."""
+    changes = Changes(
+        wheel_gain=1.1, wheel_zero=np.radians(3.0), hitch=np.array([0.05, 0.0]), aside=np.array([0.1, 0.0]),
+        late=np.array([0.05, -0.02, 0.0, 0.0]), roll_zero=np.array([0.0, 0.01, 0.0, 0.0]), who=(1, 0, 2, 3),
+    )  # fmt: skip
+    places = {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(changes.who)}
+    found = from_to(MACHINE, applied(MACHINE, changes), places)
+    assert found["wheel_gain"] == "scale 0.01 → 0.00909091"
+    assert found["wheel_zero"] == "zero 0 → 2.7273"
+    assert (found["c"], found["d"]) == ("c 2.1 → 2.15", "")
+    assert found["aside_t"] == found["pair_t"] == "position" and found["aside_i"] == ""
+    assert found["latency"] == "latency 0.1 → 0.08, 0.15, 0.1, 0.1"
+    assert found["roll_zero_tractor_rear"] == "roll_zero 0 → 0.573"
+    assert set(found) == set(NUMBER)
 
 
 def test_exchanged_receivers_stay_in_their_order() -> None:

@@ -9,7 +9,9 @@ from logs import MACHINE, MACHINE_TEXT, OTHER_TEXT, write_candump
 
 from tilth.analysis.calibration.reading import LogHeard, read
 from tilth.estimator.calibration.calibrate import CannotCalibrate
-from tilth.schemas.flow import Frame
+from tilth.replay.readers.rig import Say, bus_names
+from tilth.schemas.can_id import split
+from tilth.schemas.flow import Frame, Position
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
@@ -30,8 +32,13 @@ def _log(path: Path, frames: Iterable[Frame]) -> Path:
     return write_candump(path, sorted(frames, key=lambda one: one.t_ns))
 
 
-def _read(*paths: Path) -> LogHeard:
-    return read(paths, MACHINE, {}, lambda said: None, lambda done, of: None)
+def _read(*paths: Path, say: Say = lambda said: None, buses: tuple[str, ...] = ()) -> LogHeard:
+    return read(paths, MACHINE, bus_names(buses, MACHINE), say, lambda done, of: None)
+
+
+def _later(frames: Iterable[Frame], seconds: int) -> list[Frame]:
+    by_ns = seconds * 10**9
+    return [replace(f, t_ns=f.t_ns + by_ns, rx_ns=f.rx_ns + by_ns) for f in frames]
 
 
 def test_two_rigs_on_one_bus(tmp_path: Path) -> None:
@@ -41,10 +48,51 @@ def test_two_rigs_on_one_bus(tmp_path: Path) -> None:
 
 
 def test_two_rigs_one_after_the_other(tmp_path: Path) -> None:
+    frames = [*_frames(MACHINE_TEXT, AWAY), *_later(_frames(OTHER_TEXT, AWAY), 100)]
+    with pytest.raises(CannotCalibrate, match="heard after the rig's receivers have fallen silent"):
+        _read(_log(tmp_path / "both.log", frames))
+
+
+def test_a_log_without_the_rig_does_not_count_beside_one_with_it(tmp_path: Path) -> None:
+    """Of another rig, or of this one where the claims of its NAMEs were missed: nobody can tell."""
     first = _log(tmp_path / "first.log", _frames(MACHINE_TEXT, AWAY))
-    late = [replace(f, t_ns=f.t_ns + 10**11, rx_ns=f.rx_ns + 10**11) for f in _frames(OTHER_TEXT, AWAY)]
-    with pytest.raises(CannotCalibrate, match="heard while none of the rig's receivers was"):
-        _read(first, _log(tmp_path / "second.log", late))
+    other = _log(tmp_path / "other.log", _later(_frames(OTHER_TEXT, AWAY), 100))
+    unnamed = (f for f in _frames(MACHINE_TEXT, AWAY) if not _claims(f))
+    before = _log(tmp_path / "before.log", _later(unnamed, -100))
+    said = list[str]()
+    heard = _read(before, first, other, say=said.append)
+    assert said == [
+        f"{path.name} does not count: none of the machine file's receivers is heard in it"
+        for path in (before, other)
+    ]
+    positions = [m for m in heard.measurements if isinstance(m, Position)]
+    assert len(positions) == len([m for m in _read(first).measurements if isinstance(m, Position)])
+
+
+def _claims(frame: Frame) -> bool:
+    return split(frame.can_id).pgn == 60928
+
+
+def test_names_that_are_claimed_late_are_not_of_another_rig(tmp_path: Path) -> None:
+    frames = _frames(MACHINE_TEXT, AWAY)
+    late = [*(f for f in frames if not _claims(f)), *_later((f for f in frames if _claims(f)), 40)]
+    heard = _read(_log(tmp_path / "late.log", late))
+    assert heard.rig and not heard.strangers
+
+
+def test_a_file_of_another_rig_is_not_two_rigs(tmp_path: Path) -> None:
+    heard = _read(_log(tmp_path / "other.log", _frames(OTHER_TEXT, AWAY)))
+    assert not heard.rig
+    assert sorted(one.words for one in heard.strangers.values())[0].startswith("address 128 on can0 (NAME ")
+
+
+def test_the_bus_of_the_other_rig_is_left_out(tmp_path: Path) -> None:
+    other = [replace(f, bus="can1") for f in _frames(OTHER_TEXT, PARKED)]
+    log = _log(tmp_path / "both.log", [*_frames(MACHINE_TEXT, AWAY), *other])
+    with pytest.raises(CannotCalibrate, match=r"or leave the other's bus out with --bus can1=$"):
+        _read(log)
+    heard = _read(log, buses=("can1=",))
+    assert heard.rig and not heard.strangers
 
 
 def test_two_daemons_at_the_same_time(tmp_path: Path) -> None:

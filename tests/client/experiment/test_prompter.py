@@ -360,6 +360,22 @@ def test_a_field_without_a_corner_begins_where_the_first_run_is_armed() -> None:
     assert across == pytest.approx(PLAN.field.width / 2)
 
 
+def test_a_field_begins_in_the_way_that_is_driven_though_a_run_was_armed_in_a_turn() -> None:
+    """Beside where it was armed, or its end would be further ahead than the real one."""
+    play = Play()
+    play.prompt = Prompt()
+    play.go(3.0, north=500.0, east=70.0, heading=1.0, yaw_rate=0.3)
+    play.take(Order(ARM))
+    play.go(1.0, north=510.0, east=60.0, heading=1.5, yaw_rate=0.3)
+    assert play.prompt.place is None and not play.marks
+    assert shown(play.prompt, COURSE).conditions[2].text == "drive straight"
+    play.go(2.4, north=530.0, east=50.0, heading=0.0)
+    place = play.prompt.place
+    assert place is not None and place.heading == 0.0 and len(play.marks) == 1
+    assert place.east == pytest.approx(50.0 - PLAN.field.width / 2)
+    assert place.north == pytest.approx(500.0 - PLAN.field.headland)
+
+
 # The simulated driver: late, not exact, looking away; a pedal and receivers that go wrong.
 
 

@@ -122,6 +122,22 @@ def test_what_is_no_wheel_angle(heard: list[Measurement]) -> None:
     assert [fault.kind for fault in caught.value.faults] == [finding.WHEEL_UNREAD]
 
 
+@pytest.mark.parametrize(("way_sd", "jumps", "is_read"), [(0.025, 0.0, True), (0.025, 0.01, False)])
+def test_one_circle_at_one_angle_shows_that_the_wheel_is_read(
+    way_sd: float, jumps: float, is_read: bool
+) -> None:
+    """Slowly the wheels stand still there, and what is not known of the way is most of what varies. A reading
+    that jumps is one in the wrong byte order. Both rad."""
+    made = measurements([(20, 0.0, 0), (60, 3.0, 0), (70, 1.4, -15)])
+    view, rng = calibrating._first_look(MACHINE, _drive(MACHINE, made))[2], np.random.default_rng(3)
+    base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    view = replace(view, wheel=view.wheel + rng.choice([-jumps, jumps], view.wheel.shape))
+    rate = view.rate[:, 0] + way_sd / base * view.along[:, 0] * rng.normal(size=view.wheel.shape)
+    told = first_look.wheel(view, base, rate)
+    faults = finding.wheel_faults(told, first_look.explained(view, base, rate, told))
+    assert [fault.kind for fault in faults] == ([] if is_read else [finding.WHEEL_UNREAD])
+
+
 def test_rows_alone_do_not_tell_who_is_who() -> None:
     """Nothing is claimed of bodies, and the drive is refused with what to drive."""
     made = measurements(ROWS)
@@ -148,7 +164,7 @@ def test_circles_to_one_side_are_taken_and_said(sign: int, missing: str) -> None
         (lambda: measurements(ONE_SIDE, fix=FixType.GNSS), "no RTK fix"),
         (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not MOUNTS[2]], "implement_front"),
         (lambda: [m for m in measurements(ONE_SIDE) if m.origin.mount is not None], "no wheel angle"),
-        (lambda: [], "no position of"),
+        (lambda: [], "none of the receivers of the machine file"),
     ],
 )
 def test_refusals(made: Callable[[], list[Measurement]], match: str) -> None:
