@@ -272,7 +272,7 @@ def predicted(
     scale = np.sqrt(np.diag(prior))
     added = information[np.ix_(known, known)] * np.outer(scale, scale)
     total = np.linalg.inv(prior / np.outer(scale, scale)) + added
-    after = np.diag(np.linalg.inv((total + total.T) / 2) * np.outer(scale, scale))[SIX]
+    after = np.asarray(np.diag(np.linalg.inv((total + total.T) / 2)) * scale**2, np.float64)[SIX]
     errors = fit_covariance.mixed(common, model_sd, np.diag(prior)[SIX], after)
     return np.asarray(np.sqrt(after + errors**2))
 

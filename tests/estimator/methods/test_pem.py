@@ -382,8 +382,7 @@ def test_errors_of_the_model_neither_add_up_nor_average_out(case: str) -> None:
     brings little of its errors; errors that a window does not share count as what it corrects."""
     windows, data, errors = WINDOWS[case]
     state = pem.initial(MACHINE)
-    for tight, sd in windows:
-        published = one_more(state, tight, sd)
+    published = [one_more(state, tight, sd) for tight, sd in windows][-1]
     expected = np.hypot(data, errors)
     assert np.all(published < 1.25 * expected) and np.all(published > 0.9 * expected)
     assert np.all(np.linalg.eigvalsh(state.covariance[SIX, SIX]) > 0.0)
