@@ -63,15 +63,19 @@ def test_drawn_rigs_stand_and_their_steps_are_short_enough() -> None:
 @pytest.mark.parametrize(
     ("spatial", "step", "told"),
     [
-        (Spatial(vertical_stiffness=(20e3,) * 3), 0.002, r"vertical_stiffness\[2\] = 20000 N/m .*40000"),
+        (
+            Spatial(vertical_stiffness=(20e3, 20e3, 20e3)),
+            0.002,
+            r"vertical_stiffness\[2\] = 20000 N/m .*40000",
+        ),
         (Spatial(vertical_stiffness=(1e5, 1e5, 20e3), track=(2, 2, 1)), 0.002, r"\[3\] .* the implement"),
         (
-            Spatial(vertical_stiffness=(5e6,) * 3),
+            Spatial(vertical_stiffness=(5e6, 5e6, 5e6)),
             0.002,
             r"front tyres .* spatial\.step = 0\.00091, or smaller",
         ),
         (
-            Spatial(vertical_stiffness=(20e6,) * 3, vertical_damping=(2e6, 0, 0)),
+            Spatial(vertical_stiffness=(20e6, 20e6, 20e6), vertical_damping=(2e6, 0, 0)),
             0.0002,
             "0002 s; give smaller",
         ),
