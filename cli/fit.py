@@ -98,10 +98,11 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(answer))
     else:
         _show(answer)
-    for reason in dict.fromkeys(map(_withheld, runs)):
-        if reason and fitted.joint is not None:
-            _say(f"beware: no number was published live at the end of a log, since {reason}")
-    return 0 if fitted.joint is not None else 1
+    if fitted.joint is None:
+        return 1
+    for reason in filter(None, dict.fromkeys(map(_withheld, runs))):
+        _say(f"beware: at the end of a log no number is published, since {reason}")
+    return 0
 
 
 def _withheld(run: Run) -> str:

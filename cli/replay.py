@@ -31,7 +31,7 @@ from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine
-from tilth.schemas.spread import of_logarithm, plus_minus
+from tilth.schemas.spread import of_logarithm
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
 
@@ -236,10 +236,7 @@ def _table(title: str, estimate: Estimate) -> Table:
         value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
         table.add_row(name, value_text, p.status.name.lower(), p.reason)
     for name, (value, sd) in estimate.nuisances.items():
-        # What a kernel calls it is in the JSON; a person reads what it is.
-        words = f"{WORDS[name].words} ({name})" if name in WORDS else name
-        text = nuisance_text(name, value, sd) + SAYS if name in WORDS else plus_minus(value, sd)
-        table.add_row(words, text, "nuisance", "")
+        table.add_row(f"{WORDS[name].words} ({name})", nuisance_text(name, value, sd) + SAYS, "nuisance", "")
     return table
 
 

@@ -41,6 +41,7 @@ Track = Annotated[float, Field(ge=0.8, le=6)]
 Gyration = Annotated[float, Field(ge=0.2, le=3)]
 Wave = Annotated[float, Field(ge=0.3, le=1000)]
 Instant = Annotated[int, Field(ge=946_684_800_000_000_000, le=4_102_444_800_000_000_000)]  # ns; 2000 to 2100
+ClockOffset = Annotated[float, Field(ge=-1e8, le=1e8)]  # s; three years
 Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
 FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
 
@@ -364,8 +365,7 @@ class Scenario:
     claims: bool = True  # False: everybody has claimed an address before the recording began
     other_traffic: bool = True  # the frames that nobody wants
     utc_start_ns: Instant = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
-    clock_offset_s: Annotated[float, Field(ge=-1e8, le=1e8)] | None = None  # host clock minus UTC at the
-    # start; None: drawn
+    clock_offset_s: ClockOffset | None = None  # host clock minus UTC at the start; None: drawn
 
     def __post_init__(self) -> None:
         slowest = min(row[1] for row in self.speed) if isinstance(self.speed, tuple) else self.speed

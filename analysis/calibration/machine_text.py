@@ -1,12 +1,14 @@
 """A machine file rewritten with what was found: comments stay, each changed value says what stood there."""
 
 import difflib
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
 import tomlkit
 from tomlkit.items import AbstractTable, Item
 
+from tilth.estimator.filters.unknowns import ROLL_ZERO_SD
 from tilth.schemas.machine import Machine, Quantity
 
 DIGITS: Final = 4  # after the point of a length, an angle or a time
@@ -20,7 +22,7 @@ _WHEEL: Final = (
 )  # fmt: skip
 _HEXADECIMAL: Final = ("id", "mask", "not_available")
 _TRACTOR: Final = ("c", "ackermann", "pair_yaw_sd", "lever_sd", "kingpin_distance")
-_UNSAID: Final = {"roll_zero": "0 (sd 0.57) by default"}
+_UNSAID: Final = {"roll_zero": f"0 (sd {math.degrees(ROLL_ZERO_SD):.2g}) by default"}
 """What a key stands for that has no value without being written."""
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 
@@ -113,22 +115,23 @@ def from_to(before: Machine, after: Machine, places: Mapping[str, str]) -> dict[
     by_mount = {r.mount.value: r for r in after.receiver}
     pairs = [(r, by_mount[places[r.mount.value]]) for r in before.receiver]
     wheel = before.wheel_angle, after.wheel_angle
-    gain = "scale" if wheel[0].lookup is None and wheel[0].pgn is None else "lookup"
+    if wheel[0].lookup is None and wheel[0].pgn is None:
+        gain = _key("scale", wheel)
+    else:
+        gain = "lookup" if wheel[0].lookup != wheel[1].lookup else ""
     found = {
         "c": _key("c", (before.tractor, after.tractor)),
         "d": _key("d", (before.implement, after.implement)),
         "ackermann": _key("ackermann", (before.tractor, after.tractor)),
         "wheel_zero": _key("zero", wheel),
-        "wheel_gain": _key(gain, wheel)
-        if gain == "scale"
-        else "lookup" * (wheel[0].lookup != wheel[1].lookup),
+        "wheel_gain": gain,
         "wheel_curve": _key("curve", wheel),
         "latency": _key("latency", *pairs),
     }
     found |= {f"roll_zero_{there.mount.value}": _key("roll_zero", (r, there)) for r, there in pairs}
     for body, suffix in (("tractor", "t"), ("implement", "i")):
-        moved = [r.position != there.position for r, there in pairs if there.mount.body == body]
-        found |= {f"{name}_{suffix}": "position" * any(moved) for name in ("pair", "aside", "lever")}
+        moved = any(r.position != there.position for r, there in pairs if there.mount.body == body)
+        found |= {f"{name}_{suffix}": "position" if moved else "" for name in ("pair", "aside", "lever")}
     return found
 
 

@@ -143,9 +143,8 @@ def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None)
 
 
 def _advise(state: PemState, machine: Machine, speed: float, t_ns: int) -> None:
-    advice.renew(
-        state.advisor, machine, state.mean, state.covariance, speed, t_ns, kept=state.model_sd
-    )  # fmt: skip
+    kept = state.model_sd
+    advice.renew(state.advisor, machine, state.mean, state.covariance, speed, t_ns, kept=kept)
 
 
 def finish(state: PemState) -> None:
@@ -302,7 +301,8 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
         state.changes += 1
         state.window_s = 0.0
         state.events.append(("soil_change", _describe_change(job, made)))
-    state.model_sd, state.mean, state.covariance = _learned_with(state, job, made)
+    state.model_sd, state.covariance = _learned_with(state, job, made)
+    state.mean = made.mean
     state.informed_ns = job.closed_ns
     state.window_s += len(job.record.ticks) * 0.02
     state.fits += 1
@@ -311,8 +311,8 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     return estimate(state, machine, t_ns)
 
 
-def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array, Array]:
-    """(model_sd, mean, covariance) after a fit. Errors of the model are as `fit_covariance.mixed` says."""
+def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
+    """(model_sd, covariance) after a fit. Errors of the model are as `fit_covariance.mixed` says."""
     errors = fit_covariance.model_sd_of(job.record, made.mean)
     masses = np.diag(of_masses(job.covariance))[SIX]
     before, after = (np.diag(covariance)[SIX] - masses for covariance in (job.covariance, made.covariance))
@@ -320,7 +320,7 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array, A
     model_sd = fit_covariance.mixed(kept, errors, before, after - errors**2)
     covariance = made.covariance.copy()
     covariance[SIX, SIX] += np.diag(np.where(before > 0.0, model_sd**2 - errors**2, 0.0))
-    return model_sd, made.mean, covariance
+    return model_sd, covariance
 
 
 def _describe_change(job: Job, made: Fit) -> str:

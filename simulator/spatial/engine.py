@@ -43,9 +43,8 @@ def mujoco() -> Any:
     """The package. Raises NotInstalled."""
     check_installed()
     package = importlib.import_module("mujoco")
-    package.set_mju_user_warning(
-        lambda text: None
-    )  # else to MUJOCO_LOG.TXT where one stands; we look ourselves
+    # Its warnings would go to MUJOCO_LOG.TXT where one stands; plant.check_upright looks for what they tell.
+    package.set_mju_user_warning(lambda text: None)
     return package
 
 

@@ -99,7 +99,7 @@ def test_of_logs_of_two_rigs_the_keys_that_differ_are_named(fit: Answer, tmp_pat
 
 
 @pytest.mark.parametrize(("share", "withheld"), [(1.0, False), (0.5, True)])
-def test_a_fit_says_where_live_nothing_was_published(
+def test_a_fit_says_where_nothing_is_published(
     fit: Answer, tmp_path: Path, share: float, withheld: bool
 ) -> None:
     """It does not look whether driving has shown yet that the machine file is right."""
@@ -109,4 +109,4 @@ def test_a_fit_says_where_live_nothing_was_published(
     last = run.estimates()
     status, out, err = fit(log)
     assert status == 0 and "N/rad" in out and (last["C_af_status"][-1] == Status.UNESTIMATED) == withheld
-    assert (f"live at the end of a log, since {last['C_af_reason'][-1]}" in err) == withheld
+    assert (f"at the end of a log no number is published, since {last['C_af_reason'][-1]}" in err) == withheld
