@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from tilth.estimator.compiled import inner_kernel, kernel
 from tilth.estimator.filters.states import (
     N_STATES,
+    SLOPES,
     X_PAIR,
     X_POSITION,
     X_PUSH,
-    X_SLOPE,
-    X_SLOPE_RATE,
     Places,
 )
 from tilth.estimator.filters.transition import D_POSITION, N_DRIVEN, POSITION_LATER, Transition
@@ -127,9 +126,9 @@ def move(error: float, state: JointState, step: Transition, work: UpdateWork) ->
         x[i] += moved[i]
         if X_PUSH <= i < X_POSITION or i >= X_PAIR:
             following[i] += F[i, i] * moved[i]
-    for slope in range(X_SLOPE, X_SLOPE + 2):
-        rate = slope + X_SLOPE_RATE - X_SLOPE
-        following[slope] += F[slope, rate] * moved[rate]
-        following[rate] += F[rate, slope] * moved[slope]
+    for i in SLOPES:
+        for j in SLOPES:
+            if i != j:
+                following[i] += F[i, j] * moved[j]
     for k in range(N_DRIVEN):
         following[k if k < D_POSITION else k + POSITION_LATER] += driven[k]

@@ -18,7 +18,10 @@ from tilth.estimator.filters.states import (
     DT,
     N_STATES,
     PAIR_DECAY,
+    SLOPE_APART,
+    SLOPE_APART_AT_FIRST,
     SLOPE_LENGTH,
+    SLOPES,
     SPEED_MEMORY_S,
     START,
     START_PLACE,
@@ -31,7 +34,6 @@ from tilth.estimator.filters.states import (
     X_R,
     X_ROLL,
     X_SLOPE,
-    X_SLOPE_RATE,
     X_SPEED,
     X_UNEVEN,
     X_V,
@@ -42,6 +44,7 @@ from tilth.estimator.filters.transition import (
     Transition,
     integrate_exponential,
     joint_jacobian,
+    multiply,
     position_jacobian,
     set_driven,
     unknowns_jacobian,
@@ -420,10 +423,10 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
         out[i] = total
     for i in range(X_PUSH, N_STATES):
         out[i] = step.decay[0, i] * x[i]
-    for body in range(2):
-        slope, rate = x[X_SLOPE + body], x[X_SLOPE_RATE + body]
-        out[X_SLOPE + body] = step.slope[0, 0] * slope + step.slope[0, 1] * rate
-        out[X_SLOPE_RATE + body] = step.slope[1, 0] * slope + step.slope[1, 1] * rate
+    for i in range(4):
+        out[SLOPES[i]] = 0.0
+        for j in range(4):
+            out[SLOPES[i]] += step.slope[i, j] * x[SLOPES[j]]
     psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
     u, sine, cosine = u + x[X_SPEED], math.sin(psi), math.cos(psi)
     out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
@@ -452,53 +455,84 @@ def ground_at(unknowns: Array) -> GroundNoise:
 
 
 @kernel
-def stationary(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (27,), 0 before and for the position. u:
-    m/s."""
-    sds, rate = setup.sds, max(u, SLOWEST) / SLOPE_LENGTH
+def stationary(ground: GroundNoise, setup: RigSetup) -> Array:
+    """Stationary variances of the states from X_PUSH on, shape (27,), 0 before, for the position and SLOPES."""
+    sds = setup.sds
     out = np.zeros(N_STATES)
     for i in range(3):
         out[X_PUSH + i] = ground.push[i] * ground.push[i]
         out[X_PAIR + i] = sds[1 + i] * sds[1 + i]
         if i < 2:
-            out[X_SLOPE + i] = setup.slope_sd * setup.slope_sd
-            out[X_SLOPE_RATE + i] = rate * rate * out[X_SLOPE + i]
             out[X_UNEVEN + i] = ground.uneven * ground.uneven
     out[X_SPEED] = setup.speed_sd * setup.speed_sd
     return out
 
 
 @kernel
+def slope_rates(u: float, setup: RigSetup) -> tuple[float, float]:
+    """Rates (1/s) of the critically damped processes of SLOPES at speed u, m/s: the tractor's, and that with
+    which the implement's follows: it gets there when its wheels have come to where the tractor's CG was."""
+    behind = setup.geometry[2] + setup.geometry[3] + setup.geometry[4]
+    return max(u, SLOWEST) / SLOPE_LENGTH, 2.0 * max(u, SLOWEST) / behind
+
+
+@kernel
 def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
     """Covariance of the first state of a run at speed u, m/s, shape (27, 27)."""
-    variances = stationary(u, ground, setup)
+    variances = stationary(ground, setup)
     for i in range(X_PUSH):
         variances[i] = START[i] * START[i]
     variances[X_POSITION] = variances[X_POSITION + 1] = START_PLACE * START_PLACE
-    return np.diag(variances)
+    P = np.diag(variances)
+    common, apart = slope_rates(u, setup)
+    slope, own = setup.slope_sd, SLOPE_APART_AT_FIRST * setup.slope_sd
+    for i in (0, 2):
+        of_all = (slope if i == 0 else common * slope) ** 2
+        for j in range(2):
+            for k in range(2):
+                P[SLOPES[i + j], SLOPES[i + k]] = of_all
+        P[SLOPES[i + 1], SLOPES[i + 1]] += (own if i == 0 else apart * own) ** 2
+    return P
+
+
+@kernel
+def set_slopes(u: float, setup: RigSetup, step: Transition) -> None:
+    """Fill slope and slope_noise at speed u, m/s. A critically damped process of rate w and stationary
+    variance s^2 is driven by white noise of density 4 w^3 s^2."""
+    common, apart = slope_rates(u, setup)
+    A, B, power = np.zeros((4, 4)), np.eye(4), np.zeros((4, 4))
+    A[0, 2] = A[1, 3] = DT
+    A[2, 0], A[2, 2] = -common * common * DT, -2.0 * common * DT
+    A[3, 0], A[3, 1], A[3, 3] = apart * apart * DT, -apart * apart * DT, -2.0 * apart * DT
+    step.slope[:] = B
+    for order in range(1, 4):
+        multiply(A, B, power)
+        for i in range(4):
+            for j in range(4):
+                B[i, j] = power[i, j] / order
+                step.slope[i, j] += B[i, j]
+    for body in range(2):
+        sd = setup.slope_sd * (SLOPE_APART if body else 1.0)
+        density = 4.0 * (apart if body else common) ** 3 * sd * sd
+        step.slope_noise[body, body] = density * DT**3 / 3.0
+        step.slope_noise[body, 2 + body] = step.slope_noise[2 + body, body] = density * DT**2 / 2.0
+        step.slope_noise[2 + body, 2 + body] = density * DT
 
 
 @kernel
 def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
-    """Fill slope, and decay and q of the states from X_PUSH on, at speed u, m/s, for filter c of step."""
-    decay, q, slope, speed = step.decay[c], step.q[c], step.slope, max(u, SLOWEST)
+    """Fill the transition of SLOPES, and decay and q of the states from X_PUSH on, at speed u, m/s, for
+    filter c of step."""
+    decay, q = step.decay[c], step.q[c]
     for i in range(3):
         decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
         if i < 2:
-            decay[X_UNEVEN + i] = math.exp(-DT * speed / UNEVEN_LENGTH)
+            decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
-    rate = speed / SLOPE_LENGTH
-    left = math.exp(-rate * DT)
-    slope[0, 0], slope[0, 1] = left * (1.0 + rate * DT), left * DT
-    slope[1, 0], slope[1, 1] = -left * rate * rate * DT, left * (1.0 - rate * DT)
-    variances = stationary(u, ground, setup)
+    set_slopes(u, setup, step)
+    variances = stationary(ground, setup)
     for i in range(X_PUSH, N_STATES):
         q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
-    one, two = variances[X_SLOPE], variances[X_SLOPE_RATE]
-    slope[0, 2] = -(slope[0, 0] * slope[1, 0] * one + slope[0, 1] * slope[1, 1] * two)
-    for body in range(2):
-        q[X_SLOPE + body] = one - slope[0, 0] ** 2 * one - slope[0, 1] ** 2 * two
-        q[X_SLOPE_RATE + body] = two - slope[1, 0] ** 2 * one - slope[1, 1] ** 2 * two
 
 
 @inner_kernel

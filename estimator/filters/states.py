@@ -5,7 +5,7 @@ rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does: sideways f
 as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), first-order Gauss-Markov processes
 with one time constant; gravity along the cross slope under either body (m/s^2), and how far unevenness turns
 the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
-(m/s^3), with which they are critically damped processes over distance. What the measured speed lacks (m/s), a
+(m/s^3): the tractor's slope is a critically damped process over distance, and the implement's follows it. What the measured speed lacks (m/s), a
 first-order process. North and east of the tractor's CG
 (m). Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the
 implement's antennas relative to the tractor's (m)."""
@@ -28,6 +28,7 @@ X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vert
 X_SLOPE: Final = 15
 X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
 X_SLOPE_RATE: Final = 19  # of X_SLOPE
+SLOPES: Final = (X_SLOPE, X_SLOPE + 1, X_SLOPE_RATE, X_SLOPE_RATE + 1)
 X_SPEED: Final = 21  # m/s, true speed less the measured one
 X_POSITION: Final = 22  # north, east
 X_PAIR: Final = 24
@@ -48,6 +49,9 @@ SLOPE_LENGTH: Final = 20.0
 """m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all
 the way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for
 slope: sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
+SLOPE_APART: Final = 0.15
+"""Sd of what the implement's cross slope has of its own, over that of the tractor's."""
+SLOPE_APART_AT_FIRST: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
 UNEVEN_LENGTH: Final = 1.5  # m
 
 

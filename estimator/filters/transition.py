@@ -1,7 +1,7 @@
 """The linearised transition of the filters' state over one tick, and what it does to a covariance.
 
 Of the 27 states of states.py, 14 move with all others: those before X_PUSH and the position. They are called
-driven here. The others are processes of their own: each decays, and a cross slope goes with its rate. So of
+driven here. The others are processes of their own: each decays, and the cross slopes go together. So of
 the Jacobian F only the driven rows are full, and a covariance is propagated by these and by the decays alone.
 Filters that differ in their noise only share all but decay and q: `c` counts them.
 """
@@ -18,13 +18,12 @@ from tilth.estimator.filters.states import (
     ALONG,
     DT,
     N_STATES,
+    SLOPES,
     X_POSITION,
     X_PSI,
     X_PUSH,
     X_R,
     X_ROLL,
-    X_SLOPE,
-    X_SLOPE_RATE,
     X_SPEED,
     X_V,
 )
@@ -47,7 +46,8 @@ class Transition(NamedTuple):
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
     decay: Array  # (c, 27), factors on the states from X_PUSH on; they differ in those of the pushes only
     q: Array  # (c, 27), variances of the process noise, without that of the position
-    slope: Array  # (2, 3), transition of a cross slope and its rate, and covariances of their process noise
+    slope: Array  # (4, 4), of the states SLOPES
+    slope_noise: Array  # (4, 4), covariance of their process noise
     F: Array  # (27, 27), Jacobian of x one tick later over x
     F_unknowns: Array  # (14, a), of the driven states one tick later over the active unknowns
     F_driven: Array  # (14, n), of the driven states one tick later over the joint state of the covariance
@@ -72,7 +72,7 @@ def empty_transition(na: int, rows: int, count: int) -> Transition:
     F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
     return Transition(
         rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
-        np.zeros(X_PUSH), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((2, 3)),
+        np.zeros(X_PUSH), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((4, 4)), np.zeros((4, 4)),
         F, np.zeros((N_DRIVEN, na)), np.zeros((N_DRIVEN, n)), np.zeros((n, N_DRIVEN)),
         np.zeros((N_DRIVEN, n)), np.zeros((N_DRIVEN, N_DRIVEN)),
         np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
@@ -122,10 +122,9 @@ def joint_jacobian(step: Transition) -> None:
     unknowns_jacobian(step)
     for i in range(X_PUSH, N_STATES):
         F[i, i] = step.decay[0, i]
-    for k in range(4):
-        i = (X_SLOPE if k < 2 else X_SLOPE_RATE) + k % 2
-        for j in range(2):
-            F[i, (X_SLOPE, X_SLOPE_RATE)[j] + k % 2] = step.slope[k // 2, j]
+    for i in range(4):
+        for j in range(4):
+            F[SLOPES[i], SLOPES[j]] = step.slope[i, j]
     set_driven(step, 0, X_PUSH)
 
 
@@ -173,15 +172,14 @@ def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
 
 
 @inner_kernel
-def add_process_noise(P: Array, q: Array, slope: Array, psi: float) -> None:
+def add_process_noise(P: Array, q: Array, slope_noise: Array, psi: float) -> None:
     """Add the process noise of one tick to a covariance (n, n); that of the position is along and across the
     heading psi, rad."""
     for i in range(N_STATES):
         P[i, i] += q[i]
-    for body in range(2):
-        angle, rate = X_SLOPE + body, X_SLOPE_RATE + body
-        P[angle, rate] += slope[0, 2]
-        P[rate, angle] += slope[0, 2]
+    for i in range(4):
+        for j in range(4):
+            P[SLOPES[i], SLOPES[j]] += slope_noise[i, j]
     sine, cosine = math.sin(psi), math.cos(psi)
     along, across = ALONG * ALONG * DT, ACROSS * ACROSS * DT
     P[X_POSITION, X_POSITION] += along * cosine * cosine + across * sine * sine
@@ -195,11 +193,14 @@ def add_process_noise(P: Array, q: Array, slope: Array, psi: float) -> None:
 def decay_columns(rows: Array, first: int, decay: Array, slope: Array) -> None:
     """Multiply rows of a covariance, (k, n), from row `first` on, from the right by the part of F' that is
     not of the driven states."""
+    one, two, three, four = SLOPES
     for i in range(first, min(rows.shape[0], N_STATES)):
-        for body in range(2):
-            angle, rate = rows[i, X_SLOPE + body], rows[i, X_SLOPE_RATE + body]
-            rows[i, X_SLOPE + body] = slope[0, 0] * angle + slope[0, 1] * rate
-            rows[i, X_SLOPE_RATE + body] = slope[1, 0] * angle + slope[1, 1] * rate
+        before = (rows[i, one], rows[i, two], rows[i, three], rows[i, four])
+        for k in range(4):
+            total = 0.0
+            for j in range(4):
+                total += slope[k, j] * before[j]
+            rows[i, SLOPES[k]] = total
         for j in range(X_PUSH, N_STATES):
             rows[i, j] *= decay[j]
 
@@ -213,12 +214,14 @@ def decay_rows(A: Array, first: int, decay: Array, slope: Array) -> None:
         if decay[i] != 1.0:
             for j in range(first, n):
                 A[i, j] *= decay[i]
-    for body in range(2):
-        angle, rate = X_SLOPE + body, X_SLOPE_RATE + body
-        for j in range(first, n):
-            before = A[angle, j]
-            A[angle, j] = slope[0, 0] * before + slope[0, 1] * A[rate, j]
-            A[rate, j] = slope[1, 0] * before + slope[1, 1] * A[rate, j]
+    one, two, three, four = SLOPES
+    for j in range(first, n):
+        before = (A[one, j], A[two, j], A[three, j], A[four, j])
+        for k in range(4):
+            total = 0.0
+            for i in range(4):
+                total += slope[k, i] * before[i]
+            A[SLOPES[k], j] = total
 
 
 @inner_kernel
@@ -243,4 +246,4 @@ def propagate_covariance(P: Array, c: int, step: Transition, psi: float) -> None
         for other in range(N_DRIVEN):
             j = other if other < D_POSITION else other + POSITION_LATER
             P[i, j] = 0.5 * (F_P_F[k, other] + F_P_F[other, k])
-    add_process_noise(P, step.q[c], step.slope, psi)
+    add_process_noise(P, step.q[c], step.slope_noise, psi)

@@ -173,7 +173,7 @@ def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
     along, across = rng.normal(size=(2, len(wheel))) * [[ALONG], [ACROSS]] * math.sqrt(DT)
     x = np.zeros((len(wheel), N_STATES))
     ground = ground_at.interpreted()(point.unknowns)
-    x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(SPEED, ground, setup))
+    x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup))
     for k in range(len(wheel) - 1):
         x[k + 1] = step.F @ x[k] + noise[k]
         x[k + 1, :X_PUSH] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
