@@ -10,6 +10,7 @@ from tilth.schemas.flow import PARAMETERS
 _NUMBER: Final = r"(\d+(?:\.\d+)?)"
 _NAMES: Final = re.compile("|".join(map(re.escape, PARAMETERS)))
 _TOO_SLOW: Final = re.compile(rf"nothing can be learned below {_NUMBER} m/s")
+_NEXT_TURN: Final = re.compile(rf"; the next headland turn at .* would bring ({_NAMES.pattern}) to ")
 
 
 class AdviceKind(Enum):
@@ -27,6 +28,7 @@ class Advice(NamedTuple):
     manoeuvre: Manoeuvre | None = None  # for MANOEUVRE
     seconds: str = ""  # how long it takes; as it was written
     degrees: str = ""  # of the front wheels; as it was written
+    turn_tells: str = ""  # the parameter that the next headland turn tells most of
 
 
 NO_ADVICE: Final = Advice(AdviceKind.NONE)
@@ -38,18 +40,18 @@ def parse_advice(text: str) -> Advice:
         return Advice(AdviceKind.TOO_SLOW, speed=float(too_slow[1]))
     start, _, rest = text.partition("; ")
     names = tuple(_NAMES.findall(start))
+    found_turn = _NEXT_TURN.search(rest)
+    turn = found_turn[1] if found_turn else ""
     if not names:
         return NO_ADVICE
     if not rest:
         return Advice(AdviceKind.NOT_AT_THIS_SPEED, names)
     if rest.startswith("no "):
-        return Advice(AdviceKind.NOTHING_HELPS, names)
+        return Advice(AdviceKind.NOTHING_HELPS, names, turn_tells=turn)
     for manoeuvre in MANOEUVRES:
         found = re.match(_sentence(manoeuvre), rest) if manoeuvre.driven else None
         if found is not None:
-            return Advice(
-                AdviceKind.MANOEUVRE, names, manoeuvre=manoeuvre, seconds=found[1], degrees=found[2]
-            )
+            return Advice(AdviceKind.MANOEUVRE, names, 0.0, manoeuvre, found[1], found[2], turn)
     return NO_ADVICE
 
 

@@ -112,12 +112,20 @@ def advised(text: str) -> str:
         case AdviceKind.NOT_AT_THIS_SPEED:
             return "At this speed there is no gentle steering that would tell more."
         case AdviceKind.NOTHING_HELPS:
+            if advice.turn_tells:
+                return f"Drive on: the next headland turn tells more of the {_tyres(advice.turn_tells)}."
             return "Drive on: no steering at this speed would tell much more."
     if advice.manoeuvre is None:
         return ""
     what = advice.manoeuvre.driven.format(seconds=advice.seconds, degrees=advice.degrees)
-    groups = [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in advice.parameters]
-    return f"Where there is room, {what}: it would tell more of the {_and(groups)} tyres."
+    told = f"Where there is room, {what}: it would tell more of the {_tyres(*advice.parameters)}."
+    if advice.turn_tells:
+        told += f" The next headland turn tells more of the {_tyres(advice.turn_tells)} by itself."
+    return told
+
+
+def _tyres(*names: str) -> str:
+    return f"{_and([GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in names])} tyres"
 
 
 def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:

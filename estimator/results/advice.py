@@ -332,13 +332,26 @@ def advise(
     after = {}
     for candidate, brought in table.items():
         errors = fit_covariance.model_sd(math.radians(candidate.degrees) > fit_covariance.TIGHT, uneven)
-        after[candidate] = predicted(covariance, brought, errors, kept)[undetermined]
-    chosen = _choose(after, now[undetermined])
+        after[candidate] = predicted(covariance, brought, errors, kept)
+    chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
+    turn = _next_turn(now, after[TURN]) if TURN in after and chosen != TURN else ""
     if chosen is None:
-        return f"{start}; no {SECONDS:g} s of steering at this speed would help much" if after else start
+        return (
+            f"{start}; no {SECONDS:g} s of steering at this speed would help much{turn}" if after else start
+        )
     texts = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
     them = "it" if len(undetermined) == 1 else "them"
-    return f"{start}; {SECONDS:g} s of {texts} would bring {them} to {share(*after[chosen])}"
+    to = share(*after[chosen][undetermined])
+    return f"{start}; {SECONDS:g} s of {texts} would bring {them} to {to}{turn}"
+
+
+def _next_turn(now: Array, after: Array) -> str:
+    """What the headland turn that comes anyway would bring: of the parameter, (6,), that it tells most of."""
+    k = int(np.argmin(after / now))
+    if after[k] > WORTHWHILE * now[k]:
+        return ""
+    turn = manoeuvre_named(TURN.manoeuvre).called.format(TURN.degrees).removeprefix("a ")
+    return f"; the next {turn} would bring {PARAMETERS[k]} to {share(after[k])}"
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:

@@ -308,6 +308,24 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     assert (advice.predicted(covariance, table[advice.TURN], model_sd(True, 0.006)) > exact).all()
 
 
+def test_the_headland_turn_that_comes_anyway_is_said_beside_what_tells_more() -> None:
+    step, covariance = Candidate("step", 8.0), np.diag(SD**2)
+    table = {c: everything()[c] for c in (advice.TURN, step)}
+    text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
+    offer, _, turn = text.partition("; ")[2].partition("; ")
+    assert offer.startswith("10 s of a step")
+    found = re.fullmatch(
+        r"the next headland turn at 25° or more would bring (\w+) to ±(\d+) % \(95 %\)", turn
+    )
+    assert found is not None
+    k, errors = PARAMETERS.index(found[1]), model_sd(True, math.exp(MEAN[AT["uneven"]]))
+    after = advice.predicted(covariance, table[advice.TURN], errors) / SD[SIX]
+    assert k == int(np.argmin(after)) and after[k] < advice.WORTHWHILE
+    assert turn not in advice.advise(MACHINE, MEAN, covariance, SPEED, {step: table[step]})
+    covariance[SIX, SIX] = np.eye(6) * 0.01**2  # known better than a turn can tell
+    assert "headland" not in advice.advise(MACHINE, MEAN, covariance, SPEED, table)
+
+
 def test_more_is_known_after_a_wilder_manoeuvre_and_never_less_than_before() -> None:
     covariance = np.diag(SD**2)
     before = np.sqrt(np.diag(covariance)[SIX])
