@@ -456,7 +456,7 @@ def ground_at(unknowns: Array) -> GroundNoise:
 
 @kernel
 def stationary(ground: GroundNoise, setup: RigSetup) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (27,), 0 before, for the position and SLOPES."""
+    """Stationary variances of the states from X_PUSH on, shape (27,), 0 for the position and SLOPES."""
     sds = setup.sds
     out = np.zeros(N_STATES)
     for i in range(3):

@@ -5,10 +5,10 @@ rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does: sideways f
 as of gravity (m/s^2), and a yaw acceleration of the tractor (rad/s^2), first-order Gauss-Markov processes
 with one time constant; gravity along the cross slope under either body (m/s^2), and how far unevenness turns
 the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
-(m/s^3): the tractor's slope is a critically damped process over distance, and the implement's follows it. What the measured speed lacks (m/s), a
-first-order process. North and east of the tractor's CG
-(m). Slow errors of the receivers: heading of each antenna pair (rad), and the lateral error of the
-implement's antennas relative to the tractor's (m)."""
+(m/s^3): the tractor's slope is a critically damped process over distance, and the implement's follows it.
+What the measured speed lacks (m/s), a first-order process. North and east of the tractor's CG (m). Slow
+errors of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's
+antennas relative to the tractor's (m)."""
 
 import math
 from typing import Final, NamedTuple

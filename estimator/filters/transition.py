@@ -72,8 +72,8 @@ def empty_transition(na: int, rows: int, count: int) -> Transition:
     F[X_POSITION, X_POSITION] = F[X_POSITION + 1, X_POSITION + 1] = 1.0
     return Transition(
         rates_x, np.zeros(X_PUSH), np.zeros((X_PUSH, na)), np.zeros(X_PUSH), np.zeros((X_PUSH, X_PUSH)),
-        np.zeros(X_PUSH), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((4, 4)), np.zeros((4, 4)),
-        F, np.zeros((N_DRIVEN, na)), np.zeros((N_DRIVEN, n)), np.zeros((n, N_DRIVEN)),
+        np.zeros(X_PUSH), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((4, 4)),
+        np.zeros((4, 4)), F, np.zeros((N_DRIVEN, na)), np.zeros((N_DRIVEN, n)), np.zeros((n, N_DRIVEN)),
         np.zeros((N_DRIVEN, n)), np.zeros((N_DRIVEN, N_DRIVEN)),
         np.zeros((3, X_PUSH, X_PUSH)), np.zeros((X_PUSH, X_POSITION)),
         np.zeros(N_STATES),

@@ -75,15 +75,15 @@ def test_what_else_is_advised_is_told_as_well() -> None:
     [
         (
             "no 10 s of steering at this speed would help much",
-            "Drive on: the next headland turn tells more of",
+            "Drive on: the next headland turn tells",
         ),
-        ("10 s of a chirp of 5° would bring it to ±9 %", "tyres. The next headland turn tells more of"),
+        ("10 s of a chirp of 5° would bring it to ±9 %", "tyres. The next headland turn tells"),
     ],
 )
 def test_the_next_headland_turn_is_told_to_a_driver(offer: str, told: str) -> None:
     turn = "the next headland turn at 25° or more would bring sigma_r to ±12 % (95 %)"
     said = words.advised(f"C_ai is not determined: ±60 %; {offer}; {turn}")
-    assert f"{told} the rear tyres" in said
+    assert f"{told} more of the rear tyres" in said
     assert "next headland turn" not in words.advised(f"C_ai is not determined: ±60 %; {offer}")
 
 
