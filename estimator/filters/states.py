@@ -49,7 +49,7 @@ SLOPE_LENGTH: Final = 20.0
 """m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all
 the way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for
 slope: sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
-SLOPE_APART: Final = 0.15
+SLOPE_APART: Final = 0.05
 """Sd of what the implement's cross slope has of its own, over that of the tractor's."""
 SLOPE_APART_AT_FIRST: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
 UNEVEN_LENGTH: Final = 1.5  # m
