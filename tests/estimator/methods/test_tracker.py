@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from logs import MACHINE
 from numpy.typing import NDArray
+from scipy.linalg import expm, solve_discrete_lyapunov
 
 from tilth.estimator import fold
 from tilth.estimator.filters import fit_covariance, soil_change, unknowns
 from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
-from tilth.estimator.filters.propagation import Active, GroundNoise, set_geometry_slopes
+from tilth.estimator.filters.propagation import (
+    Active,
+    GroundNoise,
+    first_covariance,
+    ground_at,
+    set_geometry_slopes,
+    set_slopes,
+)
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import (
@@ -33,6 +41,7 @@ from tilth.estimator.filters.states import (
     X_V,
     Point,
 )
+from tilth.estimator.filters.states import SLOPES as SLOPE_STATES
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -44,6 +53,7 @@ from tilth.estimator.filters.tracker_kernel import (
     SegmentArrays,
     track_segment,
 )
+from tilth.estimator.filters.transition import empty_transition
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.learned import into_tracker, of_tracker
@@ -135,6 +145,47 @@ def at_the_ground(point: Array) -> Array:
     return out
 
 
+def slopes_move(speed: float) -> Array:
+    """(4, 4): d/dt of both cross slopes and their rates. Both are critically damped, the tractor's to nothing
+    over SLOPE_LENGTH, the implement's to the tractor's over half of the way from CG to axle each time."""
+    c, d, e = LOW.geometry[2:5]
+    own, behind = speed / SLOPE_LENGTH, 2.0 * speed / (c + d + e)
+    return np.array([
+        [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0],
+        [-(own**2), 0.0, -2.0 * own, 0.0], [behind**2, -(behind**2), 0.0, -2.0 * behind],
+    ])  # fmt: skip
+
+
+def test_the_implement_meets_the_cross_slope_of_the_tractor_where_its_wheels_come_to_it() -> None:
+    step = empty_transition.interpreted()(0, 0, 1)
+    c, d, e = LOW.geometry[2:5]
+    for speed in (1.5, 2.0, 4.5):
+        set_slopes.interpreted()(speed, LOW, step)
+        np.testing.assert_allclose(step.slope, expm(DT * slopes_move(speed)), atol=1e-6)
+        followed = np.array([0.0, 0.0, 0.0, 0.0])
+        late = 0.0
+        for _ in range(round(60.0 / speed / DT)):
+            followed[[0, 2]] = 1.0, 0.0  # from here on the tractor is on a slope
+            late += (1.0 - followed[1]) * DT * speed
+            followed = step.slope @ followed
+        assert late == pytest.approx(c + d + e, rel=0.03)  # m, the mean delay of a step
+
+
+@pytest.mark.parametrize("speed", [2.0, 4.5])
+def test_cross_slopes_keep_the_spread_of_the_prior_and_go_together(speed: float) -> None:
+    step, setup = empty_transition.interpreted()(0, 0, 1), rig_setup(MACHINE)
+    set_slopes.interpreted()(speed, setup, step)
+    found = solve_discrete_lyapunov(step.slope, step.slope_noise)
+    sds = np.sqrt(np.diag(found))
+    assert sds[:2] == pytest.approx(setup.slope_sd, rel=0.05)
+    assert sds[2] == pytest.approx(setup.slope_sd * speed / SLOPE_LENGTH, rel=0.05)
+    assert 0.9 < found[0, 1] / (sds[0] * sds[1]) < 0.999
+    ground = ground_at.interpreted()(unknowns.prior(MACHINE)[0])
+    at_first = first_covariance.interpreted()(speed, ground, setup)[np.ix_(SLOPE_STATES, SLOPE_STATES)]
+    assert np.linalg.eigvalsh(at_first).min() > 0.0
+    assert (np.diag(at_first) > 0.95 * np.diag(found)).all()  # a run may begin in a turn on a slope
+
+
 def simulated(x: Array, point: Array, readings: Array) -> Array:
     """x[PLANAR] after as many ticks, less one, by the nonlinear model at 4.5 m/s with LOW's heights."""
     geometry = unknowns.geometry(LOW.geometry, point)
@@ -144,11 +195,7 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
     grips = dict.fromkeys(("grip_f", "grip_r", "grip_i"), 1.0 / point[AT["curvature"]])
     rig = LOW.rig._replace(**changes, **grips)
     time = DT * np.arange(len(readings))
-    rate = 4.5 / SLOPE_LENGTH  # of the slopes' critically damped way to nothing
-    slopes = [
-        np.exp(-rate * time) * (x[X_SLOPE + k] * (1.0 + rate * time) + x[X_SLOPE_RATE + k] * time)
-        for k in (0, 1)
-    ]
+    slopes = np.array([expm(t * slopes_move(4.5)) @ x[list(SLOPE_STATES)] for t in time]).T
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
