@@ -17,7 +17,14 @@ from tilth.estimator.filters import steady_outputs, unknowns
 from tilth.estimator.filters.propagation import empty_plant, set_parameters
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import X_PUSH, X_ROLL, Point
-from tilth.estimator.filters.steady_outputs import CONSTANTS, INPUTS, linearised, outputs
+from tilth.estimator.filters.steady_outputs import (
+    CONSTANTS,
+    INPUTS,
+    OUTPUTS,
+    largest_slip,
+    linearised,
+    outputs,
+)
 from tilth.estimator.methods import steady_state
 from tilth.estimator.methods.stored_state import steady_state_json, steady_state_of
 from tilth.estimator.models import nonlinear, rolling, rolling_terms
@@ -292,6 +299,18 @@ def test_what_it_expects_is_what_the_rolling_model_settles_to(
     at = settled_rolling(point, speed, delta, slope)
     measured = np.array([[speed, delta, slope + at["phi_t"], slope + at["phi_i"], 0.0]])
     assert outputs(point[None], measured, MACHINE)[0] == pytest.approx(seen(at), rel=1e-5)
+
+
+@pytest.mark.parametrize(("degrees", "speed"), TURNS_AT_ALL_ANGLES)
+def test_the_largest_slip_is_that_of_the_tyres(degrees: float, speed: float) -> None:
+    zero, delta = 0.02, math.radians(degrees)
+    at = settled_rolling(point_of(), speed, delta, 0.0)
+    given: dict[str, float] = dict.fromkeys(SteadySample.__dataclass_fields__, 0.0)
+    given |= dict(zip(OUTPUTS[:2], seen(at)[:2].tolist(), strict=True))
+    sample = SteadySample(**(given | {"u": speed, "v": at["v"], "wheel_angle": delta + zero}))
+    largest = max(abs(at[f"alpha_{axle}"]) for axle in "fri")
+    assert largest_slip(sample, zero, MACHINE) == pytest.approx(largest, rel=1e-4)
+    assert largest_slip(replace(sample, v=None), zero, MACHINE) == 0.0
 
 
 @pytest.mark.parametrize("folding", [0.06, -0.06])
