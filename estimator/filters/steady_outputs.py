@@ -1,16 +1,14 @@
 """Predicted measurements in a steady turn, as a function of all that is not known exactly, and their
 Jacobians.
 
-The closed form of models/steady_turn.py assumes small angles and linear tyres. Here it is where Newton's
-method starts. The equations that it solves are those of models/rolling.py with nothing changing any more but
-the articulation, exact at any angle of wheels and hitch: 0.6 % of the yaw rate at 8° of the wheels has the
-effect of 5 % of C_af, and at 25° the small angles are off by a tenth. Tyres follow F = A N (1 − exp(−C α/(A
-N))) (Karkee 2009, 5.34). What moves load from one wheel of an axle to the other has no effect but on rolling
-resistance.
+A steady turn is a state of the filters' motion model (filters/propagation.py) in which nothing changes any
+more but the articulation. Newton's method finds it, from straight driving on, by the exact slopes of that
+model. They also tell how the turn changes with constants and inputs: implicit differentiation.
 
 A tractor is in its turn within a second or two; the implement behind it needs several times as long. So how
-fast the rig folds is an input. It fades as that of a towed axle without slip, which is close enough for what
-is left of it. Measured roll is cross slope and lean; the lean is solved for, and the rest is slope.
+fast the rig folds is an input. It fades as that of a towed axle without slip behind a tractor that is nearly
+in line, which is close enough for what is left of it. Measured roll is cross slope and lean; the lean is
+solved for, and the rest is slope.
 """
 
 from typing import Final, NamedTuple
@@ -18,9 +16,20 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.rig_setup import nominal_roll
-from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.models.steady_turn import steady_turn
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.propagation import (
+    P_SHRINK,
+    Active,
+    DriveInputs,
+    Plant,
+    empty_plant,
+    rate_jacobians,
+    set_geometry_slopes,
+    set_plant,
+)
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_PSI, X_R, X_ROLL, X_SLOPE, X_SPEED, X_V, Point
+from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.record.steady_driving import SteadySample
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import GRAVITY
@@ -37,204 +46,87 @@ no effect on OUTPUTS."""
 INPUTS: Final = ("u", "wheel_angle", "roll_t", "roll_i", "folding")
 """m/s; rad, as the sensor reads it; measured rolls, rad; rate of the articulation, rad/s."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
-STEP: Final = 1e-4  # of the central differences
-SETS: Final = 11  # of points that the Jacobian over a turn takes: itself, and five to either side
+KERNELS: Final = (set_geometry_slopes, set_plant, rate_jacobians)  # that the functions below call
 MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
 LONGEST_STEP: Final = 0.5  # m/s, rad/s or rad
 EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
 
+AT: Final = {name: k for k, name in enumerate(CONSTANTS)}
+PLACES: Final = np.array([unknowns.AT[name] for name in CONSTANTS])
+SLIPS: Final = slice(X_ALPHA, X_ALPHA + 3)
+LEANS: Final = slice(X_ROLL, X_ROLL + 2)
+SLOPES: Final = slice(X_SLOPE, X_SLOPE + 2)
+TURN: Final = np.r_[X_V, X_R, SLIPS, LEANS, X_PSI]
+"""The states that are solved for. The implement's yaw rate and the slopes follow from them; psi_i is 0."""
+STEADY: Final = np.r_[X_V, X_R, SLIPS, X_ROLL + 2, X_ROLL + 3, X_R + 1]
+"""The states whose rates are 0, and as the last one r_i, whose rate follows from the folding."""
 
-class _Rig(NamedTuple):
-    """Lengths (m), masses (kg), loads (N) and inertias (kg m^2) at each of n points, (n,)."""
-
-    a: Array
-    b: Array
-    c: Array
-    d: Array
-    e: Array
-    m_t: Array
-    m_i: Array
-    loads: Array  # [n, 3]: front, rear, implement
-    stiffness: Array  # [n, 3], N/rad
-    curvature: Array
-    rolling: Array
-    camber: Array
-    parallel: Array
-    track: Array  # of the front wheels
-    height_t: Array  # of the CGs above the ground
-    height_i: Array
-    I_i: Array
-    k_t: Array  # of the roll modes, N m/rad, less what gravity takes off
-    k_i: Array
-    pin: Array  # height of the front axle's
-    drawbar: Array  # its height
+_empty_plant, _empty_transition = empty_plant.interpreted(), empty_transition.interpreted()
 
 
-class _Driving(NamedTuple):
-    """What is driven at each of n points, (n,): m/s, true wheel angle, measured rolls, rad, and rad/s."""
+class _Model(NamedTuple):
+    """The motion model at a point of CONSTANTS with its INPUTS; its rates and their slopes at a state."""
 
-    u: Array
-    delta: Array
-    roll_t: Array
-    roll_i: Array
-    folding: Array
-
-
-def _rig(points: Array, machine: Machine) -> _Rig:
-    """points: [n, 23], CONSTANTS."""
-    at = dict(zip(CONSTANTS, points.T, strict=True))
-    t, i = machine.tractor, machine.implement
-    a = t.a.value * np.exp(at["a"]) - at["cg_t"]
-    b = t.b.value * np.exp(at["b"]) + at["cg_t"]
-    c = t.c.value * np.exp(at["c"]) + at["cg_t"]
-    d = i.d.value * np.exp(at["d"]) - at["cg_i"]
-    e = i.e.value + at["e"] + at["cg_i"]
-    m_t, m_i = t.mass.value * np.exp(at["m_t"]), i.mass.value * np.exp(at["m_i"])
-    tongue = m_i * e / (d + e)
-    front = (b * m_t - (c - b) * tongue) / (a + b)
-    loads = GRAVITY * np.column_stack([front, m_t + tongue - front, m_i - tongue])
-    modes, told = nominal_roll(machine), rig_of(machine)
-    k_t, k_i = modes.k_t * np.exp(at["roll_k_t"]), modes.k_i * np.exp(at["roll_k_i"])
-    known = (told.w_f, told.h_t, told.h_i, told.I_i, modes.pin, told.h_h)
-    track, h_t, h_i, inertia, pin, drawbar = (np.full(len(points), value) for value in known)
-    return _Rig(
-        a, b, c, d, e, m_t, m_i, loads, np.exp(points[:, :3]), np.maximum(at["curvature"], 0.0),
-        at["rolling"], at["camber"], at["parallel"], track, h_t, h_i, inertia, k_t, k_i, pin, drawbar,
-    )  # fmt: skip
+    plant: Plant
+    active: Active
+    step: Transition
+    x: Array  # (27,), the state
+    drive: DriveInputs
+    rolls: Array  # (2,), measured, rad
+    folding: float  # rad/s
+    length: float  # from the hitch to the implement's axle, m
 
 
-def _driving(points: Array, inputs: Array) -> _Driving:
-    """points: [n, 23], CONSTANTS; inputs: [n, 5], INPUTS."""
-    u, reading, roll_t, roll_i, folding = inputs.T
-    zero, gain = points[:, CONSTANTS.index("wheel_zero")], points[:, CONSTANTS.index("wheel_gain")]
-    return _Driving(u, (reading - zero) * np.exp(-gain), roll_t, roll_i, folding)
+def _model(point: Array, inputs: Array, machine: Machine) -> _Model:
+    """At rest. point: (23,), CONSTANTS; inputs: (5,), INPUTS."""
+    setup, (at, _) = rig_setup(machine), unknowns.prior(machine)
+    at[PLACES] = point
+    here = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))
+    n, (u, reading, *_, folding) = len(PLACES), inputs.tolist()
+    plant, active = _empty_plant(setup, n), Active(PLACES, np.zeros((n, len(here.geometry))))
+    set_geometry_slopes(here, active)
+    set_plant(plant, here, setup, active)
+    scale = float(np.exp(-at[unknowns.AT_WHEEL_GAIN]))
+    drive = DriveInputs(u, 0.0, (reading - float(at[unknowns.AT_WHEEL_ZERO])) * scale, 0.0, scale)
+    length, step = float(here.geometry[3] + here.geometry[4]), _empty_transition(n, 0, 1)
+    return _Model(plant, active, step, np.zeros(N_STATES), drive, inputs[2:4], folding, length)
 
 
-def _slips(turn: Array, rig: _Rig, driving: _Driving) -> Array:
-    """Slip angles of the three axles, rad, [n, 3]. turn: [n, 5], as of `_solve`."""
-    (v, r, articulation), u = turn.T[:3], driving.u
-    hitch = v - rig.c * r
-    sine, cosine = np.sin(articulation), np.cos(articulation)
-    # 3.55, moved to the axle
-    cart = u * sine + hitch * cosine - (rig.d + rig.e) * (r - driving.folding)
-    return np.column_stack(
-        [
-            np.arctan2(v + rig.a * r, u) - driving.delta,
-            np.arctan2(v - rig.b * r, u),
-            np.arctan2(cart, u * cosine - hitch * sine),  # 3.54
-        ]
-    )
+def _imbalance(model: _Model) -> tuple[Array, Array, Array]:
+    """(What is left of the rates of STEADY, (8,), its slopes by TURN, (8, 8), and by measured roll, (8, 2)).
 
-
-def _front_wheels_apart(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
-    """As deploy.motion_equations.front_wheels_apart, rad, [n] each."""
-    (v, r), u, delta = turn.T[:2], driving.u, driving.delta
-    side, faster = v + rig.a * r, rig.track * r / 2
-    squared, kept, sine = u**2 + side**2, (1 - rig.parallel) * rig.track / 2 / (rig.a + rig.b), np.sin(delta)
-    mean = faster**2 * u * side / squared**2 - kept**2 * sine**3 * np.cos(delta)
-    return faster * side / squared - kept * sine**2, mean
-
-
-def _tyres(slips: Array, stiffness: Array, loads: Array, curvature: Array) -> Array:
-    """Side forces, N, of the shape of the slips, rad."""
-    saturation = np.maximum(curvature * stiffness / loads * np.abs(slips), 1e-9)
-    forces: Array = stiffness * slips * np.expm1(-saturation) / saturation
-    return forces
-
-
-def _side_forces(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
-    """(Of the axles, across their wheels, [n, 3]; the left front wheel's less the right one's, [n]), N. The
-    front axle does not lean."""
-    slips = _slips(turn, rig, driving)
-    forces = _tyres(slips, rig.stiffness, rig.loads, rig.curvature[:, None])
-    forces[:, 1:] += rig.camber[:, None] * rig.loads[:, 1:] * turn[:, 3:]
-    apart, mean = _front_wheels_apart(turn, rig, driving)
-    half, load = rig.stiffness[:, 0] / 2, rig.loads[:, 0] / 2
-    left, right = (
-        _tyres(slips[:, 0] + mean + sign * apart, half, load, rig.curvature) for sign in (-1.0, 1.0)
-    )
-    forces[:, 0] = left + right
-    return forces, left - right
-
-
-def _imbalance(turn: Array, rig: _Rig, driving: _Driving) -> Array:
-    """What is left of lateral force on the tractor (N) and of the moments about both CGs (N m), over the
-    tractor's weight, and of the leans (rad), [n, 5]. turn: [n, 5], as of `_solve`."""
-    (v, r, articulation, lean_t, lean_i), (u, delta, roll_t, roll_i, folding) = turn.T, driving
-    slope_t, slope_i = GRAVITY * np.sin(roll_t - lean_t), GRAVITY * np.sin(roll_i - lean_i)
-    (forces, apart), drags = _side_forces(turn, rig, driving), -rig.rolling[:, None] * rig.loads
-    front, rear = forces[:, 0] * np.cos(delta) + drags[:, 0] * np.sin(delta), forces[:, 1]  # 3.23
-    sine, cosine = np.sin(articulation), np.cos(articulation)
-    r_i = r - folding
-    r_i_rate = folding * (u * cosine - (v - rig.c * r) * sine) / (rig.d + rig.e)
-    # The implement's CG is accelerated by this, along and across the tractor; the hitch pulls with the rest.
-    along = -v * r + rig.c * r**2 + rig.d * (r_i**2 * cosine - r_i_rate * sine)
-    across = u * r - rig.d * (r_i**2 * sine + r_i_rate * cosine)
-    cart = forces[:, 2] + rig.m_i * slope_i
-    pull_x = drags[:, 2] * cosine + cart * sine - rig.m_i * along  # 3.24, 3.25
-    pull_y = cart * cosine - drags[:, 2] * sine - rig.m_i * across
-    inertia_t = rig.m_t * (slope_t - u * r)
-    inertia_i = rig.m_i * (slope_i - along * sine - across * cosine)
-    skew_t, skew_i = rig.rolling * rig.height_t * inertia_t, rig.rolling * rig.height_i * inertia_i
-    skew_t = skew_t - apart * np.sin(delta) * rig.track / 2
-    weight = GRAVITY * rig.m_t
-    return np.column_stack(
-        [
-            (front + rear + inertia_t + pull_y) / weight,
-            (rig.a * front - rig.b * rear + skew_t - rig.c * pull_y) / weight,
-            (-rig.e * forces[:, 2] + skew_i - rig.d * (pull_x * sine + pull_y * cosine) - rig.I_i * r_i_rate)
-            / weight,
-            lean_t - (rig.height_t * inertia_t + rig.pin * front + rig.drawbar * pull_y) / rig.k_t,
-            lean_i - (rig.height_i * inertia_i - rig.drawbar * (forces[:, 2] + inertia_i)) / rig.k_i,
-        ]
-    )
-
-
-def _repeated(rig: _Rig, driving: _Driving, times: int) -> tuple[_Rig, _Driving]:
-    """The same points so many times, one whole set after the other."""
-    repeated = _Rig(*(np.concatenate([x] * times) for x in rig))
-    return repeated, _Driving(*(np.concatenate([x] * times) for x in driving))
-
-
-def _imbalance_and_slope(turn: Array, rig: _Rig, driving: _Driving) -> tuple[Array, Array]:
-    """(`_imbalance` [n, 5], its Jacobian over the turn [n, 5, 5] by central differences).
-
-    rig and driving: the points of turn, [n, 5], SETS times over.
+    Sets the states that follow from TURN, and the slopes of the motion model.
     """
-    nudges = STEP * np.vstack([np.zeros(5), np.eye(5), -np.eye(5)])
-    left = _imbalance(np.concatenate([turn + nudge for nudge in nudges]), rig, driving)
-    sets = left.reshape(SETS, len(turn), 5)
-    return sets[0], np.moveaxis(sets[1:6] - sets[6:], 0, -1) / (2 * STEP)
+    x, step, slope = model.x, model.step, model.rolls - model.x[LEANS]
+    x[X_R + 1], x[SLOPES] = x[X_R] - model.folding, GRAVITY * np.sin(slope)
+    rate_jacobians(x, model.drive, model.plant, model.active, step)
+    left, by_x = step.rates[STEADY], step.rates_x[STEADY]
+    left[-1] -= model.folding * model.drive.u / model.length
+    by_turn, by_rolls = by_x[:, TURN], by_x[:, SLOPES] * GRAVITY * np.cos(slope)
+    by_turn[:, 1] += by_x[:, X_R + 1]  # r_i goes with r_t,
+    by_turn[:, 5:7] -= by_rolls  # and where a body leans more, there is less slope
+    return left, by_turn, by_rolls
 
 
-def _solve(rig: _Rig, driving: _Driving) -> Array:
-    """The steady turn, [n, 5]: v, r, articulation and the leans of both bodies. Raises
-    numpy.linalg.LinAlgError if there is none."""
-    lengths = rig.a, rig.b, rig.c, rig.d, rig.e
-    linear = np.column_stack(
-        [rig.stiffness, rig.m_t, rig.m_i, driving.u, np.tan(driving.delta), driving.roll_t, driving.roll_i]
-    )
-    turn = np.zeros((len(linear), 5))
-    turn[:, :3] = steady_turn(linear, *lengths, rig.rolling)
-    turn[:, 2] = np.clip(turn[:, 2] - (rig.d + rig.e) * driving.folding / driving.u, -1.5, 1.5)
-    repeated = _repeated(rig, driving, SETS)
+def _solved(point: Array, inputs: Array, machine: Machine) -> tuple[_Model, Array, Array]:
+    """(The model in its steady turn, slopes as of `_imbalance`). Raises as `outputs`."""
+    model = _model(point, inputs, machine)
     for _ in range(MOST_STEPS):
-        left, slope = _imbalance_and_slope(turn, *repeated)
-        step = np.linalg.solve(slope, left[..., None])[..., 0]
-        longest = np.max(np.abs(step), axis=1, keepdims=True)
-        turn = turn - step * np.minimum(1.0, LONGEST_STEP / np.maximum(longest, EXACT))
-        if not np.all(np.isfinite(turn)):
+        left, by_turn, by_rolls = _imbalance(model)
+        step = np.linalg.solve(by_turn, left)
+        longest = float(np.abs(step).max())
+        if not np.isfinite(longest):
             break
-        if float(longest.max()) < EXACT:
-            return np.asarray(turn, np.float64)
+        model.x[TURN] -= step * min(1.0, LONGEST_STEP / max(longest, EXACT))
+        if longest < EXACT:
+            return model, by_turn, by_rolls
     raise np.linalg.LinAlgError("no steady turn was found")
 
 
-def _seen(turn: Array, points: Array) -> Array:
-    """OUTPUTS, [n, 3], of a turn, [n, 5]. points: [n, 23], CONSTANTS."""
-    v, r, articulation = turn.T[:3]
-    lever, cg = points[:, CONSTANTS.index("lever_t")], points[:, CONSTANTS.index("cg_t")]
-    return np.column_stack([r, articulation, v + r * (lever - cg)])
+def _seen(model: _Model, point: Array) -> Array:
+    """OUTPUTS, (3,)."""
+    v, r, articulation = model.x[[X_V, X_R, X_PSI]]
+    return np.array([r, articulation, v + r * (point[AT["lever_t"]] - point[AT["cg_t"]])])
 
 
 def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
@@ -244,7 +136,13 @@ def outputs(points: Array, inputs: Array, machine: Machine) -> Array:
     machine file has the CG, computed from where it has the antennas, without the errors of the pairs. Raises
     numpy.linalg.LinAlgError if there is no steady turn.
     """
-    return _seen(_solve(_rig(points, machine), _driving(points, inputs)), points)
+    rows = zip(points, inputs, strict=True)
+    return np.array([_seen(_solved(point, row, machine)[0], point) for point, row in rows])
+
+
+def prepare(machine: Machine) -> None:
+    """Compile KERNELS: straight driving."""
+    outputs(unknowns.prior(machine)[0][None, PLACES], np.array([[4.0, 0.0, 0.0, 0.0, 0.0]]), machine)
 
 
 def inputs_of(sample: SteadySample) -> Array:
@@ -253,24 +151,26 @@ def inputs_of(sample: SteadySample) -> Array:
 
 
 def linearised(point: Array, sample: SteadySample, machine: Machine) -> tuple[Array, Array, Array]:
-    """(OUTPUTS [3], their Jacobian over CONSTANTS [3, 22], and over INPUTS [3, 5]).
+    """(OUTPUTS [3], their Jacobian over CONSTANTS [3, 23], and over INPUTS [3, 5]).
 
-    point: [22], CONSTANTS. Raises as `outputs`.
+    point: [23], CONSTANTS. Raises as `outputs`.
     """
-    point_and_inputs = np.concatenate([point, inputs_of(sample)])
-    n = len(point_and_inputs)
-    nudges = STEP * np.eye(n)
-    rows = np.vstack([point_and_inputs, point_and_inputs + nudges, point_and_inputs - nudges])
-    points, inputs = rows[:, : len(point)], rows[:, len(point) :]
-    rig, driving = _rig(points[:1], machine), _driving(points[:1], inputs[:1])
-    turn = _solve(rig, driving)
-    _, over_turn = _imbalance_and_slope(turn, *_repeated(rig, driving, SETS))
-    # The turn changes so that the balance holds: implicit differentiation, one solution instead of 55.
-    left = _imbalance(np.repeat(turn, len(rows), axis=0), _rig(points, machine), _driving(points, inputs))
-    moved = -np.linalg.solve(over_turn[0], (left[1 : n + 1] - left[n + 1 :]).T)
-    z = _seen(np.vstack([turn, turn + moved.T / 2, turn - moved.T / 2]), points)
-    slope = (z[1 : n + 1] - z[n + 1 :]).T / (2 * STEP)
-    return z[0], slope[:, : len(point)], slope[:, len(point) :]
+    model, by_turn, by_rolls = _solved(point, inputs_of(sample), machine)
+    step, drive, n, pace = model.step, model.drive, len(point), model.drive.u / model.length
+    by_wheel, by_constants = step.rates_wheel[STEADY], step.rates_unknowns[STEADY]
+    by_constants[:, AT["wheel_zero"]] = -drive.wheel_scale * by_wheel
+    by_constants[:, AT["wheel_gain"]] = -drive.wheel * by_wheel
+    by_constants[-1] += model.folding * pace / model.length * model.active.geometry[:, 3:5].sum(axis=1)
+    by_u, by_folding = step.rates_x[STEADY, X_SPEED], -step.rates_x[STEADY, X_R + 1]
+    by_u[-1] -= model.folding / model.length
+    by_folding[-1] -= pace
+    known = np.column_stack([by_constants, by_u, drive.wheel_scale * by_wheel, by_rolls, by_folding])
+    v, r, *_, articulation = -np.linalg.solve(by_turn, known)
+    lever = point[AT["lever_t"]] - point[AT["cg_t"]]
+    slope = np.array([r, articulation, v + lever * r])
+    slope[2, AT["lever_t"]] += model.x[X_R]
+    slope[2, AT["cg_t"]] -= model.x[X_R]
+    return _seen(model, point), slope[:, :n], slope[:, n:]
 
 
 def largest_slip(sample: SteadySample, zero: float, machine: Machine) -> float:
@@ -280,8 +180,12 @@ def largest_slip(sample: SteadySample, zero: float, machine: Machine) -> float:
     """
     if sample.v is None:
         return 0.0
-    point = np.zeros((1, len(CONSTANTS)))
-    point[0, CONSTANTS.index("wheel_zero")] = zero
-    turn = np.array([[sample.v, sample.yaw_rate, sample.articulation, 0.0, 0.0]])
-    driving = _driving(point, inputs_of(sample)[None])
-    return float(np.max(np.abs(_slips(turn, _rig(point, machine), driving))))
+    point = unknowns.prior(machine)[0][PLACES]
+    point[AT["wheel_zero"]] = zero
+    model = _model(point, inputs_of(sample), machine)
+    model.plant.p[P_SHRINK] = 0.0
+    model.x[[X_V, X_R, X_PSI]] = sample.v, sample.yaw_rate, sample.articulation
+    _imbalance(model)
+    # A tyre that has not slipped yet: how fast its slip angle grows, over how fast it falls per tan of it.
+    tangents = model.step.rates[SLIPS] / np.diag(model.step.rates_x[SLIPS, SLIPS])
+    return float(np.abs(np.arctan(tangents)).max())

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tilth.estimator.compiled import Kernel
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import steady_outputs, unknowns
 from tilth.estimator.methods import learned, pem, steady_state, stored_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.methods.stored_state import Json
@@ -73,6 +73,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
         memory=Memory(
             steady_state.STATES, ("slow_t", "slow_i"), learned.of_steady_state, learned.into_steady_state
         ),
+        prepare=steady_outputs.prepare,
+        kernels=steady_outputs.KERNELS,
     ),
     Estimator(
         tracker.METHOD,

@@ -115,7 +115,7 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     monkeypatch.setattr(compiling, "_call", call)
     assert compiling.prepare(MACHINE, shares.append) > 0.0
     assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
-    assert 0.2 < shares[len(shares) // 2] < 0.8
+    assert 0.2 < shares[len(shares) // 2] < 0.9  # the motion's slopes, most of the work, come early
     codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
     assert len(shares) == 1 + len(codes)
 
