@@ -30,8 +30,8 @@ class Filters(NamedTuple):
     """The run's filter and its companions, c in all."""
 
     points: Array  # (c, n), of the unknowns
-    deviation: Array  # (27, c), of the state from the run's
-    following: Array  # (27, c), one tick later, overwritten
+    deviation: Array  # (30, c), of the state from the run's
+    following: Array  # (30, c), one tick later, overwritten
     errors: Array  # (c,), innovations
     variances: Array  # (c,), theirs
 
@@ -48,7 +48,7 @@ def filters(point: Array, nearby: Array) -> Filters:
 
 @kernel
 def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
-    """Covariances of the first state at speed u, m/s, shape (c, 27, 27)."""
+    """Covariances of the first state at speed u, m/s, shape (c, 30, 30)."""
     count = run.points.shape[0]
     P = np.zeros((count, N_STATES, N_STATES))
     for c in range(count):
@@ -67,7 +67,7 @@ def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> 
 def set_innovations(error: float, sd: float, kind: int, H: Array, run: Filters) -> None:
     """Fill errors, and variances with those of the measurement's noise.
 
-    error: the run's innovation. sd: stated one of the measurement. H: (27,), its Jacobian at the tick.
+    error: the run's innovation. sd: stated one of the measurement. H: (30,), its Jacobian at the tick.
     """
     errors = run.errors
     errors[:] = error
@@ -89,7 +89,7 @@ def deviate(run: Filters, work: UpdateWork) -> None:
 
 @inner_kernel
 def advance(run: Filters, x: Array, step: Transition) -> None:
-    """Propagate the deviations over a tick. x: (27,), the run's state before it."""
+    """Propagate the deviations over a tick. x: (30,), the run's state before it."""
     deviation, following = run.deviation, run.following
     if deviation.shape[1] == 1:
         return  # the run deviates by nothing

@@ -23,20 +23,20 @@ class JointState(NamedTuple):
     """The joint state during a run. Beside it there may be companions of the filter (companions.py): `c`
     filters in all, of which the first is the run's."""
 
-    x: Array  # (27,)
-    following: Array  # (27,), x one tick later
+    x: Array  # (30,)
+    following: Array  # (30,), x one tick later
     unknowns: Array  # (n,), in the order of unknowns.NAMES
     places: Places  # (a,), of the active ones among them
-    considered: Array  # (27 + a,), 1.0 for what may not be learned
-    P: Array  # (c, 27 + a, 27 + a)
+    considered: Array  # (30 + a,), 1.0 for what may not be learned
+    P: Array  # (c, 30 + a, 30 + a)
 
 
 class UpdateWork(NamedTuple):
     """Work arrays of an update."""
 
-    P_H: Array  # (c, 27 + a)
-    gain: Array  # (c, 27 + a)
-    moved: Array  # (27 + a,), how far the first filter's joint state has moved
+    P_H: Array  # (c, 30 + a)
+    gain: Array  # (c, 30 + a)
+    moved: Array  # (30 + a,), how far the first filter's joint state has moved
     driven: Array  # (14,), and its driven states one tick later
 
 
@@ -48,7 +48,7 @@ def empty_work(count: int, n: int) -> UpdateWork:
 
 @inner_kernel
 def between(share: float, h: Array, step: Transition, H: Array) -> None:
-    """Fill the first 27 of H, the Jacobian over the state at the tick, from h (27 + a,), that at an instant a
+    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + a,), that at an instant a
     share of a tick later, between which the state is linear."""
     for j in range(N_STATES):
         H[j] = (1.0 - share) * h[j]
@@ -78,7 +78,7 @@ def update(
 ) -> bool:  # fmt: skip
     """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
 
-    errors: (c,), innovations. variances: (c,), of the measurement's noise; then of the innovations. H: (27 +
+    errors: (c,), innovations. variances: (c,), of the measurement's noise; then of the innovations. H: (30 +
     a,), Jacobian over the joint state at the tick. False if the first error is beyond `gate` sds of it and
     nothing was updated.
     """

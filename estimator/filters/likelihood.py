@@ -61,7 +61,7 @@ class Search:
 
     record: Record
     setup: RigSetup
-    start: Array  # (27,), first state of the filter
+    start: Array  # (30,), first state of the filter
     used: Array  # (m,), 0.0 for a row that is left out
     prior_mean: Array  # [n]
     prior_information: Array  # (a, a), of the active ones
@@ -92,7 +92,7 @@ class Iterate:
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
-    """First state of the filter, (27,): headings and yaw rates of the first tick, and the first position."""
+    """First state of the filter, (30,): headings and yaw rates of the first tick, and the first position."""
     x = np.zeros(N_STATES)
     first = record.ticks[0]
     x[X_PSI : X_PSI + 2], x[X_R : X_R + 2] = first[PSI : PSI + 2], first[R : R + 2]
@@ -116,7 +116,7 @@ def innovations(
 ) -> Innovations:  # fmt: skip
     """The filter over a record at a point, (n,), of the unknowns: `predictor.run_filter`.
 
-    start: (27,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
+    start: (30,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
     out. closed: False for the open loop. driven: (m, a), changes of the readings; responding: (a,), for which
     places the response to these is asked, all if None. nearby: (q, n), points that differ in noise levels,
     which are tried beside.

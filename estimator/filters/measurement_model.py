@@ -83,7 +83,7 @@ def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
 
 @inner_kernel
 def predict_measurement(x: Array, obs: Observation, point: Point, setup: RigSetup, h: Array) -> float:
-    """Predicted measurement at state x, (27,); fills h, (27,) or longer, with its Jacobian."""
+    """Predicted measurement at state x, (30,); fills h, (30,) or longer, with its Jacobian."""
     h[:] = 0.0
     if obs.kind == YAW_RATE:
         h[X_R + obs.place] = 1.0
@@ -151,8 +151,8 @@ def predict_position(x: Array, obs: Observation, body: int, point: Point, setup:
     """North or east position of a receiver, m; fills h."""
     c, d, height = point.geometry[2], point.geometry[3], setup.heights[obs.place]
     ahead, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
-    arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
-    aside = setup.levers[obs.place, 1] + (point.unknowns[AT_PAIR + body] + x[X_PAIR + body]) * arm
+    arm, east = setup.levers[obs.place, 0] - setup.middles[body, 0], 0 if obs.kind == NORTH else 1
+    aside = setup.levers[obs.place, 1] + point.unknowns[AT_PAIR + body] * arm
     roll_t = x[X_ROLL] + x[X_SLOPE] / GRAVITY
     roll_i = x[X_ROLL + 1] + x[X_SLOPE + 1] / GRAVITY
     place = X_POSITION if obs.kind == NORTH else X_POSITION + 1
@@ -171,8 +171,10 @@ def predict_position(x: Array, obs: Observation, body: int, point: Point, setup:
         h[X_PSI + 1] = right * (ahead - d) - forward * side_i
         h[X_ROLL + 1] = right * (height - drawbar)
         h[X_SLOPE + 1] = h[X_ROLL + 1] / GRAVITY
-    h[X_PAIR + body] = right * arm
-    return float(value)
+        h[X_ASIDE + east] = 1.0
+        value += x[X_ASIDE + east]
+    h[X_PAIR + 2 * body + east] = arm
+    return float(value + arm * x[X_PAIR + 2 * body + east])
 
 
 @inner_kernel
@@ -206,7 +208,7 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
-    """Predicted measurement at x, (27,); fills h, (27 + a,), with its Jacobian over the joint state."""
+    """Predicted measurement at x, (30,); fills h, (30 + a,), with its Jacobian over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
     if obs.kind == YAW_RATE or obs.kind == HEADING:
         return value
@@ -219,9 +221,7 @@ def predict_joint_measurement(
                 h[N_STATES + j] = -x[X_ROLL + 2 + body] - x[X_SLOPE_RATE + body] / GRAVITY
         return value
     ahead, back, aside = lever_arms(x, obs, body)
-    if body == 1:
-        h[X_ASIDE] = aside
-        value += aside * x[X_ASIDE]
+    arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if place == AT_LEVER + body:
@@ -229,7 +229,7 @@ def predict_joint_measurement(
         elif place == AT_CG and body == 0:
             h[N_STATES + j] = -ahead
         elif place == AT_PAIR + body:
-            h[N_STATES + j] = h[X_PAIR + body]
+            h[N_STATES + j] = aside * arm
         elif place == AT_ASIDE and body == 1:
             h[N_STATES + j] = aside
         elif place == AT_HITCH and body == 1 and setup.scale == 1.0:

@@ -95,14 +95,14 @@ class Innovations(NamedTuple):
 class Carried(NamedTuple):
     """Derivatives over the active unknowns, with the gains held."""
 
-    D: Array  # (27, a), of the state
+    D: Array  # (30, a), of the state
     driven: Array  # (14, a), of the driven states one tick later, overwritten
     d: Array  # (a,), of the present innovation
 
 
 @inner_kernel
 def row_slopes(H: Array, H_unknowns: Array, row: int, varied: Varied, carried: Carried) -> None:
-    """Fill the derivatives of the innovation of a row. H: (27,), its prediction's Jacobian at the tick;
+    """Fill the derivatives of the innovation of a row. H: (30,), its prediction's Jacobian at the tick;
     H_unknowns: (a,), of what else changes with the unknowns."""
     D, _, d = carried
     for j in range(d.shape[0]):
@@ -115,7 +115,7 @@ def row_slopes(H: Array, H_unknowns: Array, row: int, varied: Varied, carried: C
 
 @inner_kernel
 def carry_update(gain: Array, carried: Carried) -> None:
-    """Add a measurement's part to the derivatives. gain: (27,)."""
+    """Add a measurement's part to the derivatives. gain: (30,)."""
     D, _, d = carried
     for i in range(N_STATES):
         for j in range(d.shape[0]):
@@ -147,9 +147,9 @@ class Runner(NamedTuple):
     active: Active
     step: Transition
     work: UpdateWork
-    x_at: Array  # (27,), state at a measurement
-    h: Array  # (27 + a,), Jacobian of a measurement over it and the active unknowns
-    H: Array  # (27,), the same over the state at the tick
+    x_at: Array  # (30,), state at a measurement
+    h: Array  # (30 + a,), Jacobian of a measurement over it and the active unknowns
+    H: Array  # (30,), the same over the state at the tick
     H_unknowns: Array  # (a,), and over the active unknowns
 
 
@@ -248,7 +248,7 @@ def run_filter(
 ) -> None:
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
-    x: (27,), the first state, overwritten with the last.
+    x: (30,), the first state, overwritten with the last.
     """
     out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
     on = runner(measured.ticks[0, U], x, point, setup, varied)

@@ -2,7 +2,7 @@
 
 The model is models.rolling. Its Jacobians, over the states and over any unknowns, are renewed every few
 ticks; with them the mean takes one step per tick (exponential integrator), which is exact for a linear model.
-The states x, shape (27,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
+The states x, shape (30,), are those of states.py. Together with the active ones of unknowns.NAMES, which are
 constant, they are the joint state, shape (n,).
 """
 
@@ -27,6 +27,7 @@ from tilth.estimator.filters.states import (
     START_PLACE,
     UNEVEN_LENGTH,
     X_ALPHA,
+    X_ASIDE,
     X_PAIR,
     X_POSITION,
     X_PSI,
@@ -369,7 +370,7 @@ def slopes_of_steering(
     steered: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:
     """Renew F_unknowns after `linearise`, with the slopes where the rig would be by steering alone: at
-    `steered`, (27,), a state that no measurement has moved.
+    `steered`, (30,), a state that no measurement has moved.
 
     What the ground does is in the estimated state and in the innovations. Slopes that are taken there are
     correlated with what they are compared with, and tyres came out up to 40 % too soft in slow turns. These
@@ -390,7 +391,7 @@ def complete_jacobian(
 ) -> None:
     """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency.
 
-    x, following: (27,), the state before and after the tick.
+    x, following: (30,), the state before and after the tick.
     """
     F_unknowns, in_covariance = step.F_unknowns, step.F_driven.shape[1]
     for j in range(active.places.shape[0]):
@@ -415,7 +416,7 @@ def complete_jacobian(
 
 @inner_kernel
 def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
-    """Fill out (27,), the state one tick later, with step.rates. u: the measured speed, m/s."""
+    """Fill out (30,), the state one tick later, with step.rates. u: the measured speed, m/s."""
     for i in range(X_PUSH):
         total = x[i]
         for j in range(X_PUSH):
@@ -437,7 +438,7 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
 def propagate(
     x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
 ) -> None:
-    """Fill following (27,), x one tick later, and step's Jacobians of this tick."""
+    """Fill following (30,), x one tick later, and step's Jacobians of this tick."""
     state_rates(x, drive, plant, step.rates)
     propagate_mean(x, drive.u, step, following)
     complete_jacobian(x, following, drive, active, step)
@@ -456,14 +457,14 @@ def ground_at(unknowns: Array) -> GroundNoise:
 
 @kernel
 def stationary(ground: GroundNoise, setup: RigSetup) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (27,), 0 for the position and SLOPES."""
+    """Stationary variances of the states from X_PUSH on, shape (30,), 0 for the position and SLOPES."""
     sds = setup.sds
     out = np.zeros(N_STATES)
     for i in range(3):
         out[X_PUSH + i] = ground.push[i] * ground.push[i]
-        out[X_PAIR + i] = sds[1 + i] * sds[1 + i]
-        if i < 2:
-            out[X_UNEVEN + i] = ground.uneven * ground.uneven
+    for i in range(2):
+        out[X_UNEVEN + i] = ground.uneven * ground.uneven
+        out[X_PAIR + i], out[X_PAIR + 2 + i], out[X_ASIDE + i] = sds[1] ** 2, sds[2] ** 2, sds[3] ** 2
     out[X_SPEED] = setup.speed_sd * setup.speed_sd
     return out
 
@@ -478,7 +479,7 @@ def slope_rates(u: float, setup: RigSetup) -> tuple[float, float]:
 
 @kernel
 def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
-    """Covariance of the first state of a run at speed u, m/s, shape (27, 27)."""
+    """Covariance of the first state of a run at speed u, m/s, shape (30, 30)."""
     variances = stationary(ground, setup)
     for i in range(X_PUSH):
         variances[i] = START[i] * START[i]
@@ -525,9 +526,10 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
     filter c of step."""
     decay, q = step.decay[c], step.q[c]
     for i in range(3):
-        decay[X_PUSH + i], decay[X_PAIR + i] = math.exp(-DT / ground.memory_s), PAIR_DECAY
-        if i < 2:
-            decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
+        decay[X_PUSH + i] = math.exp(-DT / ground.memory_s)
+    for i in range(2):
+        decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
+    decay[X_PAIR:] = PAIR_DECAY
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
     set_slopes(u, setup, step)
     variances = stationary(ground, setup)

@@ -1,4 +1,4 @@
-"""Layout of the filters' state vector x, shape (27,), and the length of a tick.
+"""Layout of the filters' state vector x, shape (30,), and the length of a tick.
 
 v, r_t, r_i, alpha_f, alpha_r, alpha_i (as models.rolling); lean of tractor and implement (rad) and their
 rates (rad/s); psi_t, psi_i (rad, not wrapped). What the ground does: sideways forces at both CGs over mass,
@@ -7,8 +7,8 @@ with one time constant; gravity along the cross slope under either body (m/s^2),
 the wheels of either body about its long axis (rad), a first-order process over distance; the slopes' rates
 (m/s^3): the tractor's slope is a critically damped process over distance, and the implement's follows it.
 What the measured speed lacks (m/s), a first-order process. North and east of the tractor's CG (m). Slow
-errors of the receivers: heading of each antenna pair (rad), and the lateral error of the implement's
-antennas relative to the tractor's (m)."""
+errors of the receivers, by what is around them and so not turning with a body: of each antenna pair, over its
+length (m/m), and of the implement's antennas relative to the tractor's (m), each to north and to east."""
 
 import math
 from typing import Final, NamedTuple
@@ -31,9 +31,9 @@ X_SLOPE_RATE: Final = 19  # of X_SLOPE
 SLOPES: Final = (X_SLOPE, X_SLOPE + 1, X_SLOPE_RATE, X_SLOPE_RATE + 1)
 X_SPEED: Final = 21  # m/s, true speed less the measured one
 X_POSITION: Final = 22  # north, east
-X_PAIR: Final = 24
-X_ASIDE: Final = 26
-N_STATES: Final = 27
+X_PAIR: Final = 24  # of the tractor to north and to east, then of the implement
+X_ASIDE: Final = 28  # to north, to east
+N_STATES: Final = 30
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0

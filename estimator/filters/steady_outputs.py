@@ -70,7 +70,7 @@ class _Model(NamedTuple):
     plant: Plant
     active: Active
     step: Transition
-    x: Array  # (27,), the state
+    x: Array  # (30,), the state
     drive: DriveInputs
     rolls: Array  # (2,), measured, rad
     folding: float  # rad/s

@@ -60,12 +60,12 @@ class SegmentArrays(NamedTuple):
 class JointEstimate(NamedTuple):
     """Mean and covariance of the joint state, prior before the run, posterior after it."""
 
-    x: Array  # (27,)
+    x: Array  # (30,)
     unknowns: Array  # (n,), in the order of unknowns.NAMES
-    P_xx: Array  # (27, 27)
-    P_xtheta: Array  # (27, n), of x with the unknowns
+    P_xx: Array  # (30, 30)
+    P_xtheta: Array  # (30, n), of x with the unknowns
     P_theta: Array  # (n, n)
-    steered: Array  # (27,), x as it would be by steering alone
+    steered: Array  # (30,), x as it would be by steering alone
 
 
 class RowTally(NamedTuple):
@@ -80,7 +80,7 @@ class RowTally(NamedTuple):
 
 @kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (1, 27 + a, 27 + a): of one filter."""
+    """The joint covariance of x and the active unknowns, shape (1, 30 + a, 30 + a): of one filter."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
@@ -145,7 +145,7 @@ def track_segment(
 ) -> None:  # fmt: skip
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
-    places: (a,), indices of the active ones of unknowns.NAMES. considered: (27 + a,), 1.0 for what may not be
+    places: (a,), indices of the active ones of unknowns.NAMES. considered: (30 + a,), 1.0 for what may not be
     learned. by_steering: whether slopes by the unknowns are those of `propagation.slopes_of_steering`.
     """
     ticks, first, length, rows = segment

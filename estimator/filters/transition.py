@@ -1,6 +1,6 @@
 """The linearised transition of the filters' state over one tick, and what it does to a covariance.
 
-Of the 27 states of states.py, 14 move with all others: those before X_PUSH and the position. They are called
+Of the 30 states of states.py, 14 move with all others: those before X_PUSH and the position. They are called
 driven here. The others are processes of their own: each decays, and the cross slopes go together. So of
 the Jacobian F only the driven rows are full, and a covariance is propagated by these and by the decays alone.
 Filters that differ in their noise only share all but decay and q: `c` counts them.
@@ -44,11 +44,11 @@ class Transition(NamedTuple):
     rates: Array  # (12,), the rates themselves
     held: Array  # (12, 12), change of the states before X_PUSH per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_PUSH per rad of true wheel angle
-    decay: Array  # (c, 27), factors on the states from X_PUSH on; they differ in those of the pushes only
-    q: Array  # (c, 27), variances of the process noise, without that of the position
+    decay: Array  # (c, 30), factors on the states from X_PUSH on; they differ in those of the pushes only
+    q: Array  # (c, 30), variances of the process noise, without that of the position
     slope: Array  # (4, 4), of the states SLOPES
     slope_noise: Array  # (4, 4), covariance of their process noise
-    F: Array  # (27, 27), Jacobian of x one tick later over x
+    F: Array  # (30, 30), Jacobian of x one tick later over x
     F_unknowns: Array  # (14, a), of the driven states one tick later over the active unknowns
     F_driven: Array  # (14, n), of the driven states one tick later over the joint state of the covariance
     F_driven_T: Array  # (n, 14), the same transposed
@@ -56,7 +56,7 @@ class Transition(NamedTuple):
     F_P_F: Array  # (14, 14), overwritten
     square: Array  # (3, 12, 12), overwritten
     change: Array  # (12, 22), overwritten
-    middle: Array  # (27,), overwritten
+    middle: Array  # (30,), overwritten
 
 
 @kernel
@@ -207,7 +207,7 @@ def decay_columns(rows: Array, first: int, decay: Array, slope: Array) -> None:
 
 @inner_kernel
 def decay_rows(A: Array, first: int, decay: Array, slope: Array) -> None:
-    """Multiply columns of A (27 or more, n), from column `first` on, from the left by the part of F that is
+    """Multiply columns of A (30 or more, n), from column `first` on, from the left by the part of F that is
     not of the driven states."""
     n = A.shape[1]
     for i in range(X_PUSH, N_STATES):
