@@ -15,6 +15,8 @@ from tilth.estimator.filters.propagation import set_parameters
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.states import (
     N_STATES,
+    X_ASIDE,
+    X_PAIR,
     X_POSITION,
     X_PSI,
     X_R,
@@ -74,6 +76,22 @@ def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int) -> None:
     across = east * math.cos(psi) - north * math.sin(psi)
     # A lean of the tractor turns with it: a hundredth of a radian on a drawbar of half a metre.
     assert value(x, VELOCITY, place, point) == pytest.approx(across, abs=3e-3)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, 3.0])
+def test_slow_errors_of_receivers_stand_still_while_a_body_turns(heading: float) -> None:
+    """They come from what is around an antenna: those of a pair are apart, those of the implement aside."""
+    x, point = somewhere(1)
+    x[X_PSI : X_PSI + 2] += heading
+    off = x.copy()
+    off[X_PAIR:] = [0.001, -0.002, 0.003, 0.004, 0.01, -0.02]
+    for kind, east in ((NORTH, 0), (EAST, 1)):
+        moved = np.array([value(off, kind, k, point) - value(x, kind, k, point) for k in range(4)])
+        arms = SETUP.levers[:, 0] - np.repeat(SETUP.middles[:, 0], 2)
+        pair = off[[X_PAIR + east, X_PAIR + east, X_PAIR + 2 + east, X_PAIR + 2 + east]]
+        aside = off[X_ASIDE + east] * np.array([0.0, 0.0, 1.0, 1.0])
+        np.testing.assert_allclose(moved, arms * pair + aside, atol=1e-12)
+        assert arms[0] == -arms[1] > 0.5 and arms[2] == -arms[3] > 0.5
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.predictor import Innovations
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.states import DT, N_STATES, X_POSITION, X_SPEED, Places
+from tilth.estimator.filters.states import DT, N_STATES, X_ASIDE, X_PAIR, X_POSITION, X_SPEED, Places
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, ROLL_ZEROS
 from tilth.estimator.record.record import (
     EAST,
@@ -169,7 +169,7 @@ def test_a_mirrored_record_gives_mirrored_innovations() -> None:
     sign = np.where(np.isin(NAMES, ODD), -1.0, 1.0)
     of_rows = np.where(np.isin(record.rows[:, KIND], ODD_KINDS), -1.0, 1.0)
     of_states = np.full(N_STATES, -1.0)
-    of_states[[X_POSITION, X_SPEED]] = 1.0
+    of_states[[X_POSITION, X_SPEED, X_PAIR, X_PAIR + 2, X_ASIDE]] = 1.0  # to north, forward
     there = likelihood.innovations(record, SETUP, start, point, ALL)
     back = likelihood.innovations(mirrored(record), mirrored_setup(), of_states * start, sign * point, ALL)
     sd = np.sqrt(there.S)

@@ -135,7 +135,7 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     x[X_POSITION : X_POSITION + 2] = 30.0, -20.0
     x[X_PUSH:X_SLOPE] = rng.normal(size=3) * [1e-3, 1e-3, 5e-4]
     x[X_UNEVEN:X_SLOPE_RATE] = rng.normal(size=2) * 5e-5
-    x[X_PAIR:] = rng.normal(size=3) * [2e-3, 2e-3, 1e-4]
+    x[X_PAIR:] = rng.normal(size=6) * [2e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4]
     return x, point
 
 
