@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,11 +280,12 @@ def _fitted(
     def left(at: Array) -> Array:
         return _whitened(found, _left(found, np.append(at, limit)), lasting)
 
-    def slopes(at: Array) -> Array:
+    def derivatives(at: Array) -> Array:
         return np.column_stack([_slope(left, at, k) for k in range(n)])
 
+    jac: Any = derivatives  # scipy's types know its names only
     made = least_squares(
-        left, np.clip(start, low + 2e-3, high - 2e-3), slopes, (low, high),
+        left, np.clip(start, low + 2e-3, high - 2e-3), jac, (low, high),
         x_scale=np.array([0.05, 0.05, 0.1, 0.01, 0.1])[:n], max_nfev=60, xtol=1e-6, ftol=1e-7,
     )  # fmt: skip
     return np.asarray(made.x, np.float64)
