@@ -17,6 +17,7 @@ from tilth.analysis.calibration.run import Calibrated, calibrate_logs
 from tilth.analysis.report.page import page
 from tilth.cli import WrongUse
 from tilth.cli.log_errors import log_errors
+from tilth.estimator.calibration import left_over
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_TOLD
 from tilth.logger.machine_file import read_machine
@@ -189,6 +190,8 @@ def _show(found: Calibrated) -> None:
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     for receiver in found.receivers:
         console.print(f"{receiver.words}.", highlight=False, markup=False, soft_wrap=True)
+    for sentence in (*left_over.sentences(found.found.fit.left), found.steering_words):
+        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     for one in found.verdict.told:
         if one.why_not:
             verb = "not told" if one.status == NOT_TOLD else "better told"

@@ -31,8 +31,15 @@ def line(state: pb.CalibrationState) -> str:
     if state.numbers:
         told.append(_good(state))
     told += state.told[:1] if not state.numbers else ()
+    told += _beside(state)
     told += [state.computed] if state.computed else []
     return "\n  ".join([*told, *state.notes])
+
+
+def _beside(state: pb.CalibrationState) -> list[str]:
+    """What the last estimate says beyond the numbers."""
+    more = [f"What is left of {one.words}: {one.text}." for one in state.left if one.more]
+    return more + [one.told for one in state.stages if one.told]
 
 
 def without_seconds(line: str) -> str:
@@ -75,7 +82,11 @@ class _FittedPanel:
         width = SHORT_BAR if options.max_width < NARROW else BAR
         stages = _stages(state, width)
         told = [] if state.numbers else [Text(text, style="yellow") for text in state.told]
-        below = [Text(state.computed), *(Text(note, style="dim") for note in state.notes)]
+        below = [
+            Text(state.computed),
+            *map(Text, _beside(state)),
+            *(Text(note, style="dim") for note in state.notes),
+        ]
         keys = Text(HELP, style="dim")
         height = options.size.height - 2  # of the frame
         if rows(*above, stages, keys) > height - bool(state.numbers):

@@ -1,5 +1,7 @@
 """The report of a calibration: the same kind of file as `tilth report` writes."""
 
+import math
+
 from tilth.analysis.calibration.run import Calibrated
 from tilth.analysis.report.document import (
     WARNING,
@@ -10,11 +12,12 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.schemas.spread import plus_minus
 
 
 def report_of(found: Calibrated) -> DriveReport:
     """All of it; every number is in its data."""
-    parts = (_at_a_glance, _numbers, _receivers, _residuals, _soil, _file)
+    parts = (_at_a_glance, _numbers, _receivers, _steering, _residuals, _soil, _file)
     sections = tuple(part(found) for part in parts)
     return DriveReport(f"Calibration of {found.machine.name}", sections, found.as_json())
 
@@ -75,6 +78,31 @@ def _receivers(found: Calibrated) -> ReportSection:
     )
 
 
+def _steering(found: Calibrated) -> ReportSection:
+    """Not in the machine file: it is for who makes or tunes a guidance system."""
+    told = found.steering
+    text = ReportText(found.steering_words)
+    if isinstance(told, str):
+        return ReportSection("steering", "Automatic steering", (text,))
+    per = math.degrees(1.0)
+    rows = (
+        ("dead time", plus_minus(told.dead_time, told.dead_time_sd, "s"), told.dead_time, told.dead_time_sd),
+        ("time constant", plus_minus(told.time_constant, told.time_constant_sd, "s"), told.time_constant,
+         told.time_constant_sd),
+        ("largest rate" if told.limited else "largest rate seen",
+         plus_minus(told.rate * per, told.rate_sd * per, "°/s"), told.rate, told.rate_sd),
+        ("measured over commanded angle", f"{told.gain:.3f}", told.gain, None),
+        ("share of the wheels' motion that this explains", f"{told.explained * 100:.1f} %", told.explained,
+         None),
+        ("driving that tells it", f"{told.seconds:.0f} s", told.seconds, None),
+    )  # fmt: skip
+    table = ReportTable(
+        "steering", "How the front wheels follow the commands", ("", "found"),
+        tuple((ReportCell(name), ReportCell(shown, value, sd)) for name, shown, value, sd in rows),
+    )  # fmt: skip
+    return ReportSection("steering", "Automatic steering", (text, table))
+
+
 def _residuals(found: Calibrated) -> ReportSection:
     fit, gap, judged = found.found.fit, found.found.hitch_gap, found.verdict
     halves = f"{judged.chi2:.1f}, {judged.dof}, {judged.p:.2g}"
@@ -93,7 +121,16 @@ def _residuals(found: Calibrated) -> ReportSection:
     refused = [
         ReportText(f"Not used: {count * 0.2:.0f} s, {why}.") for why, count in found.found.refused.items()
     ]
-    return ReportSection("residuals", "Residuals", (table, *refused))
+    return ReportSection("residuals", "Residuals", (table, _by_kind(found), *refused))
+
+
+def _by_kind(found: Calibrated) -> ReportTable:
+    rows = tuple(
+        (ReportCell(one.kind.words), ReportCell(f"{one.ratio:.2f}", one.ratio), ReportCell(one.words))
+        for one in found.found.fit.left
+    )
+    caption = "What is left of each kind of measurement, over the noise that the machine file states"
+    return ReportTable("left", caption, ("", "times", "is that so?"), rows)
 
 
 def _soil(found: Calibrated) -> ReportSection:

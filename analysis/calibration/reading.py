@@ -1,4 +1,5 @@
-"""The measurements of a drive from logs by a machine file, and the messages that may hold the wheel angle."""
+"""The measurements of a drive from logs by a machine file, the messages that may hold the wheel
+angle, and the commands of an automatic steering."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ from tilth.estimator.pose.geometry import to_plane
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.replay.readers.rig import NO_RECEIVER, Say, machine_in, on_buses_of
+from tilth.replay.steering_commands import SteeringCommands
 from tilth.replay.wheel_by_way import WheelMessages
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
@@ -57,6 +59,7 @@ class LogHeard:
     last_ns: int = 0
     frames: int = 0
     messages: WheelMessages = field(default_factory=WheelMessages)
+    commands: SteeringCommands = field(default_factory=SteeringCommands)
     strangers: dict[tuple[str, int], OtherSender] = field(default_factory=dict)  # by bus and address
     last_at: tuple[int, tuple[float, float]] | None = None  # of the rig in this log: ns, degrees north, east
     rig: bool = False  # whether a receiver of the rig was heard at all
@@ -103,6 +106,7 @@ def _take(heard: LogHeard, decoder: Decoder, frame: Frame) -> None:
     heard.last_ns = frame.t_ns
     heard.frames += 1
     heard.messages.take(frame)
+    heard.commands.take(frame)
     for measurement in decoder.measurements(frame):
         heard.measurements.append(measurement)
         if isinstance(measurement, Position) and measurement.origin.mount is not None:

@@ -1,10 +1,12 @@
 """Logs in, what the drive tells out: measurements, calibration, verdict and the machine file's new text."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from tilth.analysis.calibration.machine_text import difference, from_to, rewritten
 from tilth.analysis.calibration.reading import LogHeard, read
@@ -17,14 +19,17 @@ from tilth.estimator.calibration.calibrate import (
     look,
     tractor_motion,
 )
+from tilth.estimator.calibration.changes import Changes, wheel_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.receivers import ReceiverRow
+from tilth.estimator.calibration.steering_response import SteeringResponse, respond
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
 from tilth.replay.wheel_by_way import find, reading_as
+from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus
 
@@ -49,6 +54,7 @@ class Calibrated:
     logs: tuple[str, ...]
     told: Machine
     receivers: tuple[ReceiverRow, ...]
+    steering: SteeringResponse | str  # or why nothing can be told of it
 
     @property
     def title(self) -> str:
@@ -72,6 +78,11 @@ class Calibrated:
             *(f"Not by driving: {what}: {how}." for what, how in NOT_BY_DRIVING),
             *self.notes,
         ]
+
+    @property
+    def steering_words(self) -> str:
+        """How the wheels follow an automatic steering, a sentence."""
+        return self.steering if isinstance(self.steering, str) else self.steering.words
 
     def as_json(self) -> dict[str, Any]:
         """Plain data, SI."""
@@ -98,9 +109,16 @@ class Calibrated:
                 "innovations_over_sd": self.found.fit.residual, "whiteness": self.found.fit.whiteness,
                 "hitch_gap_m": self.found.hitch_gap, "outliers": self.found.fit.outliers,
                 "rows": self.found.fit.rows,
+                "kinds": [
+                    {"kind": one.kind.name, "words": one.kind.words, "over_stated": one.ratio,
+                     "more": one.more, "text": one.words}
+                    for one in self.found.fit.left
+                ],
             },
             "not_used": self.found.refused,
             "receivers": [one._asdict() for one in self.receivers],
+            "steering": None if isinstance(self.steering, str) else asdict(self.steering),
+            "steering_words": self.steering_words,
             "sentences": self.sentences(),
             "machine_file": self.after,
         }  # fmt: skip
@@ -153,7 +171,20 @@ def calibrate_logs(
         names,
         told,
         receivers.rows(senders, machine, places, told),
+        steering(heard, told, found.changes),
     )
+
+
+def steering(heard: LogHeard, told: Machine, changes: Changes) -> SteeringResponse | str:
+    """How the wheels follow commands, or why it is not known; by the wheel angle as the found file reads it.
+
+    changes: from the file that `heard` was read by to `told`.
+    """
+    angles = [one for one in heard.measurements if isinstance(one, WheelAngle)]
+    t = np.array([(one.rx_ns - heard.first_ns) * 1e-9 for one in angles])
+    wheel = np.array([wheel_after(one.angle, changes) for one in angles])
+    orders = heard.commands.orders(told.tractor.a.value + told.tractor.b.value, heard.first_ns)
+    return respond(orders, t, wheel, told.wheel_angle.delay)
 
 
 def look_at_logs(

@@ -25,6 +25,7 @@ PHASE_TEXT: Final = {
 }
 LONGEST: Final = 500  # characters of a sentence
 MOST: Final = 12  # sentences
+STEERED: Final = "weave"  # the stage beside which stands how the wheels follow an automatic steering
 
 
 @dataclass(slots=True)
@@ -64,13 +65,15 @@ def shown(
     state = pb.CalibrationState(
         machine=machine, phase=phase, text=PHASE_TEXT.get(phase) or _text(fold, far, computed),
         happening="" if phase in PHASE_TEXT else trouble or happening(fold),
-        stages=[_stage(one) for one in far], computing=computed.busy, computed=computed.text[:LONGEST],
+        stages=[_stage(one, answer) for one in far],
+        computing=computed.busy, computed=computed.text[:LONGEST],
         found=[str(fault["text"])[:LONGEST] for fault in answer.get("faults", ())][:MOST],
         told=[str(line)[:LONGEST] for line in answer.get("sentences", ())][:MOST],
         notes=[note[:LONGEST] for note in notes][:MOST],
     )  # fmt: skip
     if answer.get("refused"):
         state.told.append(f"No numbers yet: {answer['refused']}"[:LONGEST])
+    state.left.extend(_left(row) for row in answer.get("residuals", {}).get("kinds", ()))
     state.numbers.extend(_number(row) for row in answer.get("numbers", ()))
     return state
 
@@ -91,12 +94,19 @@ def _text(fold: StageFold, far: Sequence[StageProgress], computed: ComputedSoFar
     return f"{ALL_DRIVEN} For the {first.words}: {first.drive}. Or finish; it is listed what is not known."
 
 
-def _stage(one: StageProgress) -> pb.CalibrationStage:
+def _stage(one: StageProgress, answer: Mapping[str, Any]) -> pb.CalibrationStage:
     stage = one.stage
+    told = answer.get("steering_words", "") if stage.name == STEERED else ""
     return pb.CalibrationStage(
         name=stage.name, title=stage.title, what=stage.what, why=stage.why, share=one.far.share,
-        done=one.far.done, complete=one.complete,
+        done=one.far.done, complete=one.complete, told=str(told)[:LONGEST],
     )  # fmt: skip
+
+
+def _left(row: Mapping[str, Any]) -> pb.CalibrationLeft:
+    return pb.CalibrationLeft(
+        words=row["words"], ratio=row["over_stated"], text=str(row["text"])[:LONGEST], more=row["more"]
+    )
 
 
 def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:

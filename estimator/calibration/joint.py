@@ -14,11 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.calibration.left_over import LeftOver, left_over, squares_of
 from tilth.estimator.filters import fit_covariance, likelihood, unknowns
 from tilth.estimator.filters.likelihood import Iterate, Search
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
-from tilth.estimator.record.record import Record
+from tilth.estimator.record.record import KIND, Record
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], None]  # steps done, largest step in sds
@@ -52,6 +53,7 @@ class JointFit:
     outliers: int
     whiteness: float  # autocorrelation of innovations at lag one
     residual: float  # rms of the innovations over their sds
+    left: tuple[LeftOver, ...]  # the same by kind of measurement, over the stated noise
     steps: int
     settled: bool
 
@@ -212,11 +214,12 @@ def _result(
         whole[SIX, SIX] += np.diag(fit_covariance.model_sd_of(record.record, point) ** 2) / len(searches)
     scored = np.concatenate([s.scored for s in searches]) > 0.0
     z = np.concatenate([at.e / np.sqrt(at.S) for at in now.at])[scored]
+    kinds = np.concatenate([s.record.rows[:, KIND] for s in searches])[scored]
     return JointFit(
         point, whole, mean, sd, halves,
         sum(len(s.record.ticks) for s in searches) * 0.02, len(z),
-        int(sum(np.sum(s.used == 0.0) for s in searches)), white, float(np.sqrt(np.mean(z**2))), steps,
-        settled,
+        int(sum(np.sum(s.used == 0.0) for s in searches)), white, float(np.sqrt(np.mean(z**2))),
+        left_over(squares_of(kinds, z), point), steps, settled,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ const KEPT_S = 600; // that the last word of one that has ended stays
 const SURE_MS = 5000; // within which a second tap finishes
 const SIGNS = { told: "✔", rough: "~", "not told": "✘" };
 const whole = (text) => text.replaceAll(" ", "\u00a0"); // a unit stays with its figure
+const WIDEST = 3; // times what is expected: the end of a bar
 const WORDS = { told: "good", rough: "not good yet", "not told": "not known" };
 
 export class Calibration {
@@ -15,6 +16,7 @@ export class Calibration {
     this.part = byId("calibration");
     this.rows = new Map(); // of stages, by name
     this.shownNumbers = "";
+    this.shownLeft = "";
     byId("calibration-compute").addEventListener("click", () => this.#order("compute", "✔ An estimate is ordered."));
     const finish = byId("calibration-finish");
     finish.addEventListener("click", () => {
@@ -47,6 +49,7 @@ export class Calibration {
     list("calibration-found", state.found.map((text) => [`Found: ${text}.`]));
     put(byId("calibration-computed"), state.computed);
     list("calibration-sentences", [...state.told, ...state.notes].map((text) => [text]));
+    this.#left(state.left);
     this.#numbers(state.numbers);
     for (const id of ["calibration-compute", "calibration-finish"]) byId(id).disabled = over;
   }
@@ -67,8 +70,8 @@ export class Calibration {
       const bar = element("progress");
       bar.max = 1;
       bar.setAttribute("aria-label", stage.title);
-      row = { item, title: element("h3"), bar, done: element("p", "calibration-done"), why: element("p", "quiet", `${stage.what}: ${stage.why}.`) };
-      item.append(row.title, bar, row.done, row.why);
+      row = { item, title: element("h3"), bar, done: element("p", "calibration-done"), why: element("p", "quiet", `${stage.what}: ${stage.why}.`), told: element("p", "calibration-beside") };
+      item.append(row.title, bar, row.done, row.why, row.told);
       byId("calibration-stages").append(item);
       this.rows.set(stage.name, row);
     }
@@ -76,6 +79,24 @@ export class Calibration {
     put(row.title, `${stage.complete ? "✔ " : ""}${stage.title}`);
     row.bar.value = stage.share;
     put(row.done, stage.done);
+    put(row.told, stage.told);
+  }
+
+  // A bar for each kind of measurement; a mark stands where what is left is just the sensors' own noise.
+  #left(rows) {
+    byId("calibration-left").hidden = !rows.length;
+    const now = JSON.stringify(rows);
+    if (now === this.shownLeft) return;
+    this.shownLeft = now;
+    byId("calibration-left-rows").replaceChildren(...rows.map((one) => {
+      const row = element("li");
+      row.dataset.more = String(one.more);
+      const bar = element("span", "calibration-bar");
+      bar.setAttribute("aria-hidden", "true"); // the words say it
+      bar.style.setProperty("--filled", `${(Math.min(one.ratio / WIDEST, 1) * 100).toFixed(0)}%`);
+      row.append(element("span", "calibration-kind", one.words), bar, element("span", "", `${one.more ? "✘" : "✔"} ${one.text}`));
+      return row;
+    }));
   }
 
   #numbers(numbers) {

@@ -657,7 +657,7 @@ class ExperimentOrder(_message.Message):
     def __init__(self, kind: _Optional[str] = ...) -> None: ...
 
 class CalibrationState(_message.Message):
-    __slots__ = ("machine", "phase", "text", "happening", "stages", "numbers", "found", "computing", "computed", "told", "notes")
+    __slots__ = ("machine", "phase", "text", "happening", "stages", "numbers", "found", "computing", "computed", "told", "notes", "left")
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     TEXT_FIELD_NUMBER: _ClassVar[int]
@@ -669,6 +669,7 @@ class CalibrationState(_message.Message):
     COMPUTED_FIELD_NUMBER: _ClassVar[int]
     TOLD_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
+    LEFT_FIELD_NUMBER: _ClassVar[int]
     machine: str
     phase: str
     text: str
@@ -680,10 +681,11 @@ class CalibrationState(_message.Message):
     computed: str
     told: _containers.RepeatedScalarFieldContainer[str]
     notes: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, machine: _Optional[str] = ..., phase: _Optional[str] = ..., text: _Optional[str] = ..., happening: _Optional[str] = ..., stages: _Optional[_Iterable[_Union[CalibrationStage, _Mapping]]] = ..., numbers: _Optional[_Iterable[_Union[CalibrationNumber, _Mapping]]] = ..., found: _Optional[_Iterable[str]] = ..., computing: _Optional[bool] = ..., computed: _Optional[str] = ..., told: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ...) -> None: ...
+    left: _containers.RepeatedCompositeFieldContainer[CalibrationLeft]
+    def __init__(self, machine: _Optional[str] = ..., phase: _Optional[str] = ..., text: _Optional[str] = ..., happening: _Optional[str] = ..., stages: _Optional[_Iterable[_Union[CalibrationStage, _Mapping]]] = ..., numbers: _Optional[_Iterable[_Union[CalibrationNumber, _Mapping]]] = ..., found: _Optional[_Iterable[str]] = ..., computing: _Optional[bool] = ..., computed: _Optional[str] = ..., told: _Optional[_Iterable[str]] = ..., notes: _Optional[_Iterable[str]] = ..., left: _Optional[_Iterable[_Union[CalibrationLeft, _Mapping]]] = ...) -> None: ...
 
 class CalibrationStage(_message.Message):
-    __slots__ = ("name", "title", "what", "why", "share", "done", "complete")
+    __slots__ = ("name", "title", "what", "why", "share", "done", "complete", "told")
     NAME_FIELD_NUMBER: _ClassVar[int]
     TITLE_FIELD_NUMBER: _ClassVar[int]
     WHAT_FIELD_NUMBER: _ClassVar[int]
@@ -691,6 +693,7 @@ class CalibrationStage(_message.Message):
     SHARE_FIELD_NUMBER: _ClassVar[int]
     DONE_FIELD_NUMBER: _ClassVar[int]
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
+    TOLD_FIELD_NUMBER: _ClassVar[int]
     name: str
     title: str
     what: str
@@ -698,7 +701,20 @@ class CalibrationStage(_message.Message):
     share: float
     done: str
     complete: bool
-    def __init__(self, name: _Optional[str] = ..., title: _Optional[str] = ..., what: _Optional[str] = ..., why: _Optional[str] = ..., share: _Optional[float] = ..., done: _Optional[str] = ..., complete: _Optional[bool] = ...) -> None: ...
+    told: str
+    def __init__(self, name: _Optional[str] = ..., title: _Optional[str] = ..., what: _Optional[str] = ..., why: _Optional[str] = ..., share: _Optional[float] = ..., done: _Optional[str] = ..., complete: _Optional[bool] = ..., told: _Optional[str] = ...) -> None: ...
+
+class CalibrationLeft(_message.Message):
+    __slots__ = ("words", "ratio", "text", "more")
+    WORDS_FIELD_NUMBER: _ClassVar[int]
+    RATIO_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    words: str
+    ratio: float
+    text: str
+    more: bool
+    def __init__(self, words: _Optional[str] = ..., ratio: _Optional[float] = ..., text: _Optional[str] = ..., more: _Optional[bool] = ...) -> None: ...
 
 class CalibrationNumber(_message.Message):
     __slots__ = ("words", "change", "before", "now", "wanted", "status", "tell")

@@ -1,6 +1,7 @@
 """`tilth calibrate` from a log: numbers within their sds, files kept."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,17 @@ from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
 from paths import ROOT
 
 from tilth.analysis.calibration.machine_text import rewritten
+from tilth.analysis.calibration.reading import read
+from tilth.analysis.calibration.run import steering
 from tilth.cli import main
 from tilth.estimator.calibration.calibrate import _Looked
 from tilth.estimator.calibration.calibrate import _looked as _look_at
 from tilth.estimator.calibration.changes import Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.calibration.steering_response import NEVER_STEERED, SteeringResponse
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Measurement
+from tilth.schemas.decode import Decoder, encode, frames_of
+from tilth.schemas.flow import Frame, Measurement, Word
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
@@ -112,7 +116,37 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     page = report.read_text(encoding="utf-8")
     assert "jitter at standstill" in page and "A00017000421E240" in page
     assert "<script" not in page and "Is it good" in page
+    left = {one["kind"]: one for one in told["residuals"]["kinds"]}
+    assert {"position", "velocity", "yaw_rate", "roll"} <= set(left)
+    assert all(not one["more"] and 0.1 < one["over_stated"] < 1.0 for one in left.values())  # half the noise
+    assert "over the noise that the machine file states" in page
+    assert told["steering"] is None and told["steering_words"] == NEVER_STEERED and NEVER_STEERED in page
     assert "100 ms" in page and "e+0" not in page
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_how_the_wheels_follow_is_told_by_the_wheel_angle_of_the_found_file(drive: Path, sign: int) -> None:
+    """Commands that the wheels follow after 0.15 s, time constant 0.3 s; the sensor's sign may be wrong."""
+    truth = np.genfromtxt(f"{drive}.truth.csv", delimiter=",", names=True)
+    sensor = MACHINE.wheel_angle.model_copy(update={"sign": sign * MACHINE.wheel_angle.sign})
+    heard = read(
+        [drive], MACHINE.model_copy(update={"wheel_angle": sensor}), {}, print, lambda done, of: None
+    )
+    base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    asked = truth["delta"] + 0.3 * np.gradient(truth["delta"], truth["t_ns"] * 1e-9)
+    for t in np.arange(1.0, 158.0, 0.1):
+        at_ns = heard.first_ns + round(t * 1e9)
+        angle = float(np.interp(at_ns + 0.15e9, truth["t_ns"], asked))
+        words: dict[str, Word] = {"command_status": "intended"}
+        words["commanded_curvature_per_m"] = math.tan(angle) / base
+        ((can_id, data),) = frames_of(44288, encode(44288, words), 0x1C, 0xF0)
+        heard.commands.take(Frame(at_ns, at_ns, "can0", can_id, True, False, data))
+    told = steering(heard, MACHINE, Changes(wheel_sign=sign))
+    assert isinstance(told, SteeringResponse), told
+    held = 0.05  # s: a command is half its interval old in the mean
+    assert told.dead_time == pytest.approx(0.15 - held, abs=0.03)
+    assert told.time_constant == pytest.approx(0.3, abs=0.03)
+    assert told.gain > 0.9
 
 
 def _looked(machine: Machine, log: Path) -> _Looked:

@@ -136,6 +136,29 @@ def test_numbers_are_shown_as_before_and_now() -> None:
     assert all(row.before.startswith("±") and row.before != row.now for row in state.numbers)
 
 
+LEFT = [
+    {"kind": "position", "words": "positions", "over_stated": 0.9, "more": False, "text": "as expected"},
+    {"kind": "yaw_rate", "words": "turn rates", "over_stated": 2.4, "more": True, "text": "more: look at it"},
+]
+
+
+def test_what_is_left_and_how_the_wheels_follow_are_shown_and_read() -> None:
+    words = "Steering follows its commands after 0.12 ± 0.02 s."
+    state = _shown(_fold(STANDS), _answer(residuals={"kinds": LEFT}, steering_words=words))
+    assert [(one.words, one.ratio, one.more) for one in state.left] == [
+        ("positions", 0.9, False),
+        ("turn rates", 2.4, True),
+    ]
+    assert {stage.name: stage.told for stage in state.stages if stage.told} == {"weave": words}
+    assert words in line(state) and "What is left of turn rates: more: look at it." in line(state)
+    assert "positions" not in line(state)
+    console = Console(width=120, height=60, color_system=None)
+    with console.capture() as drawn:
+        console.print(panel(state))
+    assert words in drawn.get() and "turn rates" in drawn.get()
+    assert not _shown(_fold(STANDS), {}).left, "none before an estimate"
+
+
 @pytest.mark.parametrize("phase", [FINISHING, FINISHED, STOPPED])
 def test_the_end_has_its_own_sentence(phase: str) -> None:
     state = _shown(_fold(STANDS), {}, phase)

@@ -26,6 +26,7 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobil
 expect.set_options(timeout=SOON_MS)
 pytestmark = [pytest.mark.browser, with_browser]
 SHARES = "(bars) => bars.map((bar) => bar.value)"
+FILLED = "(bars) => bars.map((bar) => parseFloat(getComputedStyle(bar).backgroundSize))"
 
 
 def opened(browser: Browser, monitor: Monitor, faults: list[str], **options: Any) -> Page:
@@ -68,7 +69,8 @@ def _guided(page: Page) -> None:
     shares = page.locator(".calibration-stage progress").evaluate_all(SHARES)
     assert len(shares) == 5 and all(0.0 <= share <= 1.0 for share in shares) and 0.0 < shares[1] < 1.0
     expect(page.locator("#calibration-computed")).to_contain_text("The next estimate begins after")
-    expect(page.locator("#calibration-numbers")).to_be_hidden()
+    for part in ("#calibration-numbers", "#calibration-left", ".calibration-beside >> nth=4"):
+        expect(page.locator(part)).to_be_hidden()
 
 
 def _computed(page: Page) -> None:
@@ -86,6 +88,11 @@ def _computed(page: Page) -> None:
     expect(page.locator("#calibration-computed")).to_have_text(
         re.compile("^Computed by .* The next estimate begins after 120 s more of driving")
     )
+    left = page.locator("#calibration-left-rows li")
+    expect(left.first).to_have_text(re.compile("^positions.*✔ as expected$"))
+    bars = left.locator(".calibration-bar").evaluate_all(FILLED)
+    assert len(bars) >= 4 and all(0.0 < filled < 50.0 for filled in bars)  # %; the mark stands at a third
+    expect(page.locator(".calibration-beside >> nth=4")).to_contain_text("automatic steering never steered")
     sentences = page.locator("#calibration-sentences")
     expect(sentences).to_contain_text("numbers are known as well as is wanted")
     expect(sentences).not_to_contain_text("No numbers yet")

@@ -1,0 +1,380 @@
+"""How the front wheels follow an automatic steering: dead time, time constant, rate limit, from a drive.
+
+The model is first order behind a dead time, and no faster than a limit:
+
+    y'(t) = clip((v(t) - y(t)) / T, -R, R),    v(t) = z + g u(t - L)
+
+u is the commanded wheel angle, held until the next command; y is the wheel angle as it is measured. Gain g
+and zero z are found along: commands may be made with other lengths than the machine file's, and with another
+sign. Fitted by least squares of y over stretches in which the system steers. Its covariance is a jackknife
+over blocks that are longer than the noise lasts.
+
+It is the whole way from a command on the bus to the wheels: computing, valve, oil and linkage. Play, a dead
+band of the valve and overshoot are not in the model; they widen what is said. L holds what the file's
+`wheel_angle.delay` is wrong by.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from tilth.schemas.spread import WITHIN, plus_minus
+
+Array = NDArray[np.float64]
+
+SILENT_S: Final = 0.5  # without a command, or without a wheel angle: a stretch ends
+MOST_LATE_S: Final = 1.0  # dead time
+MOST_EARLY_S: Final = 0.2  # the same, below zero: noise may put it there
+SHORTEST_S: Final = 4.0  # of a stretch, after MOST_LATE_S
+LEAST_S: Final = 40.0  # of all of them
+BLOCK_S: Final = 8.0  # wheels that take a second remember that long what has gone wrong
+MOVES: Final = math.radians(1.0)  # sd of the commands in a stretch, at least
+APART_S: Final = 0.0195  # between the wheel angles that are used
+BEGINS_S: Final = 0.05  # on either side of the beginning, over which its wheel angle is a mean
+FOLLOWS: Final = 0.7  # share of the wheels' motion that the commands explain, at least
+SLOW_TIMES: Final = (0.05, 0.15, 0.4, 1.0)  # s: where a search begins
+LATE_TIMES: Final = (0.0, 0.15, 0.3, 0.5)
+SHARES: Final = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # of the largest rate without a limit: limits to try
+LIMITED: Final = 12.0  # by so much more likely (twice the logarithm) there is a limit
+LAGS_SEEN: Final = 12  # samples: by these noise that lasts is told from what a limit does
+EXCLUDED: Final = 4.0  # by so much less likely there is none
+TOLD_S: Final = 0.2  # half-width of 95 %, of dead time and time constant
+STAMPED_S: Final = 0.003  # sd of dead time and time constant, at least: a computer's stamps are no better
+AT_ONCE_S: Final = 0.04  # dead time and time constant: no wheels can
+LOW: Final = (-MOST_EARLY_S, 0.01, -10.0, -1.0, 0.005)  # of L, T, g, z, R
+HIGH: Final = (MOST_LATE_S, 5.0, 10.0, 1.0, 10.0)
+RIDGE: Final = 1e-4
+NO_LIMIT: Final = np.zeros(0)
+STEPS: Final = (1e-3, 1e-3, 1e-3, 1e-4, 1e-3)  # of derivatives
+
+NO_COMMANDS: Final = "No commands of an automatic steering in this log: nothing to tell of the actuator."
+NEVER_STEERED: Final = "The automatic steering never steered in this log: nothing to tell of the actuator."
+TOO_SHORT: Final = (
+    "The automatic steering steered too briefly to tell how the wheels follow it: "
+    f"let it steer for a minute, {SHORTEST_S + MOST_LATE_S:.0f} s or more at a time."
+)
+TOO_GENTLE: Final = (
+    "The automatic steering moved the wheels too little to tell how they follow it: "
+    "let it steer where it has to turn, such as onto a row from the side or round a bend."
+)
+NOT_FOLLOWED: Final = (
+    "The wheels did not do what the automatic steering asked for: it was not obeyed, or somebody steered "
+    "by hand."
+)
+AFTERWARDS: Final = (
+    "What looks like commands of an automatic steering follows the wheels, and not the wheels it: nothing "
+    "to tell of the actuator."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringOrders:
+    """Of one sender, n of them."""
+
+    t: Array  # s, (n,), ascending, on the clock of the wheel angles
+    angle: Array  # rad, (n,), of the wheels
+    steers: NDArray[np.bool_]  # (n,)
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringResponse:
+    """How the wheels follow. Sds are of the errors, coloured noise among them."""
+
+    dead_time: float  # s
+    dead_time_sd: float
+    time_constant: float  # s
+    time_constant_sd: float
+    rate: float  # rad/s, the largest that was seen
+    rate_sd: float
+    limited: bool  # whether that is the steering's limit
+    gain: float  # measured over commanded angle
+    seconds: float  # of driving that tells it
+    explained: float  # share of the wheels' motion
+
+    @property
+    def words(self) -> str:
+        """For a driver."""
+        late = _bare(max(self.dead_time, 0.0), self.dead_time_sd, "s")
+        slow = _bare(self.time_constant, self.time_constant_sd, "s")
+        rate = _bare(math.degrees(self.rate), math.degrees(self.rate_sd), "°/s")
+        most = f"at most {rate}" if self.limited else f"fastest seen {rate}"
+        turned = "" if self.gain > 0.0 else " Its commands and the wheel angle have opposite signs."
+        return f"Steering follows its commands after {late}, time constant {slow}, {most} (95 %).{turned}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """In which the system steers. Times s from its beginning."""
+
+    order_t: Array  # (m,)
+    order: Array  # rad, (m,)
+    t: Array  # (n,), of the wheel angles from MOST_LATE_S on
+    y: Array  # rad, (n,)
+    y0: float  # at MOST_LATE_S
+
+
+def respond(orders: SteeringOrders, wheel_t: Array, wheel: Array, delay: float) -> SteeringResponse | str:
+    """How the wheels follow, or why nothing can be told, as a sentence.
+
+    wheel_t: (n,), s, ascending, when a frame with the wheel angle came. wheel: (n,), rad. delay: s, from
+    measurement to frame.
+    """
+    if not len(orders.t):
+        return NO_COMMANDS
+    if not orders.steers.any():
+        return NEVER_STEERED
+    found = _stretches(orders, wheel_t - delay, wheel)
+    if sum(map(_seconds, found)) < LEAST_S:
+        return TOO_SHORT
+    found = [one for one in found if float(np.std(one.order)) > MOVES]
+    if sum(map(_seconds, found)) < LEAST_S:
+        return TOO_GENTLE
+    at = _fitted(found, _start(found))
+    followed = [one for one in found if _explained([one], at) > FOLLOWS]
+    if sum(map(_seconds, followed)) < LEAST_S:
+        return NOT_FOLLOWED
+    if len(followed) < len(found):
+        at = _fitted(followed, at)
+    return _told(followed, at)
+
+
+def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
+    """free: the fit without a limit."""
+    limit, lowest = _limit(found, free)
+    at = free if limit is None else limit
+    covariance = _covariance(found, at)
+    sds = np.sqrt(np.diag(covariance))
+    late, slow = float(at[0]), float(at[1])
+    if late > 0.99 * HIGH[0] or slow > 0.99 * HIGH[1]:
+        return NOT_FOLLOWED
+    if late + 3.0 * float(sds[0]) < 0.0 or late + slow < AT_ONCE_S:
+        return AFTERWARDS
+    if WITHIN * float(max(sds[0], sds[1])) > TOLD_S:
+        return TOO_GENTLE
+    if limit is not None:
+        rate, rate_sd = float(at[4]), float(sds[4])
+    else:
+        slope = np.array([_slope(lambda x: np.array([_fastest(found, x)]), at, k)[0] for k in range(4)])
+        fastest = _fastest(found, at)
+        apart = (fastest - lowest) / 2  # a limit may be there that shows too little
+        rate, rate_sd = fastest - apart, math.hypot(math.sqrt(float(slope @ covariance @ slope)), apart)
+    return SteeringResponse(
+        late, float(sds[0]), slow, float(sds[1]), rate, rate_sd, limit is not None, float(at[2]),
+        sum(map(_seconds, found)), _explained(found, at),
+    )  # fmt: skip
+
+
+def _stretches(orders: SteeringOrders, wheel_t: Array, wheel: Array) -> list[_Stretch]:
+    breaks = np.flatnonzero(
+        (np.diff(orders.t) > SILENT_S) | np.diff(orders.steers.astype(np.int8)).astype(bool)
+    )
+    edges = [0, *(breaks + 1).tolist(), len(orders.t)]
+    found = list[_Stretch]()
+    for first, end in pairwise(edges):
+        if not orders.steers[first]:
+            continue
+        t, u = orders.t[first:end], orders.angle[first:end]
+        heard = (wheel_t > t[0]) & (wheel_t < t[-1] + APART_S)
+        gaps = np.flatnonzero(np.diff(wheel_t[heard]) > SILENT_S) + 1
+        for at, y in zip(np.split(wheel_t[heard], gaps), np.split(wheel[heard], gaps), strict=True):
+            found += _stretch(t, u, at, y)
+    return found
+
+
+def _stretch(t: Array, u: Array, at: Array, y: Array) -> list[_Stretch]:
+    """None or one. t, u: commands. at, y: wheel angles, without gaps."""
+    if len(at) < 2:
+        return []
+    begins = max(float(at[0]) + BEGINS_S, float(t[0]) + MOST_LATE_S)
+    near = np.abs(at - begins) <= BEGINS_S
+    used = (at >= begins) & (at <= float(t[-1]) - MOST_EARLY_S)
+    if not near.any() or np.count_nonzero(used) < 2:
+        return []
+    at_used, y_used = at[used] - begins, y[used]
+    step = max(round(APART_S / max(float(np.median(np.diff(at_used))), 1e-6)), 1)
+    one = _Stretch(t - begins, u, at_used[::step], y_used[::step], float(np.mean(y[near])))
+    return [one] if _seconds(one) >= SHORTEST_S else []
+
+
+def _seconds(one: _Stretch) -> float:
+    return float(one.t[-1] - one.t[0]) if len(one.t) else 0.0
+
+
+def _response(one: _Stretch, at: Array) -> tuple[Array, float]:
+    """(wheel angles at one.t, (n,); largest rate, rad/s). at: L, T, g, z and R, if there is a limit.
+
+    Exact: between two commands they turn at the limit until what is missing is T R, and then exponentially.
+    """
+    late, slow, gain, zero = at[:4].tolist()
+    limit = float(at[4]) if len(at) > 4 else math.inf
+    first = max(int(np.searchsorted(one.order_t, -late, "right")) - 1, 0)
+    starts = np.maximum(one.order_t[first:] + late, 0.0)
+    wanted = zero + gain * one.order[first:]
+    missing, y, near = np.empty(len(starts)), one.y0, slow * limit
+    for i, (target, lasts) in enumerate(zip(wanted.tolist(), [*np.diff(starts).tolist(), 0.0], strict=True)):
+        e = y - target
+        missing[i] = e
+        size = abs(e)
+        if size > near:
+            until = (size - near) / limit
+            size = size - limit * lasts if lasts < until else near * math.exp((until - lasts) / slow)
+        else:
+            size *= math.exp(-lasts / slow)
+        y = target + math.copysign(size, e)
+    k = np.maximum(np.searchsorted(starts, one.t, "right") - 1, 0)
+    since, sizes = one.t - starts[k], np.abs(missing[k])
+    left = np.minimum(sizes, near) * np.exp(-since / slow)
+    if math.isfinite(limit):
+        ends = np.maximum((sizes - near) / limit, 0.0)  # of turning at the limit
+        left = np.minimum(sizes, near) * np.exp(-np.maximum(since - ends, 0.0) / slow)
+        left = np.where(since < ends, sizes - limit * since, left)
+    fastest = min(float(np.max(np.abs(missing))) / slow, limit)
+    return wanted[k] + np.copysign(left, missing[k]), fastest
+
+
+def _left(found: Sequence[_Stretch], at: Array) -> Array:
+    return np.concatenate([_response(one, at)[0] - one.y for one in found])
+
+
+def _fastest(found: Sequence[_Stretch], at: Array) -> float:
+    return max(_response(one, at)[1] for one in found)
+
+
+def _explained(found: Sequence[_Stretch], at: Array) -> float:
+    whole = sum(float(np.sum((one.y - np.mean(one.y)) ** 2)) for one in found)
+    return 1.0 - float(np.sum(_left(found, at) ** 2)) / max(whole, 1e-12)
+
+
+def _start(found: Sequence[_Stretch]) -> Array:
+    """L, T, g and z, coarsely."""
+    y = np.concatenate([one.y for one in found])
+    best, least = np.array([0.1, 0.3, 1.0, 0.0]), math.inf
+    for late in LATE_TIMES:
+        for slow in SLOW_TIMES:
+            plain = np.array([late, slow, 1.0, 0.0])
+            shape = np.concatenate(
+                [_response(replace(one, y0=float(one.order[0])), plain)[0] for one in found]
+            )
+            design = np.column_stack([shape, np.ones(len(y))])
+            told = np.linalg.lstsq(design, y, rcond=None)[0]
+            size = float(np.sum((design @ told - y) ** 2))
+            if size < least:
+                best, least = np.array([late, slow, *told.tolist()]), size
+    return best
+
+
+def _fitted(
+    found: Sequence[_Stretch], start: Array, limit: Array = NO_LIMIT, lasting: Array = NO_LIMIT
+) -> Array:
+    """What start has of L, T, g, z and R. limit: (1,) or (0,), R if held. lasting: of `_whitened`."""
+    n = len(start)
+    low, high = np.array(LOW[:n]), np.array(HIGH[:n])
+
+    def left(at: Array) -> Array:
+        return _whitened(found, _left(found, np.append(at, limit)), lasting)
+
+    def derivatives(at: Array) -> Array:
+        return np.column_stack([_slope(left, at, k) for k in range(n)])
+
+    jac: Any = derivatives  # scipy's types know its names only
+    made = least_squares(
+        left, np.clip(start, low + 2e-3, high - 2e-3), jac, (low, high),
+        x_scale=np.array([0.05, 0.05, 0.1, 0.01, 0.1])[:n], max_nfev=60, xtol=1e-6, ftol=1e-7,
+    )  # fmt: skip
+    return np.asarray(made.x, np.float64)
+
+
+def _jacobian(found: Sequence[_Stretch], at: Array) -> Array:
+    return np.column_stack([_slope(lambda x: _left(found, x), at, k) for k in range(len(at))])
+
+
+def _slope(of: Callable[[Array], Array], at: Array, k: int) -> Array:
+    step = np.zeros(len(at))
+    step[k] = STEPS[k]
+    return np.asarray((of(at + step) - of(at - step)) / (2.0 * STEPS[k]), np.float64)
+
+
+def _limit(found: Sequence[_Stretch], free: Array) -> tuple[Array | None, float]:
+    """(The fit with a limit, None where none shows; the lowest limit that cannot be excluded, rad/s).
+
+    free: the fit without one. A limit that is held goes down from the fastest that this one turns. Noise that
+    lasts would hide what a limit changes, so it is taken out of what is compared.
+    """
+    lasting = _lasting(found, _left(found, free))
+    white = _fitted(found, free, lasting=lasting)
+    fastest = lowest = _fastest(found, white)
+    before = _whitened(found, _left(found, white), lasting)
+    best, least = white, float(before @ before)
+    per = least / len(before)
+    for share in SHARES:
+        limit = np.array([share * fastest])
+        held = np.append(_fitted(found, white, limit, lasting), limit)
+        left = _whitened(found, _left(found, held), lasting)
+        if (size := float(left @ left)) < least:
+            best, least = held, size
+        if size < float(before @ before) + EXCLUDED * per:
+            lowest = float(limit[0])
+    if (float(before @ before) - least) * len(before) / least < LIMITED:
+        return None, lowest
+    made = _fitted(found, best)
+    return made if float(made[4]) < 0.99 * _fastest(found, made[:4]) else best, lowest
+
+
+def _lasting(found: Sequence[_Stretch], left: Array) -> Array:
+    """Weights, (LAGS_SEEN,), by which what is left goes on in the next sample."""
+    rows = np.concatenate([_past(part) for part in _parts(found, left)])
+    return np.asarray(np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0], np.float64)
+
+
+def _whitened(found: Sequence[_Stretch], left: Array, lasting: Array) -> Array:
+    """What is left, (n,), without what goes on. lasting: (k,); each stretch loses its first k."""
+    if not len(lasting):
+        return left
+    rows = np.concatenate([_past(part) for part in _parts(found, left)])
+    return np.asarray(rows[:, 0] - rows[:, 1:] @ lasting, np.float64)
+
+
+def _parts(found: Sequence[_Stretch], left: Array) -> list[Array]:
+    return np.split(left, np.cumsum([len(one.t) for one in found])[:-1])
+
+
+def _past(part: Array) -> Array:
+    """Each sample and those before it, (n - LAGS_SEEN, LAGS_SEEN + 1)."""
+    return np.lib.stride_tricks.sliding_window_view(part, LAGS_SEEN + 1)[:, ::-1]
+
+
+def _blocks(found: Sequence[_Stretch]) -> NDArray[np.int64]:
+    """Where blocks of about BLOCK_S begin, in all samples."""
+    starts, before = list[int](), 0
+    for one in found:
+        count = max(int(_seconds(one) / BLOCK_S), 1)
+        starts += [before + round(k * len(one.t) / count) for k in range(count)]
+        before += len(one.t)
+    return np.array(starts, np.int64)
+
+
+def _covariance(found: Sequence[_Stretch], at: Array) -> Array:
+    """By the jackknife that leaves out one block after the other, linearised, wide enough for few blocks."""
+    jacobian, left, starts = _jacobian(found, at), _left(found, at), _blocks(found)
+    whole = jacobian.T @ jacobian
+    ridge = np.diag(RIDGE * np.diag(whole))  # where one block alone tells a limit
+    moved = np.array([
+        np.linalg.solve(whole + ridge - part.T @ part, part.T @ rest)
+        for part, rest in zip(np.split(jacobian, starts[1:]), np.split(left, starts[1:]), strict=True)
+    ])  # fmt: skip
+    blocks = len(starts)
+    few = float(student.ppf(0.975, max(blocks - len(at), 1))) / WITHIN
+    stamped = np.zeros((len(at), len(at)))
+    stamped[[0, 1], [0, 1]] = STAMPED_S**2
+    return np.asarray(few**2 * (blocks - 1) / blocks * (moved.T @ moved) + stamped, np.float64)
+
+
+def _bare(value: float, sd: float, unit: str) -> str:
+    return plus_minus(value, sd, unit).removesuffix(" (95 %)")
