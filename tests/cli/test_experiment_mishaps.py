@@ -137,8 +137,9 @@ def test_lost_rtk_and_a_restarted_daemon_cost_a_try_each_and_no_run(cab: Cab) ->
     cab.begin()
     cab.restart()
     again = cab.until(lambda now: RESTARTED in now.text.lower())
-    assert again.text.endswith("The plan goes on: arm the run when you are ready.")
-    assert "no pose has come for" in again.attempts[-1].reason
+    assert again.text.endswith(("arm the run when you are ready.", "arm it when you are ready."))
+    # Which of the two is noticed first, hangs on how long the new one takes to begin.
+    assert any(why in again.attempts[-1].reason for why in ("no pose has come for", RESTARTED))
     cab.finish(2)
     said, complained = cab.process.communicate(timeout=PATIENCE_S)
     assert (cab.process.returncode, complained) == (0, "")
