@@ -415,7 +415,7 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
             own.append(learned(given).mean[SIX] - truth)
     assert np.mean(np.abs(scores) < 1.96) > 0.9  # of 18
     assert np.mean(errors, axis=0)[:3].mean() > -0.3
-    assert np.mean(own, axis=0)[:3].mean() < -0.4
+    assert np.mean(own, axis=0)[:3].mean() < -0.35
 
 
 def test_the_fold_and_its_stretches_give_the_same() -> None:
