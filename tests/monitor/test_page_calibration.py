@@ -81,10 +81,11 @@ def _computed(page: Page) -> None:
     expect(rows).to_have_count(len(NUMBERS))
     expect(rows.first).to_contain_text("yaw of the tractor's pair")
     expect(page.locator("#calibration-rows tr[data-status=told]").first).to_contain_text("✔ good")
-    rough = page.locator("#calibration-rows tr[data-status=rough] th").first
-    expect(rough).to_have_text(re.compile(r"change of the file: .* ± .*\w[^;]*(drive|weave|a tape)"))
-    missing = page.locator("#calibration-rows tr[data-status='not told'] th").first
-    expect(missing).not_to_contain_text("change of the file")
+    # How many numbers so short a drive tells only roughly is a matter of a hair: perhaps none.
+    for text in page.locator("#calibration-rows tr[data-status=rough] th").all_inner_texts():
+        assert re.search(r"change of the file: .* ± .*\w[^;]*(drive|weave|a tape)", text), text
+    missing = page.locator("#calibration-rows tr[data-status='not told'] th").all_inner_texts()
+    assert missing and not any("change of the file" in text for text in missing)
     expect(page.locator("#calibration-computed")).to_have_text(
         re.compile("^Computed by .* The next estimate begins after 120 s more of driving")
     )
