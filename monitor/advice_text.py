@@ -4,13 +4,14 @@ import re
 from enum import Enum, auto
 from typing import Final, NamedTuple
 
-from tilth.estimator.models.manoeuvres import MANOEUVRES, Manoeuvre
+from tilth.estimator.models.manoeuvres import MANOEUVRES, Manoeuvre, manoeuvre_named
 from tilth.schemas.flow import PARAMETERS
 
 _NUMBER: Final = r"(\d+(?:\.\d+)?)"
 _NAMES: Final = re.compile("|".join(map(re.escape, PARAMETERS)))
 _TOO_SLOW: Final = re.compile(rf"nothing can be learned below {_NUMBER} m/s")
-_NEXT_TURN: Final = re.compile(rf"; the next headland turn at .* would bring ({_NAMES.pattern}) to ")
+_TURN: Final = manoeuvre_named("turn").called.removeprefix("a ").partition("{")[0]
+_NEXT_TURN: Final = re.compile(rf"; the next {re.escape(_TURN)}.* would bring ({_NAMES.pattern}) to ")
 
 
 class AdviceKind(Enum):

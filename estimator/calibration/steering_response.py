@@ -161,7 +161,7 @@ def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
     if limit is not None:
         rate, rate_sd = float(at[4]), float(sds[4])
     else:
-        slope = np.array([_slope(lambda x: np.array([_fastest(found, x)]), at, k)[0] for k in range(4)])
+        slope = _slopes(lambda x: np.array([_fastest(found, x)]), at)[0]
         fastest = _fastest(found, at)
         apart = (fastest - lowest) / 2  # a limit may be there that shows too little
         rate, rate_sd = fastest - apart, math.hypot(math.sqrt(float(slope @ covariance @ slope)), apart)
@@ -280,10 +280,7 @@ def _fitted(
     def left(at: Array) -> Array:
         return _whitened(found, _left(found, np.append(at, limit)), lasting)
 
-    def derivatives(at: Array) -> Array:
-        return np.column_stack([_slope(left, at, k) for k in range(n)])
-
-    jac: Any = derivatives  # scipy's types know its names only
+    jac: Any = lambda at: _slopes(left, at)  # scipy's types know its names only  # noqa: E731
     made = least_squares(
         left, np.clip(start, low + 2e-3, high - 2e-3), jac, (low, high),
         x_scale=np.array([0.05, 0.05, 0.1, 0.01, 0.1])[:n], max_nfev=60, xtol=1e-6, ftol=1e-7,
@@ -291,14 +288,10 @@ def _fitted(
     return np.asarray(made.x, np.float64)
 
 
-def _jacobian(found: Sequence[_Stretch], at: Array) -> Array:
-    return np.column_stack([_slope(lambda x: _left(found, x), at, k) for k in range(len(at))])
-
-
-def _slope(of: Callable[[Array], Array], at: Array, k: int) -> Array:
-    step = np.zeros(len(at))
-    step[k] = STEPS[k]
-    return np.asarray((of(at + step) - of(at - step)) / (2.0 * STEPS[k]), np.float64)
+def _slopes(of: Callable[[Array], Array], at: Array) -> Array:
+    """Of a function of L, T, g, z and R, (m,), by them, (m, n), by differences."""
+    steps = np.diag(STEPS[: len(at)])
+    return np.column_stack([(of(at + step) - of(at - step)) / (2.0 * step.sum()) for step in steps])
 
 
 def _limit(found: Sequence[_Stretch], free: Array) -> tuple[Array | None, float]:
@@ -362,7 +355,7 @@ def _blocks(found: Sequence[_Stretch]) -> NDArray[np.int64]:
 
 def _covariance(found: Sequence[_Stretch], at: Array) -> Array:
     """By the jackknife that leaves out one block after the other, linearised, wide enough for few blocks."""
-    jacobian, left, starts = _jacobian(found, at), _left(found, at), _blocks(found)
+    jacobian, left, starts = _slopes(lambda x: _left(found, x), at), _left(found, at), _blocks(found)
     whole = jacobian.T @ jacobian
     ridge = np.diag(RIDGE * np.diag(whole))  # where one block alone tells a limit
     moved = np.array([

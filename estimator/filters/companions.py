@@ -18,6 +18,7 @@ from tilth.estimator.filters.propagation import (
     first_covariance,
     ground_at,
     set_processes,
+    set_slopes,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_PUSH
@@ -59,6 +60,7 @@ def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
 @kernel
 def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> None:
     """Renew the processes and their noise, at speed u, m/s."""
+    set_slopes(u, setup, step)
     for c in range(run.points.shape[0]):
         set_processes(u, ground_at(run.points[c]), setup, step, c)
 

@@ -117,6 +117,12 @@ def lever_ahead(obs: Observation, body: int, point: Point, setup: RigSetup) -> f
 
 
 @inner_kernel
+def from_middle(obs: Observation, body: int, setup: RigSetup) -> float:
+    """How far a receiver is ahead of the middle of its body's receivers, m."""
+    return float(setup.levers[obs.place, 0] - setup.middles[body, 0])
+
+
+@inner_kernel
 def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
     """Of a receiver, to the right of psi_ref, m/s; fills h."""
     u, c, d, height = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3], setup.heights[obs.place]
@@ -151,11 +157,11 @@ def predict_position(x: Array, obs: Observation, body: int, point: Point, setup:
     """North or east position of a receiver, m; fills h."""
     c, d, height = point.geometry[2], point.geometry[3], setup.heights[obs.place]
     ahead, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
-    arm, east = setup.levers[obs.place, 0] - setup.middles[body, 0], 0 if obs.kind == NORTH else 1
+    arm, east = from_middle(obs, body, setup), 0 if obs.kind == NORTH else 1
     aside = setup.levers[obs.place, 1] + point.unknowns[AT_PAIR + body] * arm
     roll_t = x[X_ROLL] + x[X_SLOPE] / GRAVITY
     roll_i = x[X_ROLL + 1] + x[X_SLOPE + 1] / GRAVITY
-    place = X_POSITION if obs.kind == NORTH else X_POSITION + 1
+    place = X_POSITION + east
     h[place] = 1.0
     forward, right = axis(obs.kind, x[X_PSI])
     ahead_t, side_t, up_t = (ahead, aside + height * roll_t, height) if body == 0 else (
@@ -221,7 +227,7 @@ def predict_joint_measurement(
                 h[N_STATES + j] = -x[X_ROLL + 2 + body] - x[X_SLOPE_RATE + body] / GRAVITY
         return value
     ahead, back, aside = lever_arms(x, obs, body)
-    arm = setup.levers[obs.place, 0] - setup.middles[body, 0]
+    arm = from_middle(obs, body, setup)
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if place == AT_LEVER + body:

@@ -522,8 +522,7 @@ def set_slopes(u: float, setup: RigSetup, step: Transition) -> None:
 
 @kernel
 def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
-    """Fill the transition of SLOPES, and decay and q of the states from X_PUSH on, at speed u, m/s, for
-    filter c of step."""
+    """Fill decay and q of the states from X_PUSH on but SLOPES, at speed u, m/s, for filter c of step."""
     decay, q = step.decay[c], step.q[c]
     for i in range(3):
         decay[X_PUSH + i] = math.exp(-DT / ground.memory_s)
@@ -531,7 +530,6 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
         decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
     decay[X_PAIR:] = PAIR_DECAY
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
-    set_slopes(u, setup, step)
     variances = stationary(ground, setup)
     for i in range(X_PUSH, N_STATES):
         q[i] = (1.0 - decay[i] * decay[i]) * variances[i]

@@ -30,6 +30,7 @@ from tilth.estimator.filters.propagation import (
     set_geometry_slopes,
     set_plant,
     set_processes,
+    set_slopes,
     set_wheel_noise,
     slopes_of_steering,
     state_rates,
@@ -168,6 +169,7 @@ def track_segment(
         if (k - first) % EVERY == 0:
             point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
             set_plant(plant, point, setup, active)
+            set_slopes(drive.u, setup, step)
             set_processes(drive.u, ground, setup, step, 0)
             linearise(x, ticks, k, point, plant, active, step)
             if by_steering:

@@ -177,7 +177,7 @@ def test_why_nothing_can_be_told(one: Steered, why: str) -> None:
 @pytest.mark.coverage
 @pytest.mark.parametrize("one", WORLDS.values(), ids=WORLDS)
 def test_intervals_hold_the_truth(one: Steered) -> None:
-    """At least nine of ten 95 % intervals, over all three numbers of 10 drives; 40 of each kind were run once."""
+    """At least nine of ten 95 % intervals, over all three numbers of 10 drives; once of 40 of each kind."""
     found = np.array([errors(replace(one, seed=seed)) for seed in range(10, 20)])
     assert np.mean(np.abs(found) < 1.96) >= 0.9
 

@@ -20,6 +20,7 @@ from tilth.estimator.filters.propagation import (
     linearise,
     set_plant,
     set_processes,
+    set_slopes,
     set_wheel_noise,
     stationary,
 )
@@ -160,6 +161,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     set_plant.interpreted()(plant, point, setup, nothing)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
     ticks[:, 1] = SPEED
+    set_slopes.interpreted()(SPEED, setup, step)
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step, 0)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
     linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
