@@ -160,8 +160,7 @@ def track_segment(
     state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
     following, x_at = state.following, np.zeros(N_STATES)
     h, H, work = np.zeros(n), np.zeros(n), empty_work(1, n)
-    error, variance = np.zeros(1), np.zeros(1)
-    row, m = 0, rows.shape[0]
+    error, variance, row, m = np.zeros(1), np.zeros(1), 0, rows.shape[0]
     for k in range(first, first + length):
         for i in range(6):
             point.theta[i] = math.exp(unknowns[i])
