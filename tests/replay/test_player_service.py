@@ -139,7 +139,8 @@ def test_what_is_played_is_heard_under_the_prefix_of_replays(start: Start) -> No
 
 
 def _are_there(heard: Heard, t_ns: dict[str, int]) -> bool:
-    return all(heard.last(kind).t_ns == at_ns for kind, at_ns in t_ns.items())
+    found = {kind: heard.last(kind) for kind in t_ns}
+    return all(found[kind] is not None and found[kind].t_ns == at_ns for kind, at_ns in t_ns.items())
 
 
 def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) -> None:
@@ -159,7 +160,9 @@ def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) 
     assert value == pytest.approx(215e3, rel=0.05)
     assert heard.order("rate", rate=50.0) == "" and heard.order("play") == ""
     until(lambda: heard.state.state == PlayState.ENDED)
-    assert heard.state.at_s == 120.0 and heard.last("event").text == MARKS[-1][1]
+    assert heard.state.at_s == 120.0
+    # The state is said before the results it belongs to, and a busy network may drop a result: it is said again.
+    until(lambda: heard.last("event") is not None and heard.last("event").text == MARKS[-1][1])
 
 
 def test_what_holds_where_it_stands_is_said_again(start: Start) -> None:
