@@ -161,7 +161,7 @@ def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) 
     assert heard.order("rate", rate=50.0) == "" and heard.order("play") == ""
     until(lambda: heard.state.state == PlayState.ENDED)
     assert heard.state.at_s == 120.0
-    # The state is said before the results it belongs to, and a busy network may drop a result: it is said again.
+    # A state is said before the results it belongs to; one that a busy network drops is said again.
     until(lambda: heard.last("event") is not None and heard.last("event").text == MARKS[-1][1])
 
 
