@@ -50,11 +50,12 @@ def tyre(alpha: Any, stiffness: Any, limit: Any) -> Any:
 
 
 def axle(
-    static: Any, level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any, apart: Any = ZERO
+    loads: tuple[Any, Any], level: Any, shift: Any, alpha: Any, stiffness: Any, along: Any, apart: Any = ZERO
 ) -> list[Wheel]:
-    """The left and the right wheel of an axle. shift: load that goes to the left one. apart: by how much the
-    right one slips more than their mean, and the left one less."""
-    half = static * level / 2
+    """The left and the right wheel of an axle. loads: static one, and that when driving. shift: load that
+    goes to the left one. apart: by how much the right one slips more than their mean, and the left one less.
+    """
+    static, half = loads[0], loads[1] * level / 2
     moved = within(shift, sp.Float(0.999) * half)  # no wheel loses all of its load
     wheels = []
     for load, slip in ((half + moved, alpha - apart), (half - moved, alpha + apart)):
@@ -86,7 +87,7 @@ def front_wheels_apart() -> tuple[Any, Any]:
     squared, faster = u**2 + side**2, P["w_f"] * X["r_t"] / 2
     kept, sine = (1 - P["parallel"]) * P["w_f"] / 2 / (P["a"] + P["b"]), sp.sin(W["delta"])
     mean = faster**2 * u * side / squared**2 - kept**2 * sine**3 * sp.cos(W["delta"])
-    return faster * side / squared - kept * sine**2, mean
+    return P["two_track"] * (faster * side / squared - kept * sine**2), P["two_track"] * mean
 
 
 def springs() -> tuple[Any, Any]:
@@ -109,18 +110,31 @@ def front_side(wheels: Iterable[Wheel]) -> Any:
     return sum(along * sp.sin(delta) + across * sp.cos(delta) for _, along, across in wheels)
 
 
+def axle_loads_when_driving() -> dict[str, tuple[Any, Any]]:
+    """Of each axle: (static load, load when driving forward), N. The tractor pulls the implement, against its
+    rolling resistance on the ground, at the height of the drawbar: that tips the implement onto the drawbar
+    and takes load off the front wheels, 3 % with one of 8 t on soft ground. What the rear wheels gain by it
+    is left out, as is what driving takes of their side force: about the same."""
+    front, rear, cart = axle_loads(*(P[n] for n in LOADS))
+    tipping = P["rolling"] * cart * P["h_h"]  # N m, of either body
+    on_drawbar = tipping / (P["d"] + P["e"])
+    off_front = (tipping + on_drawbar * (P["c"] - P["b"])) / (P["a"] + P["b"])
+    driving = (front - off_front, rear, cart - on_drawbar)
+    return dict(zip("fri", zip((front, rear, cart), driving, strict=True), strict=True))
+
+
 def wheels() -> dict[str, list[Wheel]]:
     """Of each axle. Loads go from side to side as pin and lean press the wheels."""
-    static = dict(zip("fri", axle_loads(*(P[n] for n in LOADS)), strict=True))
+    loads = axle_loads_when_driving()
     level_t, level_i = (sp.sqrt(1 - (W[n] / P["g"]) ** 2) for n in ("gravity_t", "gravity_i"))
     speed = {name: along for name, (along, _) in velocities().items()}
     moment_t, moment_i = roll_moments()
-    front = (static["f"], level_t, X["alpha_f"], P["C_f"], speed["f"], front_wheels_apart()[0])
+    front = (loads["f"], level_t, X["alpha_f"], P["C_f"], speed["f"], front_wheels_apart()[0])
     even = axle(front[0], front[1], ZERO, *front[2:])
     found = {
         "f": axle(front[0], front[1], P["pin"] * front_side(even) / P["w_f"], *front[2:]),
-        "r": axle(static["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),
-        "i": axle(static["i"], level_i, moment_i / P["w_i"], X["alpha_i"], P["C_i"], speed["i"]),
+        "r": axle(loads["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),
+        "i": axle(loads["i"], level_i, moment_i / P["w_i"], X["alpha_i"], P["C_i"], speed["i"]),
     }
     for name, lean in (("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])):
         thrust = [P["camber"] * load * lean for load, _, _ in found[name]]  # the front axle does not lean
@@ -193,7 +207,8 @@ def slip_rates() -> sp.Matrix:
         if name == "f":  # the axle turns about its pin as it is pushed: one more spring in a row
             length += stiffness * P["pin"] ** 2 / P["k_f"]
             across += along * front_wheels_apart()[1]
-        speed = size(both_wheels(along, yaw * P[f"w_{name}"]))
+        both = both_wheels(along, yaw * P[f"w_{name}"])
+        speed = size(along + P["two_track"] * (both - along))
         rows.append((across * sp.cos(alpha) - speed * sp.sin(alpha)) * sp.cos(alpha) / length)
     return sp.Matrix(rows)
 

@@ -23,6 +23,7 @@ def true_point(machine: Machine, setting: Setting) -> Array:
     point[AT["wheel_zero"]], point[AT["wheel_gain"]] = told["wheel_zero"], math.log(told["wheel_gain"])
     point[AT["curvature"]], point[AT["rolling"]] = 1.0 / setting.rig.grip_f, setting.rig.roll_f
     point[AT["parallel"]] = 0.0  # of both plants
+    point[AT["two_track"]] = 0.0  # the planar plant has one slip angle an axle
     for body, letter in (("tractor", "t"), ("implement", "i")):
         point[AT[f"pair_{letter}"]] = told[f"pair_{body}"]
         point[AT[f"cg_{letter}"]] = told[f"cg_forward_{body}"]

@@ -51,6 +51,7 @@ WORDS: Final[dict[str, NuisanceWords]] = {
     "roll_late_t": NuisanceWords("rolls of the tractor's receivers later", TIME),
     "roll_late_i": NuisanceWords("rolls of the implement's receivers later", TIME),
     "curvature": NuisanceWords("1 over largest side force per load", PLAIN),
+    "two_track": NuisanceWords("how far the wheels of an axle slip each by itself", PLAIN),
     "parallel": NuisanceWords("how far both front wheels turn by the same angle", PLAIN),
     "push_t": NuisanceWords("ground's push across the tractor, sd", LOG, unit="m/s²"),
     "push_i": NuisanceWords("ground's push across the implement, sd", LOG, unit="m/s²"),

@@ -64,6 +64,7 @@ from tilth.estimator.filters.unknowns import (
     AT_ROLL_MODES,
     AT_ROLLING,
     AT_SHRINK,
+    AT_TWO_TRACK,
     AT_UNEVEN,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
@@ -105,14 +106,15 @@ P_FRONT: Final = PARAMETERS.index("k_f")
 P_CAMBER: Final = PARAMETERS.index("camber")
 P_SHRINK: Final = PARAMETERS.index("shrink")
 P_PARALLEL: Final = PARAMETERS.index("parallel")
+P_TWO_TRACK: Final = PARAMETERS.index("two_track")
 P_CONSTANTS: Final = len(PARAMETERS)
 
 
 class Plant(NamedTuple):
     """The motion model at one point of the unknowns, and its work arrays."""
 
-    p: Array  # (37,), rolling_terms.PARAMETERS and CONSTANTS
-    p_unknowns: Array  # (a, 31), derivatives of PARAMETERS by the active unknowns
+    p: Array  # (38,), rolling_terms.PARAMETERS and CONSTANTS
+    p_unknowns: Array  # (a, 32), derivatives of PARAMETERS by the active unknowns
     scale: float  # of all motions; as RigSetup.scale
     x: Array  # (12,), its state
     w: Array  # (7,), its inputs
@@ -185,7 +187,7 @@ def empty_plant(setup: RigSetup, na: int) -> Plant:
 
 @inner_kernel
 def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
-    """Fill p (37,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
+    """Fill p (38,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
     rolling resistance, and its roll modes and heights are those of the setup."""
     rig, roll, unknowns = setup.rig, setup.roll, point.unknowns
     for i in range(9):
@@ -209,12 +211,12 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
     p[P_HEIGHT] += unknowns[AT_HITCH + 1]
     p[P_HEIGHT + 1] += unknowns[AT_HITCH + 2]
     p[P_ROLLING], p[P_CAMBER], p[P_SHRINK] = unknowns[AT_ROLLING], unknowns[AT_CAMBER], unknowns[AT_SHRINK]
-    p[P_PARALLEL] = unknowns[AT_PARALLEL]
+    p[P_PARALLEL], p[P_TWO_TRACK] = unknowns[AT_PARALLEL], unknowns[AT_TWO_TRACK]
 
 
 @inner_kernel
 def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> None:
-    """Fill out (a, 31), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
+    """Fill out (a, 32), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
     out[:] = 0.0
     for j in range(active.places.shape[0]):
         place = active.places[j]
@@ -246,6 +248,8 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
             out[j, P_SHRINK] = 1.0
         elif place == AT_PARALLEL:
             out[j, P_PARALLEL] = 1.0
+        elif place == AT_TWO_TRACK:
+            out[j, P_TWO_TRACK] = 1.0
 
 
 @inner_kernel

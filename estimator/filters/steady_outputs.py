@@ -38,8 +38,8 @@ Array = NDArray[np.float64]
 
 CONSTANTS: Final = (
     "C_af", "C_ar", "C_ai", "wheel_zero", "wheel_gain", "pair_t", "pair_i", "lever_t", "cg_t", "cg_i",
-    "rolling", "roll_k_t", "roll_k_i", "camber", "curvature", "parallel", "a", "b", "c", "d", "e", "m_t",
-    "m_i",
+    "rolling", "roll_k_t", "roll_k_i", "camber", "curvature", "parallel", "two_track", "a", "b", "c", "d",
+    "e", "m_t", "m_i",
 )  # fmt: skip
 """The constants that a steady turn depends on, as in unknowns.NAMES. A lever of the implement's antennas has
 no effect on OUTPUTS."""
@@ -78,7 +78,7 @@ class _Model(NamedTuple):
 
 
 def _model(point: Array, inputs: Array, machine: Machine) -> _Model:
-    """At rest. point: (23,), CONSTANTS; inputs: (5,), INPUTS."""
+    """At rest. point: (24,), CONSTANTS; inputs: (5,), INPUTS."""
     setup, (at, _) = rig_setup(machine), unknowns.prior(machine)
     at[PLACES] = point
     here = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))

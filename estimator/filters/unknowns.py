@@ -51,6 +51,7 @@ NAMES: Final = (
     "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
     "parallel",  # how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel
+    "two_track",  # how far an axle's wheels slip each by itself: 1 as two, 0 as one (a single-track model)
     *NOISES,
     *GEOMETRY,  # logarithms of true over surveyed; e as m
 )  # fmt: skip
@@ -75,6 +76,7 @@ AT_CG: Final = AT["cg_t"]
 AT_ROLLING: Final = AT["rolling"]
 AT_CURVATURE: Final = AT["curvature"]
 AT_PARALLEL: Final = AT["parallel"]
+AT_TWO_TRACK: Final = AT["two_track"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
 AT_PIN: Final = AT["roll_pin"]
 AT_HITCH: Final = AT["roll_hitch"]
@@ -94,6 +96,7 @@ AT_GEOMETRY: Final = AT["a"]
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
 ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
+TWO_TRACK: Final = (1.0, 0.5)  # twin wheels, wide tyres; one wheel an axle is 2 sd away
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
 ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
@@ -135,6 +138,7 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
     (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
     (mean[AT["parallel"]], sd[AT["parallel"]]) = 1.0 - tractor.ackermann.value, tractor.ackermann.sd
+    (mean[AT["two_track"]], sd[AT["two_track"]]) = TWO_TRACK
     sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
     (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
     (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK

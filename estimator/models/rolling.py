@@ -37,8 +37,8 @@ class MotionRates(NamedTuple):
     slip: Array  # (3,), alpha'
     right_slopes: Array  # (6, 17), derivatives of the same by states but psi_i and inputs but u'
     slip_slopes: Array  # (3, 17)
-    right_by_parameter: Array  # (6, 31), by PARAMETERS
-    slip_by_parameter: Array  # (3, 31)
+    right_by_parameter: Array  # (6, 32), by PARAMETERS
+    slip_by_parameter: Array  # (3, 32)
 
 
 @kernel
@@ -79,7 +79,7 @@ def solve(factors: Array, B: Array) -> None:
 
 @inner_kernel
 def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
-    """Fill out (12,), x', and the first three arrays of `at`. p: PARAMETERS and CONSTANTS, (37,)."""
+    """Fill out (12,), x', and the first three arrays of `at`. p: PARAMETERS and CONSTANTS, (38,)."""
     motion(x, w, p, at.M, at.right, at.slip)
     factorise(at.M)
     solve(at.M, at.right)

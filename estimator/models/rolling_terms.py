@@ -19,14 +19,15 @@ ground turns the wheels of either body about its long axis (rad); the tractor's 
 PARAMETERS: Final = (
     "C_f", "C_r", "C_i", "sigma_f", "sigma_r", "sigma_i", "a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i",
     "h_t", "h_i", "h_h", "rolling", "curvature", "k_t", "k_i", "d_t", "d_i", "j_t", "j_i", "pin", "k_f",
-    "camber", "shrink", "parallel",
+    "camber", "shrink", "parallel", "two_track",
 )  # fmt: skip
 """Cornering stiffnesses (N/rad), relaxation lengths (m); parameters.GEOMETRY; heights of the CGs and of the
 drawbar (m); rolling resistance over load; 1 over the largest side force over load. Of the roll modes:
 stiffness (N m/rad, less what gravity takes off), damping (N m s/rad) and inertia about a line through the CG
 (kg m^2); height of the front axle's pin (m) and stiffness of the axle about it (N m/rad); camber thrust of a
 leaning wheel over its load and its camber angle; how far relaxation lengths fall with slip: `kept_length`;
-how far the front wheels turn by the same angle: 0 towards one centre (Ackermann), 1 in parallel."""
+how far the front wheels turn by the same angle: 0 towards one centre (Ackermann), 1 in parallel; how far the
+wheels of an axle slip each by itself in a turn: 1 as two a track apart, 0 as one amid the axle."""
 
 CONSTANTS: Final = ("w_f", "w_r", "w_i", "exponent", "front_drive", "g")
 """As parameters.RIG_PARAMETERS; not differentiated by."""

@@ -97,11 +97,11 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert [r.mount for r in now.receiver if r.name == MACHINE.receiver[0].name] == [
         MACHINE.receiver[0].mount
     ]
-    # The linkage's curvature and what the front wheels do show least: twice as well known as before.
+    # The linkage's curvature shows less, and what the front wheels do least: this plant has one slip angle an
+    # axle, on which it has no part.
     shares = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
-    assert all(
-        share < (0.5 if name in ("wheel_curve", "ackermann") else 0.25) for name, share in shares.items()
-    )
+    most = {"wheel_curve": 0.5, "ackermann": 0.8}
+    assert all(share < most.get(name, 0.25) for name, share in shares.items())
     assert now.tractor.ackermann.value == pytest.approx(1.0, abs=3 * sd["ackermann"])
     assert out.is_symlink() and out.read_text(encoding="utf-8") == told["machine_file"]
     (kept,) = tmp_path.glob("m.toml.before-1")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tilth.deploy import motion_equations
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import TABLE_5_1, Rig, static_loads
 from tilth.estimator.models.rolling import (
@@ -21,7 +22,7 @@ Values = dict[str, float]
 
 MODES = {
     "k_t": 466e3, "k_i": 1.0e6, "d_t": 18e3, "d_i": 20e3, "j_t": 11.4e3, "j_i": 3.1e3, "pin": 0.75,
-    "k_f": 466e3, "camber": 0.0, "shrink": 0.0, "parallel": 0.0,
+    "k_f": 466e3, "camber": 0.0, "shrink": 0.0, "parallel": 0.0, "two_track": 1.0,
 }  # fmt: skip
 RNG = np.random.default_rng(5)
 _rates, _slopes, _empty = rates.interpreted(), rate_slopes.interpreted(), empty_motion.interpreted()
@@ -59,16 +60,14 @@ def some_inputs(uneven: float = 0.0) -> Values:
 @pytest.mark.parametrize("front_drive", [0.0, 0.0, 0.4, 0.4, 1.0])
 def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float) -> None:
     """The planar model is driven by some force; this one is told only what u' that gives. Both wheels of an
-    axle slip at one angle where there is no track between them."""
-    low = TABLE_5_1._replace(
-        h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0, w_f=1e-6, w_r=1e-6, w_i=1e-6
-    )
+    axle slip at one angle, as in a single-track model."""
+    low = TABLE_5_1._replace(h_t=0.0, h_i=0.0, h_h=0.0, front_drive=front_drive, drive_gain=0.0)
     x, w = some_state(), some_inputs()
     planar = np.array([0.0, 0.0, x["psi_t"], x["psi_i"], 4.5, *list(x.values())[:6], w["delta"], 0.0])
     driven = np.zeros(len(nonlinear.INPUTS))
     driven[:5] = [w["delta"], w["gravity_t"], w["gravity_i"], 4.5, RNG.uniform(-10e3, 10e3)]
     wanted = dict(zip(nonlinear.STATES, nonlinear.derivative(low, planar, driven), strict=True))
-    got = moved(x, w | {"u_rate": wanted["u"]}, parameters(low, pin=0.0))
+    got = moved(x, w | {"u_rate": wanted["u"]}, parameters(low, pin=0.0, two_track=0.0))
     for name in STATES[:6]:
         assert got[name] == pytest.approx(wanted[name], rel=1e-9, abs=1e-12), name
 
@@ -105,6 +104,21 @@ def test_the_parameters_are_those_of_the_rig() -> None:
     p = dict(zip((*PARAMETERS, *CONSTANTS), parameters(TABLE_5_1), strict=True))
     assert [p[name] for name in ("a", "m_t", "C_r", "sigma_i")] == [1.7, 9391.0, 486e3, 0.75]
     assert sum(static_loads(TABLE_5_1)) == pytest.approx((p["m_t"] + p["m_i"]) * p["g"])
+
+
+def test_a_pulled_implement_takes_load_off_the_front_wheels() -> None:
+    """Moments of both bodies balance, in the vertical plane, at steady speed."""
+    loads = motion_equations.axle_loads_when_driving()
+    at = {motion_equations.P[name]: value for name, value in zip((*PARAMETERS, *CONSTANTS), parameters(
+        TABLE_5_1._replace(roll_f=0.1, roll_r=0.1, roll_i=0.1)), strict=True)}  # fmt: skip
+    front, cart = (float(loads[name][1].subs(at)) for name in "fi")
+    rig, weight_t, weight_i = TABLE_5_1, TABLE_5_1.m_t * TABLE_5_1.g, TABLE_5_1.m_i * TABLE_5_1.g
+    pull = 0.1 * float(loads["i"][0].subs(at))
+    about_hitch = weight_i * rig.d - cart * (rig.d + rig.e) - pull * rig.h_h
+    on_hitch = weight_i - cart
+    about_rear = front * (rig.a + rig.b) - weight_t * rig.b + on_hitch * (rig.c - rig.b) + pull * rig.h_h
+    assert [about_hitch, about_rear] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert 0.97 < front / float(loads["f"][0].subs(at)) < 0.995
 
 
 @pytest.mark.parametrize("seed", range(8))
