@@ -61,9 +61,6 @@ information comes mostly from the ground's forces."""
 TIGHT_SHARE: Final = 0.1
 """Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
 the model are as in them."""
-LARGEST_ARTICULATION: Final = math.radians(40.0)
-"""Beyond it the motion is followed, but no tyres are learned: in fields of the planar virtual tractor the
-intervals held 88 % with what turns to 60 degrees tell, 94 % without it."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 FIRST_LOOK_S: Final = 10.0
 FIRST_LOOK_SD: Final = 0.3
@@ -270,8 +267,6 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
-    elif _articulation(record) > LARGEST_ARTICULATION:
-        _refuse(state, "sharply articulated")
     return not state.reason
 
 
