@@ -70,6 +70,7 @@ EFFECTS: Final = {
     "zeros of roll sensors": Effect(dict.fromkeys(ROLL_ZEROS, 0.0)),
     "rolls are late": Effect({"roll_late_t": 0.0, "roll_late_i": 0.0}),
     "camber thrust": Effect({"camber": 0.0}),
+    "wheels of an axle slip each by itself": Effect({"two_track": 0.0}),
     "tyre curve": Effect({"curvature": 0.0}),
     "relaxation falls with slip": Effect({"shrink": 0.0}),
     "rolling resistance": Effect({"rolling": 0.0}),
