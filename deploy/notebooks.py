@@ -18,6 +18,8 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 SOURCES: Final = ROOT / "examples/notebooks"
 PAGES: Final = ROOT / "docs/notebooks"
 _END: Final = "-- a cell of this notebook ends here --"
+# Tilth's messages name the command as it was started: on a page always as with `uv run`.
+_STARTED_WITH_UV: Final = {"UV_RUN_RECURSION_DEPTH": "1"}
 
 
 class NotebookCell(NamedTuple):
@@ -44,7 +46,9 @@ def printed(cells: list[NotebookCell], environment: Mapping[str, str] = os.envir
     codes = [cell.content for cell in cells if cell.is_code]
     script = "".join(f"{code}\nprint({_END!r})\n" for code in codes)
     command = [sys.executable, "-W", "error", "-c", script]
-    made = subprocess.run(command, capture_output=True, text=True, check=False, env=dict(environment))
+    made = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=dict(environment) | _STARTED_WITH_UV
+    )
     if made.returncode:
         raise RuntimeError(made.stderr[-2000:])
     return [_tidy(text) for text in made.stdout.split(_END)[: len(codes)]]
