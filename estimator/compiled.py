@@ -8,6 +8,10 @@ the import. Compiled code is stored on disk. Its name holds a digest of all that
 
 Code of numba counts who holds each array: a call with a tuple of twenty arrays counts forty times, by locked
 instructions. In a filter's run that was half of the time. An inner kernel makes no array, so it does without.
+
+numba also optimises all that a function calls anew with each of its callers: code seven calls deep seven
+times. So a step of a long chain that has few callers is inline. A function with many callers, or a short one,
+compiles sooner by itself.
 """
 
 import importlib.util
@@ -16,7 +20,7 @@ from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from tilth.estimator import kernel_digest
-from tilth.estimator.kernel_digest import KernelFunction, called
+from tilth.estimator.kernel_digest import INLINE, INNER, KernelFunction, called
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -49,10 +53,10 @@ class Kernel(KernelFunction, Generic[P, R]):
         return self._run is not None
 
     def functions(self) -> list[FunctionType]:
-        """All functions that are compiled together, this one included."""
+        """All functions that are compiled together, this one included, without those that are inline."""
         linked: dict[FunctionType, Any] = {}
         _linked(self.function, linked, lambda copy, written: copy)
-        return list(linked)
+        return [written for written in linked if not kernel_digest.is_marked(written, INLINE)]
 
     def interpreted(self) -> Callable[P, R]:
         """The same equations, interpreted."""
@@ -80,7 +84,9 @@ class Kernel(KernelFunction, Generic[P, R]):
                 digest = kernel_digest.digest(written, known, versions)
                 copy.__qualname__ = f"{written.__qualname__}-{digest}"
                 # numba's stubs do not name _nrt, which its own functions use in the same way.
-                options: dict[str, Any] = {"cache": keep, "_nrt": not kernel_digest.is_inner(written)}
+                options: dict[str, Any] = {"cache": keep, "_nrt": not kernel_digest.is_marked(written, INNER)}
+                if kernel_digest.is_marked(written, INLINE):
+                    options["inline"] = "always"
                 return numba.njit(**options)(copy)
 
             try:
@@ -102,7 +108,13 @@ def kernel(function: Callable[P, R]) -> Kernel[P, R]:
 
 def inner_kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """Decorator of a kernel that makes no array and returns none: it works in those that it is given."""
-    kernel_digest.mark_inner(function)
+    kernel_digest.mark(function, INNER)
+    return Kernel(function)
+
+
+def inline_kernel(function: Callable[P, R]) -> Kernel[P, R]:
+    """Decorator of a kernel that is compiled only as a part of those that call it."""
+    kernel_digest.mark(function, INLINE)
     return Kernel(function)
 
 

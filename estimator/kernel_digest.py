@@ -22,6 +22,8 @@ LAYERS: Final = ("tilth.schemas.", "tilth.estimator.", "tilth.simulator.spatial.
 """Whose functions are compiled with a kernel."""
 KNOWN_PACKAGES: Final = frozenset({"builtins", "cmath", "math", "numba", "numpy", "operator", "typing"})
 """Packages whose functions and types are digested by name only: their versions are part of the digest."""
+INNER: Final = "inner"
+INLINE: Final = "inline"
 LITERALS: Final = (bool, int, float, complex, str, bytes, NoneType, EllipsisType)
 READABLE: Final = (
     "numbers, strings, tuples, enums, arrays, NamedTuples, and functions of tilth.schemas and tilth.estimator"
@@ -55,14 +57,14 @@ class KernelFunction:
         self.function = function
 
 
-def mark_inner(function: Callable[..., Any]) -> None:
-    """Remember that a function is an inner kernel: compiled.inner_kernel."""
-    function.__dict__["is_inner"] = True
+def mark(function: Callable[..., Any], way: str) -> None:
+    """Remember how a kernel is compiled: INNER or INLINE."""
+    function.__dict__["compiled_as"] = way
 
 
-def is_inner(function: FunctionType) -> bool:
-    """Whether it is an inner kernel."""
-    return bool(function.__dict__.get("is_inner", False))
+def is_marked(function: FunctionType, way: str) -> bool:
+    """Whether it is."""
+    return bool(function.__dict__.get("compiled_as", "") == way)
 
 
 def called(function: FunctionType) -> dict[str, FunctionType]:
@@ -85,7 +87,7 @@ def readings(function: FunctionType) -> dict[FunctionType, Reading]:
     while queue:
         item = queue.pop()
         if item not in found:
-            text = f"{'inner ' if is_inner(item) else ''}{_function_text(item)}"
+            text = f"{item.__dict__.get('compiled_as', '')} {_function_text(item)}"
             found[item] = Reading(text, tuple(called(item).values()))
             queue += found[item].calls
     return found

@@ -1,4 +1,5 @@
-"""The update of the filters with one measurement, and the Jacobian of a measurement between two ticks."""
+"""The filters' covariances from tick to tick, their update with one measurement, and its Jacobian between
+two ticks."""
 
 from typing import NamedTuple
 
@@ -11,10 +12,18 @@ from tilth.estimator.filters.states import (
     SLOPES,
     X_PAIR,
     X_POSITION,
+    X_PSI,
     X_PUSH,
     Places,
 )
-from tilth.estimator.filters.transition import D_POSITION, N_DRIVEN, POSITION_LATER, Transition
+from tilth.estimator.filters.transition import (
+    D_POSITION,
+    N_DRIVEN,
+    POSITION_LATER,
+    Transition,
+    propagate_covariance,
+)
+from tilth.estimator.record.record import TICK
 
 Array = NDArray[np.float64]
 
@@ -44,6 +53,21 @@ class UpdateWork(NamedTuple):
 def empty_work(count: int, n: int) -> UpdateWork:
     """Work arrays for `count` filters of n states and unknowns."""
     return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_DRIVEN))
+
+
+@inner_kernel
+def rows_by(rows: Array, row: int, tick: int) -> int:
+    """The first row of a record, from `row` on, that comes after a tick."""
+    while row < rows.shape[0] and rows[row, TICK] <= tick:
+        row += 1
+    return row
+
+
+@inner_kernel
+def propagate_covariances(state: JointState, step: Transition) -> None:
+    """Of all filters, by a tick."""
+    for c in range(state.P.shape[0]):
+        propagate_covariance(state.P[c], c, step, state.x[X_PSI])
 
 
 @inner_kernel

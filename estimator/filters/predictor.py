@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.companions import (
     Filters,
     advance,
@@ -28,6 +28,8 @@ from tilth.estimator.filters.joint_update import (
     UpdateWork,
     between,
     empty_work,
+    propagate_covariances,
+    rows_by,
     unknowns_between,
     update,
 )
@@ -45,7 +47,7 @@ from tilth.estimator.filters.propagation import (
     set_wheel_noise,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_PSI, Places, Point
+from tilth.estimator.filters.states import N_STATES, Places, Point
 from tilth.estimator.filters.transition import (
     D_POSITION,
     N_DRIVEN,
@@ -54,9 +56,8 @@ from tilth.estimator.filters.transition import (
     decay_rows,
     empty_transition,
     multiply,
-    propagate_covariance,
 )
-from tilth.estimator.record.record import SD, TICK, U
+from tilth.estimator.record.record import SD, U
 
 Array = NDArray[np.float64]
 
@@ -153,25 +154,25 @@ class Runner(NamedTuple):
     H_unknowns: Array  # (a,), and over the active unknowns
 
 
-@kernel
+@inline_kernel
 def runner(u: float, x: Array, point: Point, setup: RigSetup, varied: Varied) -> Runner:
     """At the first tick of a run, at speed u, m/s. The other arguments are those of `run_filter`."""
-    places, nearby = varied.places, varied.nearby
-    na, count = places.shape[0], 1 + nearby.shape[0]
-    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, 0, count)
-    plant, run = empty_plant(setup, na), filters(point.unknowns, nearby)
+    places, run = varied.places, filters(point.unknowns, varied.nearby)
+    na, learned = places.shape[0], places[:0]
+    active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
     set_geometry_slopes(point, active)
     set_plant(plant, point, setup, active)
     P = first_covariances(u, run, setup)
-    state = JointState(x, np.zeros(N_STATES), point.unknowns, places[:0], np.zeros(N_STATES), P)
+    step, work = empty_transition(na, learned.shape[0], P.shape[0]), empty_work(P.shape[0], P.shape[1])
+    state = JointState(x, np.zeros(N_STATES), point.unknowns, learned, np.zeros(N_STATES), P)
     carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_DRIVEN, na)), np.zeros(na))
     return Runner(
-        state, run, varied, carried, plant, active, step, empty_work(count, N_STATES), np.zeros(N_STATES),
-        np.zeros(N_STATES + na), np.zeros(N_STATES), np.zeros(na),
+        state, run, varied, carried, plant, active, step, work, np.zeros(N_STATES), np.zeros(N_STATES + na),
+        np.zeros(N_STATES), np.zeros(na),
     )  # fmt: skip
 
 
-@inner_kernel
+@inline_kernel
 def begin_tick(ticks: Array, k: int, point: Point, setup: RigSetup, on: Runner) -> float:
     """Propagate the state from tick k to the next; the measured speed between them, m/s."""
     x, step = on.state.x, on.step
@@ -187,13 +188,12 @@ def begin_tick(ticks: Array, k: int, point: Point, setup: RigSetup, on: Runner) 
     return drive.u
 
 
-@inner_kernel
+@inline_kernel
 def end_tick(closed: bool, on: Runner) -> None:
     """Propagate all else."""
     state, step = on.state, on.step
     if closed:
-        for c in range(state.P.shape[0]):
-            propagate_covariance(state.P[c], c, step, state.x[X_PSI])
+        propagate_covariances(state, step)
         advance(on.run, state.x, step)
     for i in range(N_STATES):
         state.x[i] = state.following[i]
@@ -235,10 +235,11 @@ def run_ticks(measured: Measured, point: Point, setup: RigSetup, on: Runner, out
     rows, used, row = measured.rows, measured.used, 0
     for k in range(measured.ticks.shape[0]):
         u = begin_tick(measured.ticks, k, point, setup, on)
-        while row < rows.shape[0] and rows[row, TICK] <= k:
-            if used[row] != 0.0:
-                take_row(measured, row, k, u, point, setup, on, out)
-            row += 1
+        after = rows_by(rows, row, k)
+        for i in range(row, after):
+            if used[i] != 0.0:
+                take_row(measured, i, k, u, point, setup, on, out)
+        row = after
         end_tick(measured.closed, on)
 
 

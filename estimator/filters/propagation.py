@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import (
     DT,
@@ -354,7 +354,7 @@ def find_middle(x: Array, ticks: Array, k: int, point: Point, plant: Plant, step
         middle[i] += 0.5 * EVERY * DT * step.rates[i]
 
 
-@inner_kernel
+@inline_kernel
 def linearise(
     x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:

@@ -11,8 +11,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import kernel
-from tilth.estimator.filters.joint_update import JointState, between, empty_work, unknowns_between, update
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.filters.joint_update import (
+    JointState,
+    UpdateWork,
+    between,
+    empty_work,
+    propagate_covariances,
+    rows_by,
+    unknowns_between,
+    update,
+)
 from tilth.estimator.filters.measurement_model import (
     noise_factor,
     observation,
@@ -22,6 +31,7 @@ from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
     GroundNoise,
+    Plant,
     drive_at,
     empty_plant,
     linearise,
@@ -36,10 +46,10 @@ from tilth.estimator.filters.propagation import (
     state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_PSI, X_PUSH, X_UNEVEN, Places, Point
-from tilth.estimator.filters.transition import empty_transition, propagate_covariance
-from tilth.estimator.filters.unknowns import geometry as geometry_at
-from tilth.estimator.record.record import ROLL_ANGLE, SD, TICK, VALUE, VELOCITY, YAW_RATE
+from tilth.estimator.filters.states import N_STATES, X_PUSH, X_UNEVEN, Places, Point
+from tilth.estimator.filters.transition import Transition, empty_transition
+from tilth.estimator.filters.unknowns import geometry, set_geometry
+from tilth.estimator.record.record import ROLL_ANGLE, SD, VALUE, VELOCITY, YAW_RATE
 
 Array = NDArray[np.float64]
 
@@ -111,7 +121,7 @@ def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None
             )
 
 
-@kernel
+@inner_kernel
 def add_residual(
     kind: int, error: float, noise_variance: float, variance: float, stated_sd: float, sums: Array
 ) -> None:
@@ -129,7 +139,7 @@ def add_residual(
     sums[group, 1] += 1.0
 
 
-@kernel
+@inner_kernel
 def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
     """Add what the ground does to its tally."""
     for i in range(GROUND):
@@ -137,6 +147,114 @@ def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
         sd = ground.push[i] if i < 3 else ground.uneven
         sums[SENSORS + i, 0] += x[place] ** 2
         sums[SENSORS + i, 1] += sd**2 - P[place, place]
+
+
+class SegmentRun(NamedTuple):
+    """What a run over a segment works with."""
+
+    state: JointState
+    steered: Array  # (30,), as JointEstimate.steered
+    point: Point
+    plant: Plant
+    active: Active
+    step: Transition
+    work: UpdateWork
+    x_at: Array  # (30,), state at a measurement
+    h: Array  # (30 + a,), Jacobian of a measurement over it and the active unknowns
+    H: Array  # (30 + a,), the same over the joint state at the tick
+    H_unknowns: Array  # (a,), its last part
+    error: Array  # (1,), innovation
+    variance: Array  # (1,), of its noise, then of it
+
+
+@inline_kernel
+def segment_run(
+    estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array
+) -> SegmentRun:  # fmt: skip
+    """At the first tick. The arguments are those of `track_segment`."""
+    x, unknowns, na = estimate.x, estimate.unknowns, places.shape[0]
+    n = N_STATES + na
+    active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
+    point = Point(unknowns, np.zeros(6), geometry(setup.geometry, unknowns))
+    set_geometry_slopes(point, active)
+    P = pack_covariance(estimate, places)
+    state, H = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P), np.zeros(n)
+    step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
+    return SegmentRun(
+        state, estimate.steered, point, plant, active, step, work,
+        np.zeros(N_STATES), np.zeros(n), H, H[N_STATES:], np.zeros(1), np.zeros(1),
+    )  # fmt: skip
+
+
+@inline_kernel
+def linearise_anew(
+    ticks: Array, k: int, u: float, setup: RigSetup, ground: GroundNoise, by_steering: bool, on: SegmentRun
+) -> None:
+    """At what is known by tick k, at speed u, m/s."""
+    point, plant, step = on.point, on.plant, on.step
+    set_geometry(setup.geometry, point.unknowns, point.geometry)
+    set_plant(plant, point, setup, on.active)
+    set_slopes(u, setup, step)
+    for c in range(on.state.P.shape[0]):
+        set_processes(u, ground, setup, step, c)
+    linearise(on.state.x, ticks, k, point, plant, on.active, step)
+    if by_steering:
+        slopes_of_steering(on.steered, ticks, k, point, plant, on.active, step)
+
+
+@inline_kernel
+def take_measurement(
+    ticks: Array, row: Array, k: int, u: float, setup: RigSetup, tally: RowTally, on: SegmentRun
+) -> None:
+    """Update the state with a row, (6,), of the record, after tick k at speed u, m/s; add to the tally."""
+    x, following, counts = on.state.x, on.state.following, tally.counts
+    obs = observation(ticks, row, k, u)
+    for i in range(N_STATES):
+        on.x_at[i] = x[i] + obs.share * (following[i] - x[i])
+    error = row[VALUE] - predict_joint_measurement(on.x_at, obs, on.point, on.active, setup, on.h)
+    noise_variance = (row[SD] * noise_factor(obs.kind, on.state.unknowns)) ** 2
+    if not (math.isfinite(error) and math.isfinite(noise_variance)):
+        counts[BAD] += 1.0
+        return
+    on.error[0], on.variance[0] = error, noise_variance
+    between(obs.share, on.h, on.step, on.H)
+    unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
+    if not update(on.error, on.variance, on.H, on.state, on.step, GATE, on.work):
+        counts[GATED] += 1.0
+        return
+    counts[USED] += 1.0
+    add_residual(obs.kind, on.error[0], noise_variance, on.variance[0], row[SD], tally.sums)
+
+
+@inner_kernel
+def track_ticks(
+    segment: SegmentArrays, setup: RigSetup, ground: GroundNoise, tally: RowTally, by_steering: bool,
+    on: SegmentRun,
+) -> None:  # fmt: skip
+    """All ticks of a segment. The arguments are those of `track_segment`."""
+    ticks, first, length, rows = segment
+    state, step, row = on.state, on.step, 0
+    x, following = state.x, state.following
+    for k in range(first, first + length):
+        for i in range(6):
+            on.point.theta[i] = math.exp(state.unknowns[i])
+        drive = drive_at(ticks, k, state.unknowns)
+        if (k - first) % EVERY == 0:
+            linearise_anew(ticks, k, drive.u, setup, ground, by_steering, on)
+        state_rates(on.steered, drive, on.plant, step.rates)
+        propagate_mean(on.steered, drive.u, step, following)
+        for i in range(N_STATES):
+            on.steered[i] = following[i]
+        propagate(x, drive, on.plant, on.active, step, following)
+        after = rows_by(rows, row, k - first)
+        for i in range(row, after):
+            take_measurement(ticks, rows[i], k, drive.u, setup, tally, on)
+        row = after
+        set_wheel_noise(drive.u, on.point.theta[3], setup.sds, step)
+        add_ground(x, state.P[0], ground, tally.sums)
+        propagate_covariances(state, step)
+        for i in range(N_STATES):
+            x[i] = following[i]
 
 
 @kernel
@@ -149,54 +267,6 @@ def track_segment(
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (30 + a,), 1.0 for what may not be
     learned. by_steering: whether slopes by the unknowns are those of `propagation.slopes_of_steering`.
     """
-    ticks, first, length, rows = segment
-    x, unknowns, steered, counts = estimate.x, estimate.unknowns, estimate.steered, tally.counts
-    na = places.shape[0]
-    P, n = pack_covariance(estimate, places), N_STATES + na
-    active, step = Active(places, np.zeros((na, 9))), empty_transition(na, na, 1)
-    point = Point(unknowns, np.zeros(6), geometry_at(setup.geometry, unknowns))
-    plant = empty_plant(setup, na)
-    set_geometry_slopes(point, active)
-    state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
-    following, x_at = state.following, np.zeros(N_STATES)
-    h, H, work = np.zeros(n), np.zeros(n), empty_work(1, n)
-    error, variance, row, m = np.zeros(1), np.zeros(1), 0, rows.shape[0]
-    for k in range(first, first + length):
-        for i in range(6):
-            point.theta[i] = math.exp(unknowns[i])
-        drive = drive_at(ticks, k, unknowns)
-        if (k - first) % EVERY == 0:
-            point = Point(unknowns, point.theta, geometry_at(setup.geometry, unknowns))
-            set_plant(plant, point, setup, active)
-            set_slopes(drive.u, setup, step)
-            set_processes(drive.u, ground, setup, step, 0)
-            linearise(x, ticks, k, point, plant, active, step)
-            if by_steering:
-                slopes_of_steering(steered, ticks, k, point, plant, active, step)
-        state_rates(steered, drive, plant, step.rates)
-        propagate_mean(steered, drive.u, step, following)
-        steered[:] = following
-        propagate(x, drive, plant, active, step, following)
-        while row < m and rows[row, TICK] <= k - first:
-            obs = observation(ticks, rows[row], k, drive.u)
-            for i in range(N_STATES):
-                x_at[i] = x[i] + obs.share * (following[i] - x[i])
-            error[0] = rows[row, VALUE] - predict_joint_measurement(x_at, obs, point, active, setup, h)
-            noise_variance = (rows[row, SD] * noise_factor(obs.kind, unknowns)) ** 2
-            variance[0] = noise_variance
-            row += 1
-            if not (math.isfinite(error[0]) and math.isfinite(noise_variance)):
-                counts[BAD] += 1.0
-                continue
-            between(obs.share, h, step, H)
-            unknowns_between(obs.share, h, step, H[N_STATES:])
-            if not update(error, variance, H, state, step, GATE, work):
-                counts[GATED] += 1.0
-                continue
-            counts[USED] += 1.0
-            add_residual(obs.kind, error[0], noise_variance, variance[0], rows[row - 1, SD], tally.sums)
-        set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-        add_ground(x, P[0], ground, tally.sums)
-        propagate_covariance(P[0], 0, step, x[X_PSI])
-        x[:] = following
-    unpack_covariance(P[0], places, estimate)
+    on = segment_run(estimate, setup, places, considered)
+    track_ticks(segment, setup, ground, tally, by_steering, on)
+    unpack_covariance(on.state.P[0], places, estimate)

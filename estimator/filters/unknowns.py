@@ -157,14 +157,21 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
 
 def geometry(base: Array, point: Array) -> Array:
     """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. Kernels call it too."""
-    changed: Array = base * np.exp(point[AT_GEOMETRY : AT_GEOMETRY + 9])
+    changed = np.zeros(9)
+    set_geometry(base, point, changed)
+    return changed
+
+
+def set_geometry(base: Array, point: Array, changed: Array) -> None:
+    """Fill changed, (9,), with `geometry`. Kernels call it."""
+    for i in range(9):
+        changed[i] = base[i] * math.exp(point[AT_GEOMETRY + i])
     changed[4] = base[4] + point[AT_GEOMETRY + 4]
     changed[0] -= point[AT_CG]
     changed[1] += point[AT_CG]
     changed[2] += point[AT_CG]
     changed[3] -= point[AT_CG + 1]
     changed[4] += point[AT_CG + 1]
-    return changed
 
 
 def levers(machine: Machine) -> Array:

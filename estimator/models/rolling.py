@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.models.rolling_kernels import motion, motion_slopes, parameter_slopes
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
@@ -92,7 +92,7 @@ def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
         out[10 + body] = x[1 + body]
 
 
-@inner_kernel
+@inline_kernel
 def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     """Fill right_slopes and slip_slopes of `at`; `rates` has filled its first three at the same state."""
     at.right_slopes[:] = 0.0
@@ -100,7 +100,7 @@ def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     solve(at.M, at.right_slopes)
 
 
-@inner_kernel
+@inline_kernel
 def rate_slopes_by_parameter(x: Array, w: Array, p: Array, at: MotionRates) -> None:
     """Fill right_by_parameter and slip_by_parameter, as `rate_slopes` its own."""
     at.right_by_parameter[:] = 0.0

@@ -20,6 +20,7 @@ import pytest
 
 from tilth.estimator import kernel_digest
 from tilth.estimator.compiled import Kernel
+from tilth.estimator.filters import predictor
 from tilth.estimator.kernel_digest import NotDigestible
 from tilth.estimator.models import nonlinear
 
@@ -125,6 +126,7 @@ import tilth.estimator
 tilth.estimator.__path__.append(sys.argv[1])
 from types import FunctionType
 from tilth.estimator.compiled import Kernel
+from tilth.estimator.filters import predictor
 from tilth.estimator.planted import constants, kernels
 
 results = {}
@@ -277,3 +279,14 @@ def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:
     source = "def f(x):\n    # why\n    return 2.0 * x"
     assert digest(_function(source)) == digest(_function("\n\n" + source.replace("    # why\n", "")))
     assert digest(_function(source)) != digest(_function(source.replace("2.0", "2")))
+
+
+def test_an_inline_kernel_is_compiled_in_its_callers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {function.__name__ for function in predictor.run_filter.functions()}
+    assert {"run_filter", "take_row"} <= names and "begin_tick" not in names
+
+    function = predictor.run_filter.function
+    before = kernel_digest.digest(function, kernel_digest.readings(function))
+    monkeypatch.delitem(predictor.begin_tick.function.__dict__, "compiled_as")
+    assert "begin_tick" in {one.__name__ for one in predictor.run_filter.functions()}
+    assert kernel_digest.digest(function, kernel_digest.readings(function)) != before
