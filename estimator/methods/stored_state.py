@@ -107,6 +107,8 @@ def tracker_json(state: TrackerState) -> Json:
         "waiting": to_json_data(state.pending),
         "ticks_before": to_json_data(state.ticks_before),
         "steering": to_json_data(state.steering),
+        "held_at": to_json_data(state.held_at),
+        "held": state.held,
         "marks": to_json_data(state.checkpoints),
         "marks_after": state.segments_since_checkpoint,
         "counts": to_json_data(state.counts),
@@ -127,6 +129,7 @@ def tracker_json(state: TrackerState) -> Json:
         "considered": to_json_data(state.considered),
         "steered": to_json_data(state.needs_steering),
         "by_steering": state.by_steering,
+        "learns_held": state.learns_held,
     }
 
 
@@ -150,6 +153,8 @@ def tracker_of(raw: Any) -> TrackerState:
         pending=stored.optional(Record, "waiting"),
         ticks_before=stored.array("ticks_before", -1, len(INPUTS)),
         steering=stored.value(float, "steering"),
+        held_at=stored.value(float, "held_at"),
+        held=stored.value(int, "held"),
         checkpoints=stored.value(list[Checkpoint], "marks"),
         segments_since_checkpoint=stored.value(int, "marks_after"),
         counts=stored.array("counts", 3),
@@ -170,6 +175,7 @@ def tracker_of(raw: Any) -> TrackerState:
         considered=stored.value(list[int], "considered"),
         needs_steering=stored.value(list[int], "steered"),
         by_steering=stored.value(bool, "by_steering"),
+        learns_held=stored.value(bool, "learns_held"),
     )
     stored.end()
     return state

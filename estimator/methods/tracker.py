@@ -62,6 +62,7 @@ TIGHT_SHARE: Final = 0.1
 """Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
 the model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
+LONGEST_HELD: Final = 25  # segments, 5 s
 FIRST_LOOK_S: Final = 10.0
 FIRST_LOOK_SD: Final = 0.3
 """Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
@@ -109,6 +110,8 @@ class TrackerState:
     pending: Record | None = None
     ticks_before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
     steering: float = 0.0  # recent mean square of the wheel angle, rad^2
+    held_at: float = 0.0  # rad, wheel angle at which the wheels came to be held
+    held: int = 0  # segments for which they have been held there
     checkpoints: list[Checkpoint] = field(default_factory=list)
     segments_since_checkpoint: int = 0
     counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
@@ -131,6 +134,7 @@ class TrackerState:
         default_factory=lambda: list(SOIL)
     )  # unknowns learned only with steering
     by_steering: bool = True  # slopes are those of steering alone, after a first look
+    learns_held: bool = True  # soil and tyres, also where the wheels are held for longer than LONGEST_HELD
 
 
 KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
@@ -263,11 +267,21 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
     state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
+    _note_held(state, float(wheel.mean()))
     if state.segments_since_start <= SETTLES:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
+    elif state.held > LONGEST_HELD and not state.learns_held:
+        _refuse(state, "wheels held at one angle")
     return not state.reason
+
+
+def _note_held(state: TrackerState, wheel: float) -> None:
+    """wheel: mean angle of a segment, rad."""
+    if abs(wheel - state.held_at) > STEERING:
+        state.held_at, state.held = wheel, 0
+    state.held += 1
 
 
 def _count(state: TrackerState, seconds: float, tight: bool) -> None:
