@@ -90,6 +90,8 @@ def three_steps(bench: Bench) -> list[Line]:
     case = bench.case(estimation_study.STEPS)
     made: list[Followed] = bench.each(partial(runs.follow, case), 50)
     windows = [m for m in bench.each(partial(runs.window, case, 3, bench.window), 50) if m is not None]
+    if not windows:
+        return [Line("three windows", "no run had three")]
     bound = runs.mean_bound(case, windows)
     limit = np.maximum([0.025] * 3 + [0.08] * 3, 1.3 * bound)
     sd = np.nanmedian([run.series["pem"][-1][7:13] for run in made], axis=0)

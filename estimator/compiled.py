@@ -113,7 +113,8 @@ def inner_kernel(function: Callable[P, R]) -> Kernel[P, R]:
 
 
 def inline_kernel(function: Callable[P, R]) -> Kernel[P, R]:
-    """Decorator of a kernel that is compiled only as a part of those that call it."""
+    """Decorator of a kernel that is compiled only as a part of those that call it. Within an inner kernel it
+    makes no array either."""
     kernel_digest.mark(function, INLINE)
     return Kernel(function)
 

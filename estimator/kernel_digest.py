@@ -63,7 +63,7 @@ def mark(function: Callable[..., Any], way: str) -> None:
 
 
 def is_marked(function: FunctionType, way: str) -> bool:
-    """Whether it is."""
+    """Whether it is compiled in that way."""
     return bool(function.__dict__.get("compiled_as", "") == way)
 
 

@@ -1,5 +1,5 @@
-"""The filters' covariances from tick to tick, their update with one measurement, and its Jacobian between
-two ticks."""
+"""What both filters do with a record: rows up to a tick, covariances from tick to tick, the update with one
+measurement, and its Jacobian between two ticks."""
 
 from typing import NamedTuple
 

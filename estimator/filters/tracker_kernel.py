@@ -168,9 +168,7 @@ class SegmentRun(NamedTuple):
 
 
 @inline_kernel
-def segment_run(
-    estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array
-) -> SegmentRun:  # fmt: skip
+def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array) -> SegmentRun:
     """At the first tick. The arguments are those of `track_segment`."""
     x, unknowns, na = estimate.x, estimate.unknowns, places.shape[0]
     n = N_STATES + na
@@ -232,10 +230,10 @@ def track_ticks(
     on: SegmentRun,
 ) -> None:  # fmt: skip
     """All ticks of a segment. The arguments are those of `track_segment`."""
-    ticks, first, length, rows = segment
+    ticks, first, size, rows = segment
     state, step, row = on.state, on.step, 0
     x, following = state.x, state.following
-    for k in range(first, first + length):
+    for k in range(first, first + size):
         for i in range(6):
             on.point.theta[i] = math.exp(state.unknowns[i])
         drive = drive_at(ticks, k, state.unknowns)

@@ -24,7 +24,7 @@ from tilth.estimator.methods.findings import (
     parked_errors,
 )
 from tilth.estimator.methods.open_tracker import Misfit
-from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.methods.tracker import HELD, TrackerState
 from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
@@ -50,7 +50,7 @@ POSES_TO_FORGET: Final = 25  # poses (5 s): what was learned during a longer con
 RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi-square is named as well
 OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
 OUTLIER_SEGMENTS: Final = 100
-LEAST_SEGMENTS: Final = 40  # segments (8 s) with steering before the open tracker is used
+LEAST_SEGMENTS: Final = 40  # segments (8 s) from which the open tracker has learned before it is used
 NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
@@ -86,6 +86,7 @@ class Consistency:
     agreed: int = 0  # poses in a row in which the open tracker agrees with the file; below 0: does not agree
     rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
     rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
+    learned: int = 0  # segments from which the open tracker has learned
     methods: dict[str, dict[str, str]] = field(default_factory=dict)
     """Method -> key -> what is wrong with its latest estimate."""
     # after its first finding the open tracker was restarted; the next one counts
@@ -108,8 +109,11 @@ def observe(
     """
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
-    if segment is not None and open_tracker.take(state.open, machine, segment):
-        state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
+    if segment is not None:
+        learned = open_tracker.take(state.open, machine, segment)
+        state.learned += learned
+        if learned or state.open.reason == HELD:
+            state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
     state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
     found = moved or _findings_at_pose(state, machine, aligner, checks, pose)
@@ -214,7 +218,7 @@ def _findings_at_pose(
 
 def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, str]:
     """The finding of the open tracker, or none."""
-    if len(state.rows) < LEAST_SEGMENTS:
+    if state.learned < LEAST_SEGMENTS:
         return {}
     misfit = open_tracker.misfit(state.open, machine)
     decided = any(key in state.findings and state.findings[key].active for key in KEYS.values())
@@ -284,7 +288,7 @@ def _update_findings(
 
 
 def _begin_open_tracker(state: Consistency, machine: Machine) -> None:
-    state.open, state.rows = open_tracker.initial(machine), []
+    state.open, state.rows, state.learned = open_tracker.initial(machine), [], 0
 
 
 def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
@@ -307,14 +311,15 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
     known = open_tracker.OF_PAIRS if state.pairs_known else ()
     unconfirmed_names = [name for name in open_tracker.unconfirmed(misfit, machine) if name not in known]
     decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
-    long_enough = state.agreed >= POSES_TO_CONFIRM and len(state.rows) >= LEAST_SEGMENTS
+    long_enough = state.agreed >= POSES_TO_CONFIRM and state.learned >= LEAST_SEGMENTS
     state.confirmed = not unconfirmed_names and long_enough and decided
     state.open_restarted &= not state.confirmed
     if not unconfirmed_names and not fits:
         state.missing = _doubt_reason(misfit)
         return
-    keys = ", ".join(KEYS[name] for name in unconfirmed_names[:2]) or "turn rates and rolls"
-    state.missing = f"driving has not shown yet that the machine file is right ({keys}): steer to both sides"
+    keys = [KEYS[name] for name in unconfirmed_names[:2]] or ["turn rates", "rolls"] * (not decided)
+    which = f" ({', '.join(keys)})" if keys else ""
+    state.missing = f"driving has not shown yet that the machine file is right{which}: steer to both sides"
 
 
 def _doubt_reason(misfit: Misfit) -> str:

@@ -52,7 +52,7 @@ CERTAIN: Final = 2.33  # sds by which the data must be off each of these: one gr
 NAMES: Final = tuple(OPEN_SD)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
-MEMORY: Final = 2400.0  # segments with steering (8 min) over which the result is forgotten
+MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
 SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 OF_PAIRS: Final = STRAIGHT[1:]
@@ -81,15 +81,15 @@ def initial(machine: Machine) -> TrackerState:
     state.covariance[NOISE, NOISE] = 0.0
     state.needs_steering, state.considered = list(_STEERED), []
     state.by_steering = False  # gross errors show sooner with all that the drive tells
-    # Later in a circle all that moves the rig is unevenness, over which the implement follows the tractor, as
-    # the model does not say: right files were doubted in half of all drives of three long steps on the planar
-    # plant (implement.e off by 0.6 m).
+    # Later in a circle only unevenness moves the rig. The implement follows the tractor over the same one,
+    # which the model does not describe: right files were doubted in half of all drives of three long steps
+    # on the planar plant (implement.e off by 0.6 m).
     state.learns_held = False
     return state
 
 
 def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
-    """Take one segment. Returns whether there was steering, so that all open numbers were learned."""
+    """Take one segment. Returns whether all open numbers were learned from it."""
     tracker.take_segment(state, machine, segment)
     state.events.clear()
     state.checkpoints.clear()  # only the tracker itself detects changes of soil

@@ -62,7 +62,9 @@ TIGHT_SHARE: Final = 0.1
 """Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
 the model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
+HELD_WITHIN: Final = math.radians(1.5)  # wheels that stay within so much of an angle are held
 LONGEST_HELD: Final = 25  # segments, 5 s
+HELD: Final = "wheels held at one angle"
 FIRST_LOOK_S: Final = 10.0
 FIRST_LOOK_SD: Final = 0.3
 """Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
@@ -134,7 +136,7 @@ class TrackerState:
         default_factory=lambda: list(SOIL)
     )  # unknowns learned only with steering
     by_steering: bool = True  # slopes are those of steering alone, after a first look
-    learns_held: bool = True  # soil and tyres, also where the wheels are held for longer than LONGEST_HELD
+    learns_held: bool = True  # needs_steering is learned also with wheels held for longer than LONGEST_HELD
 
 
 KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
@@ -267,19 +269,19 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
     state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
     state.segments_since_start += 1
-    _note_held(state, float(wheel.mean()))
+    _note_held(state, float(record.ticks[:, WHEEL_ANGLE].mean()))
     if state.segments_since_start <= SETTLES:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
     elif state.held > LONGEST_HELD and not state.learns_held:
-        _refuse(state, "wheels held at one angle")
+        _refuse(state, HELD)
     return not state.reason
 
 
 def _note_held(state: TrackerState, wheel: float) -> None:
-    """wheel: mean angle of a segment, rad."""
-    if abs(wheel - state.held_at) > STEERING:
+    """wheel: mean reading of a segment, rad. After a restart of x the same circle goes on."""
+    if abs(wheel - state.held_at) > HELD_WITHIN:
         state.held_at, state.held = wheel, 0
     state.held += 1
 

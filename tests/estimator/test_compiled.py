@@ -126,7 +126,6 @@ import tilth.estimator
 tilth.estimator.__path__.append(sys.argv[1])
 from types import FunctionType
 from tilth.estimator.compiled import Kernel
-from tilth.estimator.filters import predictor
 from tilth.estimator.planted import constants, kernels
 
 results = {}

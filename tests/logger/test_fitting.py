@@ -1,6 +1,7 @@
 """Fits beside the loop: in time, late, lost; and that a replay uses each just where the live run did."""
 
 import json
+import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -208,8 +209,10 @@ def test_an_end_in_the_middle_of_a_fit_waits_for_nothing() -> None:
     worker = Worker(MACHINE, lambda kind, text: messages.append(text))
     worker.ask(pem.METHOD, replace(a_job(), record=_endless()))
     worker.close()
-    while worker._process is not None:  # a busy computer may take longer to end it than `close` waits
+    deadline = time.monotonic() + 30.0  # a busy computer may take longer to end it than `close` waits
+    while worker._process is not None and time.monotonic() < deadline:
         continue
+    assert worker._process is None
     assert messages == []
 
 

@@ -680,3 +680,11 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     again = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
     assert again.status is Status.UNESTIMATED and "more steering" in again.reason
     assert again.value is None
+
+
+def test_wheels_are_held_until_they_have_moved_away_from_where_that_began() -> None:
+    state = tracker.initial(MACHINE)
+    small, far = 0.9 * tracker.HELD_WITHIN, 1.1 * tracker.HELD_WITHIN
+    for wheel, held in ((0.2, 1), (0.2 + small, 2), (0.2 - small, 3), (0.2 + far, 1), (0.2, 1), (0.2, 2)):
+        tracker._note_held(state, wheel)
+        assert state.held == held
