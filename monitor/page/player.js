@@ -5,7 +5,7 @@ import { element, put } from "./tiles.js";
 import { clock, duration, spaced } from "./words.js";
 
 const EVERY_MS = 150; // between two orders while the slider is drawn
-const HELD_MS = 600; // the slider stays where it was put until the player has gone there
+const LOST_MS = 5000; // the slider stays where it was put until the player has gone there, but no longer
 const STRONG = new Set(["mark", "turn"]);
 const WORDS = { idle: "no run is open", preparing: "getting ready", paused: "paused", playing: "playing", ended: "at its end", failed: "cannot be played" };
 const byId = (id) => document.getElementById(id);
@@ -21,13 +21,15 @@ export async function tell(order) {
 
 export class PlayerBar {
   constructor() {
-    this.heldAt = -Infinity;
+    this.wanted = null; // s, where the player was told to go and has not been seen yet
     this.sentAt = -Infinity;
+    this.waiting = []; // orders
+    this.sending = false;
     const slider = byId("play-slider");
     byId("play").addEventListener("click", () => this.#order({ order: this.player?.state === "playing" ? "pause" : "play" }));
     byId("play-rate").addEventListener("change", (event) => this.#order({ order: "rate", rate: Number(event.target.value) }));
     slider.addEventListener("input", () => {
-      this.#hold();
+      this.#hold(Number(slider.value));
       if (performance.now() - this.sentAt > EVERY_MS) this.#seek(Number(slider.value));
     });
     slider.addEventListener("change", () => this.#seek(Number(slider.value)));
@@ -48,8 +50,7 @@ export class PlayerBar {
     byId("play").setAttribute("aria-label", playing ? "Pause" : "Play");
     if (document.activeElement !== byId("play-rate")) byId("play-rate").value = String(rate);
     slider.max = String(Math.max(1, length_s));
-    const held = performance.now() - this.heldAt < HELD_MS;
-    if (!held) slider.value = String(at_s);
+    if (this.#isThere(at_s, rate)) slider.value = String(at_s);
     const words = `${duration(at_s)} of ${duration(length_s)}`;
     slider.setAttribute("aria-valuetext", words);
     put(byId("play-time"), words);
@@ -86,7 +87,6 @@ export class PlayerBar {
       button.type = "button";
       button.append(element("span", "place-at", duration(place.at_s)), element("b", "", ` ${spaced(place.kind)} `), place.text, element("span", "quiet", ` ${clock(place.t_ns)}`));
       button.addEventListener("click", () => {
-        this.#hold();
         byId("play-slider").value = String(place.at_s);
         this.#seek(place.at_s);
       });
@@ -106,16 +106,30 @@ export class PlayerBar {
     });
   }
 
-  #hold() {
+  #hold(at_s) {
+    this.wanted = at_s;
     this.heldAt = performance.now();
   }
 
+  // A player that plays is seen up to two seconds later than where it was told to go.
+  #isThere(at_s, rate) {
+    const past = Math.round(at_s) - Math.round(this.wanted), most = this.player.state === "playing" ? 2 * rate : 0;
+    if ((past >= 0 && past <= most) || performance.now() - this.heldAt > LOST_MS) this.wanted = null;
+    return this.wanted === null;
+  }
+
   #seek(at_s) {
+    this.#hold(at_s);
     this.sentAt = performance.now();
     this.#order({ order: "seek", at_s });
   }
 
+  // One at a time, since requests may overtake each other; the newest of a kind replaces those that wait.
   async #order(order) {
-    put(byId("play-told"), await tell(order));
+    this.waiting = [...this.waiting.filter((one) => one.order !== order.order), order];
+    if (this.sending) return;
+    this.sending = true;
+    while (this.waiting.length) put(byId("play-told"), await tell(this.waiting.shift()));
+    this.sending = false;
   }
 }
