@@ -317,8 +317,10 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
     if not unconfirmed_names and not fits:
         state.missing = _doubt_reason(misfit)
         return
-    keys = [KEYS[name] for name in unconfirmed_names[:2]] or ["turn rates", "rolls"] * (not decided)
-    which = f" ({', '.join(keys)})" if keys else ""
+    keys = ", ".join(KEYS[name] for name in unconfirmed_names[:2])
+    if not keys and not decided:
+        keys = "turn rates and rolls"
+    which = f" ({keys})" if keys else ""
     state.missing = f"driving has not shown yet that the machine file is right{which}: steer to both sides"
 
 

@@ -80,11 +80,11 @@ def initial(machine: Machine) -> TrackerState:
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
     state.needs_steering, state.considered = list(_STEERED), []
-    state.by_steering = False  # gross errors show sooner with all that the drive tells
-    # Later in a circle only unevenness moves the rig. The implement follows the tractor over the same one,
-    # which the model does not describe: right files were doubted in half of all drives of three long steps
-    # on the planar plant (implement.e off by 0.6 m).
-    state.learns_held = False
+    # Gross errors show sooner with all that the drive tells. But later in a circle only unevenness moves the
+    # rig, and the implement follows the tractor over the same one, which the model does not describe: when it
+    # learned on, right files were doubted in half of all drives of three long steps on the planar plant
+    # (implement.e off by 0.6 m). So without slopes by steering a tracker stops where the wheels are held.
+    state.by_steering = False
     return state
 
 

@@ -129,7 +129,6 @@ def tracker_json(state: TrackerState) -> Json:
         "considered": to_json_data(state.considered),
         "steered": to_json_data(state.needs_steering),
         "by_steering": state.by_steering,
-        "learns_held": state.learns_held,
     }
 
 
@@ -175,7 +174,6 @@ def tracker_of(raw: Any) -> TrackerState:
         considered=stored.value(list[int], "considered"),
         needs_steering=stored.value(list[int], "steered"),
         by_steering=stored.value(bool, "by_steering"),
-        learns_held=stored.value(bool, "learns_held"),
     )
     stored.end()
     return state

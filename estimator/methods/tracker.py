@@ -136,7 +136,6 @@ class TrackerState:
         default_factory=lambda: list(SOIL)
     )  # unknowns learned only with steering
     by_steering: bool = True  # slopes are those of steering alone, after a first look
-    learns_held: bool = True  # needs_steering is learned also with wheels held for longer than LONGEST_HELD
 
 
 KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
@@ -274,7 +273,7 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
         _refuse(state, "filter settling")
     elif state.steering < STEERING**2:
         _refuse(state, "too little steering")
-    elif state.held > LONGEST_HELD and not state.learns_held:
+    elif state.held > LONGEST_HELD and not state.by_steering:  # all that moves the rig is the ground
         _refuse(state, HELD)
     return not state.reason
 

@@ -113,6 +113,7 @@ export class PlayerBar {
 
   // A player that plays is seen up to two seconds later than where it was told to go.
   #isThere(at_s, rate) {
+    if (this.wanted === null) return true;
     const past = Math.round(at_s) - Math.round(this.wanted), most = this.player.state === "playing" ? 2 * rate : 0;
     if ((past >= 0 && past <= most) || performance.now() - this.heldAt > LOST_MS) this.wanted = null;
     return this.wanted === null;
