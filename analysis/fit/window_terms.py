@@ -55,9 +55,8 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     here[NOISE] = window.noise
     search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
     _leave_out_outliers(search, here)
-    at = likelihood.evaluate(search, here)
-    driven = likelihood.response_to_steering(search, here)
-    known, information = likelihood.apart_from_ground(search, at, driven)
+    at = likelihood.evaluate(search, here, driven=likelihood.response_to_steering(search, here))
+    known, information = likelihood.apart_from_ground(search, at)
     scores = likelihood.scores_at(search, known)
     gradient, _ = likelihood.gradient_and_information(search, known, scores)
     away = (here - mean)[shared]

@@ -89,6 +89,7 @@ class Iterate:
     dS: Array  # (a, m), of their variances
     cost: float
     noise_point: Array  # [n], where the derivatives over the noise levels were taken
+    steered: Array  # (s, m), response of the innovations to `driven`, for `apart_from_ground`
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
@@ -181,16 +182,25 @@ def inverse(matrix: Array) -> Array:
     return (found + found.T) / 2
 
 
-def evaluate(search: Search, point: Array, before: Iterate | None = None) -> Iterate:
-    """A point of a search. Derivatives over noise levels are those of `before`, or 0 without."""
-    made = _run(search, point, search.active[search.of_motion])
+def evaluate(
+    search: Search, point: Array, before: Iterate | None = None, driven: Array = NO_READINGS
+) -> Iterate:
+    """A point of a search. Derivatives over noise levels are those of `before`, or 0 without.
+
+    driven: as `response_to_steering` gives it, if `apart_from_ground` is to follow.
+    """
+    of_motion, many = search.active[search.of_motion], driven.shape[1]
+    places = np.concatenate([of_motion, search.active[:many]])  # the six come first
+    responding = np.arange(len(places)) >= len(of_motion)
+    readings = np.zeros((len(driven), len(places)))
+    readings[:, responding] = driven
+    made = _run(search, point, places, driven=readings, responding=responding)
     cost, none = _cost(search, point, made.e, made.S), np.zeros((len(search.active), len(made.e)))
-    here = Iterate(point, made.e, made.S, none, none, cost, NOWHERE)
-    if before is not None:
-        here = replace(here, de=before.de, dS=before.dS, noise_point=before.noise_point)
-    de, dS = here.de.copy(), here.dS.copy()
-    de[search.of_motion], dS[search.of_motion] = made.de.T, 0.0
-    return replace(here, de=de, dS=dS)
+    de, dS = (none, none.copy()) if before is None else (before.de.copy(), before.dS.copy())
+    of_unknowns = made.de.T
+    de[search.of_motion], dS[search.of_motion] = of_unknowns[~responding], 0.0
+    noise_point = NOWHERE if before is None else before.noise_point
+    return Iterate(point, made.e, made.S, de, dS, cost, noise_point, of_unknowns[responding])
 
 
 def with_noise_levels(search: Search, at: Iterate) -> Iterate:
@@ -228,19 +238,19 @@ def response_to_steering(search: Search, point: Array) -> Array:
     return driven if bool(np.all(np.abs(driven) < RUN_AWAY)) else np.zeros_like(driven)
 
 
-def apart_from_ground(search: Search, here: Iterate, driven: Array) -> tuple[Iterate, Array]:
+def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
     """(a point with the derivatives of e that are left, the information (a, a) that is left with the prior)
     where the ground's shaking may tell of other tyres than steering does.
 
-    driven: as `response_to_steering` gives it, at a point nearby. It is taken as changes of the readings,
-    which pass through the filter at the point; what remains of the derivatives by the six is the rig's
-    response to the ground. Its tyres differ from the true ones by errors of the model of the ground, another
-    six unknowns with OTHER_TYRES_SD. They are eliminated (variable projection: Golub and Pereyra 1973), so
-    they take their share of the information but none of what steering tells.
+    here: evaluated with `response_to_steering`, which may be that at a point nearby. It is taken as changes
+    of the readings, which pass through the filter at the point; what remains of the derivatives by the six is
+    the rig's response to the ground. Its tyres differ from the true ones by errors of the model of the
+    ground, another six unknowns with OTHER_TYRES_SD. They are eliminated (variable projection: Golub and
+    Pereyra 1973), so they take their share of the information but none of what steering tells.
     """
     six = search.active < 6
     sd = OTHER_TYRES_SD[search.active[six]]
-    shaken = here.de[six] - _run(search, here.point, search.active[six], driven=driven).de.T
+    shaken = here.de[six] - here.steered
     weight = search.scored / here.S
     shared = (here.de * weight) @ shaken.T
     inside = inverse((shaken * weight) @ shaken.T + np.diag(sd**-2.0))

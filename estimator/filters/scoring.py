@@ -105,8 +105,6 @@ def maximise_posterior(
     _, information = gradient_and_information(search, found, scores_at(search, found))
     counted = information
     if setup.scale == 1.0:
-        if stuck:
-            found = evaluate(search, found.point, found)  # gains are held in the derivatives from here on
         found, counted, settled = _apart(search, found)
         converged |= settled
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
@@ -169,7 +167,7 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     places, of_motion = search.active[search.of_motion], search.of_motion
     of_six, limits = places < 6, _step_limits(search)[search.of_motion]
     driven, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
-    found, information = start = apart_from_ground(search, at, driven)
+    found, information = start = apart_from_ground(search, evaluate(search, at.point, at, driven))
     for k in range(STEPS_APART):
         gradient, _ = gradient_and_information(search, found, scores_at(search, found))
         newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
@@ -184,10 +182,10 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
         )
         if since > ARRIVED_STEP:
             driven, renewed = response_to_steering(search, point), point
-        there = evaluate(search, point, at)
+        there = evaluate(search, point, at, driven)
         if not math.isfinite(there.cost):
             return *start, False
-        found, information = apart_from_ground(search, there, driven)
+        found, information = apart_from_ground(search, there)
         if size < SETTLED_STEP:
             break
     if size < ARRIVED_STEP and moved < FURTHEST:

@@ -26,9 +26,14 @@ from tilth.estimator.record.record import (
     EAST,
     HEADING,
     INPUTS,
+    KIND,
     NORTH,
+    PLACE,
     PSI,
     ROLL_ANGLE,
+    ROWS,
+    SD,
+    TICK,
     VALUE,
     VELOCITY,
     WHEEL_ANGLE,
@@ -229,7 +234,9 @@ def expected(
     ticks[:, WHEEL_ANGLE] = angles
     ticks[:, U] = speed
     start, setup = np.zeros(N_STATES), rig_setup(machine, linear)
-    headings = np.array([(k, 0.0, HEADING, body, 0.0, 1.0) for k in range(count) for body in (0, 1)])
+    headings = np.zeros((2 * count, len(ROWS)))
+    headings[:, TICK], headings[:, PLACE] = np.repeat(np.arange(count), 2), np.tile([0, 1], count)
+    headings[:, KIND], headings[:, SD] = HEADING, 1.0
     open_loop = likelihood.innovations(Record(0, ticks, headings), setup, start, point, closed=False)
     ticks[:, PSI : PSI + 2] = -open_loop.e.reshape(count, 2)
     rows = rows.copy()
@@ -241,20 +248,25 @@ def expected(
 def planned_rows(machine: Machine, count: int, hertz: Sequence[float]) -> Array:
     """The rows that the receivers would measure, (m, 6), with the machine file's sds; values are zero."""
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
-    rows = []
+    made = []
     for place, mount in enumerate(Mount):
         if mount not in by_mount:
             continue
-        r, body = by_mount[mount], place // 2
-        for k in range(0, count - 1, max(round(1.0 / hertz[place] / DT), 1)):
-            rows += [
-                (k, 0.0, NORTH, place, 0.0, r.position_sd),
-                (k, 0.0, EAST, place, 0.0, r.position_sd),
-                (k, 0.0, VELOCITY, place, 0.0, r.velocity_sd),
-                (k, 0.0, YAW_RATE, body, 0.0, math.radians(r.yaw_rate_sd)),
-                (k, 0.0, ROLL_ANGLE, place, 0.0, math.radians(r.roll_sd)),
-            ]
-    return np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64)
+        r = by_mount[mount]
+        ticks = np.arange(0, count - 1, max(round(1.0 / hertz[place] / DT), 1))
+        of_one = [
+            (NORTH, place, r.position_sd),
+            (EAST, place, r.position_sd),
+            (VELOCITY, place, r.velocity_sd),
+            (YAW_RATE, place // 2, math.radians(r.yaw_rate_sd)),
+            (ROLL_ANGLE, place, math.radians(r.roll_sd)),
+        ]
+        rows = np.zeros((len(ticks), len(of_one), len(ROWS)))
+        rows[:, :, TICK] = ticks[:, None]
+        rows[:, :, [KIND, PLACE, SD]] = of_one
+        made.append(rows.reshape(-1, len(ROWS)))
+    every = np.concatenate(made)
+    return np.asarray(every[np.argsort(every[:, TICK], kind="stable")])
 
 
 def predicted(

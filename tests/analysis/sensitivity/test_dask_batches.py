@@ -32,10 +32,16 @@ class Cluster:
         self._file = folder / "scheduler.json"
         self.scheduler = self._start("dask_scheduler", "--port", "0", "--no-dashboard", "--no-show")
         deadline = time.monotonic() + 60.0
-        while not self._file.exists():
+        while not self._is_up():
             assert time.monotonic() < deadline and self.scheduler.poll() is None
             os.sched_yield()
         self.workers: list[subprocess.Popen[bytes]] = []
+
+    def _is_up(self) -> bool:
+        try:  # the file is there before what is written into it
+            return bool(self.address)
+        except (FileNotFoundError, json.JSONDecodeError):
+            return False
 
     @property
     def address(self) -> str:

@@ -328,9 +328,10 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
     record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 3, "random", 15.0, 4.0))
     mean, sd = unknowns.prior(MACHINE)
     search = likelihood.search_of(record, rig_setup(MACHINE), mean, np.diag(sd**2))
-    at = likelihood.evaluate(search, mean)
     driven = likelihood.response_to_steering(search, mean)
     steered = likelihood._run(search, mean, search.active[SIX], driven=driven).de.T
+    at = likelihood.evaluate(search, mean, driven=driven)
+    assert np.abs(at.steered - steered).max() < 1e-9 * np.abs(steered).max()
     other = np.array([0.2, -0.1, 0.3, 0.1, -0.3, 0.2])
 
     def gradient(one: likelihood.Iterate) -> Array:
@@ -340,7 +341,7 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
     known = []
     for room, moved_by_ground in ((1e-6, 1.0), (0.3, None), (1e4, 0.0)):
         monkeypatch.setattr(likelihood, "OTHER_TYRES_SD", np.full(6, room))
-        left, information = likelihood.apart_from_ground(search, at, driven)
+        left, information = likelihood.apart_from_ground(search, at)
         known.append(np.linalg.inv(information)[SIX, SIX])
         by_ground, by_steering = (
             gradient(replace(left, e=left.e + slopes.T @ other)) - gradient(left)
