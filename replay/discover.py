@@ -5,9 +5,9 @@ Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from tilth.logger.can.buses import Buses, Report
+from tilth.logger.can.lean_can import import_can
 from tilth.logger.clock import Clock
 from tilth.replay.turn_rates import TurnRates
 from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates, may_hold_it
@@ -18,6 +18,9 @@ from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Bus
 from tilth.schemas.messages import PGNS
 from tilth.schemas.pgn_titles import title_of
+
+if TYPE_CHECKING:
+    from tilth.logger.can.buses import Report
 
 CLAIM: Final = 60928
 MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
@@ -105,12 +108,15 @@ class _Identifier:
 
 
 def listen(
-    configs: Sequence[Bus], seconds: float, report: Report, stop: Callable[[], bool]
+    configs: Sequence[Bus], seconds: float, report: "Report", stop: Callable[[], bool]
 ) -> Iterator[Frame]:
     """Frames of these buses for so long, or until `stop()`. `report`: takes a problem with a bus.
 
     Raises MachineError where a bus names an interface that python-can does not know.
     """
+    import_can()  # here, since who looks into a log needs none of it
+    from tilth.logger.can.buses import Buses
+
     clock = Clock()
     buses = Buses(configs, clock, report)
     end_ns = clock.t_ns() + int(seconds * 1e9)

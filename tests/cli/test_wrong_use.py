@@ -74,12 +74,9 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     assert end.value.code == 0 and err == "" and out.startswith(f"usage: {command(name)}")
 
 
-BESIDES = (*RECORDERS, "discover")  # these listen to buses; who draft from a bus or a log may read MF4
-
-
 def test_commands_without_a_bus_start_without_python_can() -> None:
     """It brings asammdf and pandas along: a second before the first word."""
-    names = [name for name, _ in COMMANDS if name not in BESIDES]
+    names = [name for name, _ in COMMANDS if name not in RECORDERS]
     code = "import importlib, sys\n"
     code += f"for name in {names}: importlib.import_module(f'tilth.cli.{{name}}')\n"
     code += "print({'can', 'asammdf', 'pandas', 'polars'} & set(sys.modules))"
