@@ -54,6 +54,11 @@ PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
 MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
 SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
+WIDE_LOOK_S: Final = 60.0
+"""Seconds of steering after which the slopes are by steering, as the tracker's are from the start. Gross
+errors show sooner with all that a drive tells. But slopes at the estimated state are correlated with what
+they are compared with: tyres come out softer the longer one drives, and lengths and the wheels' scale make up
+for it. After four minutes in space two of eight right files were doubted (tractor.a + 0.8 m)."""
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 OF_PAIRS: Final = STRAIGHT[1:]
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
@@ -80,10 +85,10 @@ def initial(machine: Machine) -> TrackerState:
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
     state.needs_steering, state.considered = list(_STEERED), []
-    # Gross errors show sooner with all that the drive tells. But later in a circle only unevenness moves the
-    # rig, and the implement follows the tractor over the same one, which the model does not describe: when it
-    # learned on, right files were doubted in half of all drives of three long steps on the planar plant
-    # (implement.e off by 0.6 m). So without slopes by steering a tracker stops where the wheels are held.
+    # In a circle only unevenness moves the rig later on, and the implement follows the tractor over the same
+    # one, which the model does not describe: when it learned there, right files were doubted in half of all
+    # drives of three long steps on the planar plant (implement.e off by 0.6 m). So until its slopes are by
+    # steering, a tracker stops where the wheels are held.
     state.by_steering = False
     return state
 
@@ -96,6 +101,7 @@ def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
     learned = not state.reason and state.pending is not None
     if learned:
         _fade(state)
+        state.by_steering |= state.window_s >= WIDE_LOOK_S
     return learned
 
 

@@ -42,6 +42,7 @@ from tilth.simulator.traffic import simulate
 
 SECONDS = 55.0
 RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)
+LONG = replace(RANDOM, seconds=200.0)
 THREE_STEPS = replace(STEPS.scenario, ground=Ground())
 
 
@@ -105,6 +106,14 @@ def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
     assert misfit.by_name.max() < 6.0 and misfit.total < 15.0  # 12 and 30 where it learned all the time
     first, *_, last = (t_ns for t_ns, _ in given(out))
     assert first < heard[0].t_ns + 60e9 and last > heard[-1].t_ns - 2e9
+
+
+def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -> None:
+    state, out = run(demo_machine(), frames(LONG))
+    assert state.consistency.confirmed and contradictions(out) == []
+    misfit = open_tracker.misfit(state.consistency.open, demo_machine())
+    assert misfit.by_name.max() < 8.0 and misfit.total < 20.0  # else 188 and 371
+    assert list(given(out))[-1][0] > frames(LONG)[-1].t_ns - 2e9
 
 
 def test_no_number_before_a_gross_error_would_have_shown() -> None:
