@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration import first_look, joint, linkage, priors
-from tilth.estimator.calibration.changes import BODY, Changes, applied, further_wheel, linkage_of, wheel_after
+from tilth.estimator.calibration.changes import (
+    BODY,
+    Changes,
+    applied,
+    further_wheel,
+    linkage_of,
+    not_early,
+    wheel_after,
+)
 from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.first_look import Pairs, Straightness
@@ -249,7 +257,7 @@ def _first_look(
     gain = float(told.value[1])
     changes = replace(
         changes, wheel_sign=1 if gain > 0 else -1, wheel_zero=float(told.value[0]), wheel_gain=abs(gain),
-        late=changes.late + first_look.common_latency(view, base, told),
+        late=not_early(machine, changes.who, changes.late + first_look.common_latency(view, base, told)),
     )  # fmt: skip
     return changes, faults, view, found_rolls
 
@@ -360,7 +368,7 @@ def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
     changes = further_wheel(changes, by["wheel_zero"], by["wheel_gain"])
     return replace(
         changes,
-        late=changes.late + by["latency"],
+        late=not_early(machine, changes.who, changes.late + by["latency"]),
         pair=changes.pair + np.array([by["pair_t"], by["pair_i"]]),
         forward=changes.forward + np.array([by["lever_t"], by["lever_i"]]),
         aside=changes.aside + np.array([0.0, by["aside_i"]]),

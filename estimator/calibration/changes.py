@@ -131,6 +131,14 @@ def applied(machine: Machine, changes: Changes) -> Machine:
     )
 
 
+def not_early(machine: Machine, who: tuple[int, ...], late: Array) -> Array:
+    """Changes of the latencies, (4,), s, raised together where one would make a latency shorter than can be:
+    cut off there, what is known of their differences would be lost. who: as in Changes."""
+    stated = {r.mount: r.latency.value for r in machine.receiver}
+    least = min(stated.get(MOUNTS[device], 0.0) + by for device, by in zip(who, late.tolist(), strict=True))
+    return np.asarray(late + max(SHORTEST_LATENCY_S - least, 0.0))
+
+
 def _moved(quantity: Quantity, by: float) -> Quantity:
     return Quantity(value=quantity.value + float(by), sd=quantity.sd)
 

@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_drive import MACHINE
 
-from tilth.estimator.calibration.changes import Changes, applied, further_wheel, heard_after, linkage_of
+from tilth.estimator.calibration.changes import (
+    Changes,
+    applied,
+    further_wheel,
+    heard_after,
+    linkage_of,
+    not_early,
+)
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.schemas.flow import Origin, Position, WheelAngle
 from tilth.schemas.wheel_angle import compile_sensor
@@ -92,3 +99,19 @@ def test_pairs_turn_and_stretch_about_their_middle(k: int) -> None:
     arms = [pair[0] - pair[1] for pair in pairs]
     assert np.hypot(*arms[1]) == pytest.approx(np.hypot(*arms[0]) + 0.1)
     assert math.atan2(arms[1][1], arms[1][0]) == pytest.approx(math.radians(3.0))
+
+
+@pytest.mark.parametrize("early_s", [0.0, 0.03, 0.3])
+@pytest.mark.parametrize("who", [(0, 1, 2, 3), (2, 1, 0, 3)])
+def test_latencies_keep_their_differences_where_one_would_be_too_short(
+    early_s: float, who: tuple[int, ...]
+) -> None:
+    """A file 0.1 s wrong for all was refused: what differs between its receivers had been cut off."""
+    wanted = np.array([0.01, -0.02, -early_s, 0.03])
+    stated = {r.mount: r.latency.value for r in MACHINE.receiver}
+    changed = applied(MACHINE, Changes(who=who, late=not_early(MACHINE, who, wanted)))
+    moved = [r.latency.value - stated[MOUNTS[who[MOUNTS.index(r.mount)]]] for r in changed.receiver]
+    by = np.array(moved)[[[r.mount for r in changed.receiver].index(mount) for mount in MOUNTS]] - wanted
+    assert np.ptp(by) < 1e-9 and by[0] >= -1e-9
+    assert min(r.latency.value for r in changed.receiver) >= 0.0
+    assert by[0] < 1e-9 or min(r.latency.value for r in changed.receiver) < 1e-9
