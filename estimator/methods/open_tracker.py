@@ -58,7 +58,9 @@ WIDE_LOOK_S: Final = 60.0
 """Seconds of steering after which the slopes are by steering, as the tracker's are from the start. Gross
 errors show sooner with all that a drive tells. But slopes at the estimated state are correlated with what
 they are compared with: tyres come out softer the longer one drives, and lengths and the wheels' scale make up
-for it. After four minutes in space two of eight right files were doubted (tractor.a + 0.8 m)."""
+for it. After four minutes in space two of eight right files were doubted (tractor.a + 0.8 m). In sharp turns
+they stay at the estimated state: steering alone would have a rig whose numbers are off elsewhere, and 8 of 20
+right files were doubted in fields."""
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 OF_PAIRS: Final = STRAIGHT[1:]
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
@@ -95,13 +97,14 @@ def initial(machine: Machine) -> TrackerState:
 
 def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
     """Take one segment. Returns whether all open numbers were learned from it."""
+    known = state.pending is not None and not tracker.is_tight(state, state.pending)
+    state.by_steering = known and state.window_s >= WIDE_LOOK_S
     tracker.take_segment(state, machine, segment)
     state.events.clear()
     state.checkpoints.clear()  # only the tracker itself detects changes of soil
     learned = not state.reason and state.pending is not None
     if learned:
         _fade(state)
-        state.by_steering |= state.window_s >= WIDE_LOOK_S
     return learned
 
 

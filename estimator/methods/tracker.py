@@ -235,7 +235,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.running = False
         _refuse(state, "most samples are beyond belief")
     if learnable:
-        tight = _is_tight(state, record)
+        tight = is_tight(state, record)
         if tight:  # there errors of the model look like another soil
             state.checkpoints.clear()
         else:
@@ -306,7 +306,7 @@ def _articulation(record: Record) -> float:
     return float(np.abs(record.ticks[:, PSI] - record.ticks[:, PSI + 1]).max())
 
 
-def _is_tight(state: TrackerState, record: Record) -> bool:
+def is_tight(state: TrackerState, record: Record) -> bool:
     wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
     return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
 
