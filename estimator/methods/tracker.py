@@ -307,6 +307,7 @@ def _articulation(record: Record) -> float:
 
 
 def is_tight(state: TrackerState, record: Record) -> bool:
+    """Whether a segment is of a sharp turn: wheels or articulation beyond fit_covariance.TIGHT."""
     wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
     return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
 
