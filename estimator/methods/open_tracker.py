@@ -89,8 +89,8 @@ def initial(machine: Machine) -> TrackerState:
     state.needs_steering, state.considered = list(_STEERED), []
     # In a circle only unevenness moves the rig later on, and the implement follows the tractor over the same
     # one, which the model does not describe: when it learned there, right files were doubted in half of all
-    # drives of three long steps on the planar plant (implement.e off by 0.6 m). So where its slopes are not by
-    # steering, a tracker stops where the wheels are held.
+    # drives of three long steps on the planar plant (implement.e off by 0.6 m). So where its slopes are not
+    # by steering, a tracker stops while the wheels are held.
     state.by_steering = False
     return state
 
