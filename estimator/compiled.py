@@ -6,6 +6,8 @@ interpreted code. numba is imported at the first call of a kernel: a program tha
 the import. Compiled code is stored on disk. Its name holds a digest of all that is compiled into it
 (kernel_digest.py). A kernel that reads a value which cannot be digested is refused at its first call.
 
+Other threads run while a kernel does: the fold of a replay beside a fit.
+
 Code of numba counts who holds each array: a call with a tuple of twenty arrays counts forty times, by locked
 instructions. In a filter's run that was half of the time. An inner kernel makes no array, so it does without.
 
@@ -17,13 +19,15 @@ compiles sooner by itself.
 import importlib.util
 from collections.abc import Callable
 from types import FunctionType
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 from tilth.estimator import kernel_digest
 from tilth.estimator.kernel_digest import INLINE, INNER, KernelFunction, called
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+OPTIONS: Final = {"nogil": True}  # of the compiler
 
 Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
 
@@ -77,14 +81,15 @@ class Kernel(KernelFunction, Generic[P, R]):
         except (ImportError, OSError) as error:
             self.how = f"interpreted: {error}"
             return self.interpreted()
-        versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER))
+        versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER, OPTIONS))
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
                 digest = kernel_digest.digest(written, known, versions)
                 copy.__qualname__ = f"{written.__qualname__}-{digest}"
                 # numba's stubs do not name _nrt, which its own functions use in the same way.
-                options: dict[str, Any] = {"cache": keep, "_nrt": not kernel_digest.is_marked(written, INNER)}
+                inner = kernel_digest.is_marked(written, INNER)
+                options: dict[str, Any] = OPTIONS | {"cache": keep, "_nrt": not inner}
                 if kernel_digest.is_marked(written, INLINE):
                     options["inline"] = "always"
                 return numba.njit(**options)(copy)

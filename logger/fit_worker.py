@@ -11,6 +11,8 @@ import sys
 import time
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from tilth.estimator.methods.estimators import ROW, rows_for
 from tilth.schemas.machine import Machine
 
@@ -20,11 +22,16 @@ Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong 
 
 
 def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
-    """(result, "") of a job, or (None, reason): a fit that fails must not end the process."""
+    """(result, "") of a job, or (None, reason): a fit that fails must not end the process.
+
+    Linear algebra has one thread: sums that are split among several are rounded otherwise, and a replay gives
+    the same bytes on any computer.
+    """
     try:
         fitting = ROW[method].fitting
         assert fitting is not None
-        return fitting.fit(machine, job), ""
+        with threadpool_limits(1):
+            return fitting.fit(machine, job), ""
     except Exception as error:  # whatever the numerics may say, it is a fit less
         return None, f"{type(error).__name__}: {error}"
 
@@ -44,10 +51,9 @@ def main() -> None:
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     requests = sys.stdin.buffer
     try:
-        machine, in_advance = pickle.load(requests)
+        machine = pickle.load(requests)
         with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
-            if in_advance:
-                rehearse(machine)
+            rehearse(machine)
         while True:
             ticket, method, job = pickle.load(requests)
             started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Makes the fits that the fold requests: in a worker process for the live loop, or in a replay.
+"""Makes the fits that the fold requests: in a worker process for the live loop, in a thread for a replay.
 
 A fit takes a tenth of a second or more, a frame has microseconds. A request is decided a fixed time
 of the log later: it is there and is used, or it is late and is used when it is ready. Both are logged before,
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
 
@@ -75,12 +76,11 @@ class Worker:
     A thread talks to the process: a job is larger than what a pipe holds, and the loop must not wait for it.
     """
 
-    def __init__(self, machine: Machine, report: Report, *, patient: bool = False) -> None:
-        """report: takes kind and text of an event, from that thread. patient: for a replay, which waits."""
+    def __init__(self, machine: Machine, report: Report) -> None:
+        """report: takes kind and text of an event, from that thread."""
         self.seconds: float | None = None  # computing time of the last fit
         self._machine = machine
         self._report = report
-        self._patient = patient
         self._count = 0
         self._tickets: dict[str, tuple[int, int]] = {}  # method -> (asked_ns, ticket) of the job that counts
         self._results: dict[int, Any] = {}  # ticket -> result
@@ -104,7 +104,7 @@ class Worker:
             if before is not None and before[0] == job.asked_ns:
                 return
             if before is not None:
-                if self._busy == before[1] and not self._patient and self._process is not None:
+                if self._busy == before[1] and self._process is not None:
                     self._given_up = True  # what is asked for instead must not wait for it
                     self._process.kill()
                 self._results.pop(before[1], None)
@@ -175,20 +175,16 @@ class Worker:
             if self._tickets.get(method, (0, 0))[1] != ticket:
                 return
             self._busy = ticket
-        made, error = None, ""
-        for _ in range(2 if self._patient else 1):
-            try:
-                process = self._running()
-                _send(process, (ticket, method, job))
-                assert process.stdout is not None
-                answer: Answer = pickle.load(process.stdout)
-            except (OSError, EOFError, pickle.UnpicklingError) as lost:
-                error = self._lost(lost)
-                continue
+        try:
+            process = self._running()
+            _send(process, (ticket, method, job))
+            assert process.stdout is not None
+            answer: Answer = pickle.load(process.stdout)
             _, made, error, self.seconds = answer
-            break
+        except (OSError, EOFError, pickle.UnpicklingError) as lost:
+            made, error = None, self._lost(lost)
         if error and not self._closing:
-            self._report("fit", f"a fit of {method} failed: {error}")
+            _report_failure(self._report, method, error)
         with self._changed:
             self._busy = 0
             if self._tickets.get(method, (0, 0))[1] == ticket:
@@ -211,7 +207,7 @@ class Worker:
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, **ONE_THREAD},
             )
-        _send(self._process, (self._machine, not self._patient))
+        _send(self._process, self._machine)
         return self._process
 
     def _lost(self, error: Exception) -> str:
@@ -245,12 +241,22 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
     process.stdin.flush()
 
 
+def _report_failure(report: Report, method: str, error: str) -> None:
+    report("fit", f"a fit of {method} failed: {error}")
+
+
 class ReplayedFits:
-    """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time."""
+    """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time.
+
+    Each is made in a thread, so that a replay in real time goes on meanwhile.
+    """
 
     def __init__(self, machine: Machine, report: Report) -> None:
+        """report: takes kind and text of an event, from a thread."""
         self.holds_outcomes = False  # whether the log records outcomes of fits
-        self._worker = Worker(machine, report, patient=True)
+        self._machine = machine
+        self._report = report
+        self._asked: dict[str, tuple[int, Future[Any]]] = {}  # method -> asked_ns of its job, and the result
         self._outcomes: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
         self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
 
@@ -260,12 +266,23 @@ class ReplayedFits:
 
     def forget(self) -> None:
         """The log goes on with another state, or another run."""
-        self._worker.forget()
+        self._asked.clear()
         self._outcomes.clear()
         self._first.clear()
 
     def ask(self, method: str, job: Any) -> None:
-        self._worker.ask(method, job)
+        if method in self._asked and self._asked[method][0] == job.asked_ns:
+            return
+        result: Future[Any] = Future()
+        self._asked[method] = job.asked_ns, result
+        # A daemon: Ctrl-C does not wait for a fit.
+        threading.Thread(target=self._make, args=(method, job, result), name="tilth-fit", daemon=True).start()
+
+    def _make(self, method: str, job: Any, result: Future[Any]) -> None:
+        found, error = make(self._machine, method, job)
+        if error:
+            _report_failure(self._report, method, error)
+        result.set_result(found)
 
     def outcome(self, method: str, job: Any, t_ns: int, awaited: bool = False) -> Any:
         """UNDECIDED until the log has the outcome: right after the frame at which the fit is due, or, for a
@@ -277,13 +294,12 @@ class ReplayedFits:
             return UNDECIDED
         self._first.pop(key, None)
         adopted, late = self._outcomes.pop(key, (True, False))
-        return self._worker.made(method, job) if adopted else LATE if late else None
+        return self.made(method, job) if adopted else LATE if late else None
 
     def made(self, method: str, job: Any) -> Any:
-        return self._worker.made(method, job)
+        self.ask(method, job)
+        return self._asked.pop(method)[1].result()
 
     def use(self, machine: Machine) -> None:
-        self._worker.use(machine)
-
-    def close(self) -> None:
-        self._worker.close()
+        self._machine = machine
+        self._asked.clear()

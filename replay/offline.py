@@ -121,17 +121,14 @@ def replay(
     """
     run = _Run(machine, machine_text, outputs or ReplayOutputs(), say)
     empty: EmptyLog | None = None
-    try:
-        for path in paths:
-            try:
-                run.log(path, buses or {})
-            except EmptyLog as error:
-                empty = error
-                if len(paths) > 1:
-                    say(str(error))
-        run.finish()
-    finally:
-        run.fitter.close()
+    for path in paths:
+        try:
+            run.log(path, buses or {})
+        except EmptyLog as error:
+            empty = error
+            if len(paths) > 1:
+                say(str(error))
+    run.finish()
     run.close_counts()
     if not run.summary.frames and not run.summary.truncated:
         raise empty or EmptyLog(f"{paths[0]}: no frame is in it")
