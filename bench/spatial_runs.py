@@ -228,6 +228,7 @@ def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
         result |= {f"roll_zero_{r.mount}": told[f"roll_zero_{r.mount}"] for r in mounts}
         result[f"roll_late_{k}"] = float(np.mean([told[f"roll_delay_{r.mount}"] for r in mounts]))
         aside[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
+    result["sway"] = 0.0
     result["aside_i"] = aside["implement"] - aside["tractor"]
     return result
 

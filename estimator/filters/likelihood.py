@@ -16,7 +16,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import Innovations, Measured, Varied, run_filter
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places, Point
-from tilth.estimator.filters.unknowns import AT_PIN, AT_ROLL_MODES, NAMES, NOISES
+from tilth.estimator.filters.unknowns import AT_FRONT, AT_ROLL_MODES, NAMES, NOISES
 from tilth.estimator.record.record import (
     EAST,
     KIND,
@@ -223,7 +223,7 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
     change of the gains does in them, by differences of runs: the gradient is that of the likelihood."""
     de, dS = at.de.copy(), at.dS.copy()
     steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
-    modes = (search.active >= AT_ROLL_MODES) & (search.active < AT_PIN)
+    modes = (search.active >= AT_ROLL_MODES) & (search.active < AT_FRONT)
     for k in np.flatnonzero((search.active < 6) | modes):
         there = _run(search, at.point + steps[k] * np.eye(len(at.point))[search.active[k]])
         de[k], dS[k] = (there.e - at.e) / steps[k], (there.S - at.S) / steps[k]

@@ -36,6 +36,7 @@ from tilth.estimator.filters.unknowns import (
     AT_S_ROLL,
     AT_S_VELOCITY,
     AT_S_YAW_RATE,
+    AT_SWAY,
 )
 from tilth.estimator.record.record import (
     HEADING,
@@ -125,7 +126,8 @@ def from_middle(obs: Observation, body: int, setup: RigSetup) -> float:
 @inner_kernel
 def predict_velocity(x: Array, obs: Observation, body: int, point: Point, setup: RigSetup, h: Array) -> float:
     """Of a receiver, to the right of psi_ref, m/s; fills h."""
-    u, c, d, height = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3], setup.heights[obs.place]
+    u, c, d = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3]
+    height = setup.heights[obs.place] + point.unknowns[AT_SWAY] * setup.corrected[obs.place]
     lever, drawbar = lever_ahead(obs, body, point, setup), drawbar_height(point, setup)
     angle = x[X_PSI] - obs.psi_ref
     sine, cosine = math.sin(angle), math.cos(angle)
@@ -211,6 +213,13 @@ def lever_arms(x: Array, obs: Observation, body: int) -> tuple[float, float, flo
 
 
 @inner_kernel
+def sway_slope(x: Array, obs: Observation, body: int, setup: RigSetup) -> float:
+    """Derivative of a measured velocity by the unknown sway."""
+    rate = (x[X_ROLL + 2 + body] + x[X_SLOPE_RATE + body] / GRAVITY) * setup.corrected[obs.place]
+    return float(rate * math.cos(x[X_PSI] - obs.psi_ref) if body == 0 else rate)
+
+
+@inner_kernel
 def predict_joint_measurement(
     x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
 ) -> float:
@@ -240,6 +249,8 @@ def predict_joint_measurement(
             h[N_STATES + j] = aside
         elif place == AT_HITCH and body == 1 and setup.scale == 1.0:
             h[N_STATES + j] = drawbar_slope(x, obs)
+        elif place == AT_SWAY:
+            h[N_STATES + j] = sway_slope(x, obs, body, setup) if obs.kind == VELOCITY else 0.0
         elif body == 1 and place != AT_CG + 1:  # this one shifts hitch and receivers alike: no effect
             h[N_STATES + j] = back * active.geometry[j, 2] - ahead * active.geometry[j, 3]
     return value

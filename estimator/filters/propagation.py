@@ -54,6 +54,7 @@ from tilth.estimator.filters.unknowns import (
     AT_CAMBER,
     AT_CG,
     AT_CURVATURE,
+    AT_FRONT,
     AT_GEOMETRY,
     AT_HITCH,
     AT_LATENCY,
@@ -205,7 +206,7 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
         return
     for i in range(6):
         p[P_ROLL_MODES + i] *= math.exp(unknowns[AT_ROLL_MODES + i])
-    p[P_FRONT] *= math.exp(unknowns[AT_ROLL_MODES])
+    p[P_FRONT] *= math.exp(unknowns[AT_ROLL_MODES] + unknowns[AT_FRONT])
     p[P_PIN] = max(roll.pin + unknowns[AT_PIN], 0.0)
     p[P_DRAWBAR] += unknowns[AT_HITCH]
     p[P_HEIGHT] += unknowns[AT_HITCH + 1]
@@ -236,6 +237,8 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
             out[j, P_ROLL_MODES + mode] = p[P_ROLL_MODES + mode]
             if mode == 0:
                 out[j, P_FRONT] = p[P_FRONT]
+        elif place == AT_FRONT:
+            out[j, P_FRONT] = p[P_FRONT]
         elif place == AT_PIN:
             out[j, P_PIN] = 1.0 if p[P_PIN] > 0.0 else 0.0
         elif place == AT_HITCH:

@@ -50,6 +50,7 @@ class RigSetup(NamedTuple):
     rig: Rig
     roll: RollModes
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
+    corrected: Array  # (4,), the same where it does, 0 where it does not
     speed_sd: float  # m/s, of the measured speed
     slope_sd: float = 0.7  # m/s^2, of gravity along the cross slope: 4 degrees
     scale: float = 1.0  # of all motions, which makes the model linear where it is small
@@ -80,8 +81,8 @@ def nominal_roll(machine: Machine) -> RollModes:
     return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
 
 
-def _heights(machine: Machine) -> Array:
-    by_mount = {r.mount: 0.0 if r.roll_corrected else r.position[2] for r in machine.receiver}
+def _heights(machine: Machine, corrected: bool) -> Array:
+    by_mount = {r.mount: r.position[2] for r in machine.receiver if r.roll_corrected == corrected}
     return np.array([by_mount.get(mount, 0.0) for mount in Mount])
 
 
@@ -91,7 +92,15 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     if not linear:
         return setup
     low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
-    return setup._replace(rig=low, roll=modes, heights=np.zeros(4), speed_sd=0.0, slope_sd=0.0, scale=SMALL)
+    return setup._replace(
+        rig=low,
+        roll=modes,
+        heights=np.zeros(4),
+        corrected=np.zeros(4),
+        speed_sd=0.0,
+        slope_sd=0.0,
+        scale=SMALL,
+    )
 
 
 @once_for_a_machine
@@ -102,5 +111,6 @@ def _setup(machine: Machine) -> RigSetup:
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
     return RigSetup(
         unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
-        _heights(machine), SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
+        _heights(machine, False), _heights(machine, True),
+        SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
     )  # fmt: skip

@@ -28,7 +28,7 @@ than a tick); sd of how far uneven ground turns the wheels of a body about its l
 sds that the machine file states for yaw rates, velocities, positions and headings, and rolls."""
 
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
-N_ROLL_MODES: Final = 12  # unknowns from roll_k_t to shrink
+N_ROLL_MODES: Final = 13  # unknowns from roll_k_t to shrink
 
 NAMES: Final = (
     *PARAMETERS,  # natural logarithms of N/rad and m
@@ -43,12 +43,14 @@ NAMES: Final = (
     "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over that of rig_setup.nominal_roll
     "roll_d_t", "roll_d_i",  # the same of roll damping
     "roll_j_t", "roll_j_i",  # the same of roll inertia
+    "roll_front",  # the same of the front axle about its pin, beyond roll_k_t
     "roll_pin", "roll_hitch",  # m: the front axle's pin and the drawbar are higher than nominal
     "roll_cg_t", "roll_cg_i",  # m: CG higher than the file says
     "camber",  # camber thrust of a leaning wheel over its load and camber angle
     "shrink",  # how far relaxation lengths fall with slip: 1 as the secant of the tyre curve, 0 not at all
     *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
     "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
+    "sway",  # of velocities where positions are corrected for roll: 1 the antenna's, 0 of the ground point
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
     "parallel",  # how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel
     "two_track",  # how far an axle's wheels slip each by itself: 1 as two, 0 as one (a single-track model)
@@ -78,12 +80,14 @@ AT_CURVATURE: Final = AT["curvature"]
 AT_PARALLEL: Final = AT["parallel"]
 AT_TWO_TRACK: Final = AT["two_track"]
 AT_ROLL_MODES: Final = AT["roll_k_t"]
+AT_FRONT: Final = AT["roll_front"]
 AT_PIN: Final = AT["roll_pin"]
 AT_HITCH: Final = AT["roll_hitch"]
 AT_CAMBER: Final = AT["camber"]
 AT_SHRINK: Final = AT["shrink"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
 AT_ROLL_LATE: Final = AT["roll_late_t"]
+AT_SWAY: Final = AT["sway"]
 AT_PUSH: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
 AT_UNEVEN: Final = AT["uneven"]
@@ -95,12 +99,13 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
+ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.25, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 TWO_TRACK: Final = (1.0, 0.5)  # twin wheels, wide tyres; one wheel an axle is 2 sd away
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
 ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
 ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
+SWAY: Final = 0.5  # sd
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
 MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
@@ -149,6 +154,7 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = [zeros.get(mount, 0.0) for mount in Mount]
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
     sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
+    sd[AT["sway"]] = SWAY if any(r.roll_corrected for r in machine.receiver) else 0.0
     mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])
     sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], UNEVEN_LOG_SD] + [SENSOR_LOG_SD] * 4
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]

@@ -38,7 +38,7 @@ def into_steady_state(state: SteadyState, learned: Learned) -> None:
 
 def of_tracker(state: TrackerState) -> Learned:
     """What this method has learned, from its state."""
-    counts = {"window_s": state.window_s, "tight_s": state.tight_s, "distance": state.distance}
+    counts = {name: getattr(state, name) for name in ("window_s", "tight_s", "hard", "distance")}
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 
@@ -47,6 +47,7 @@ def into_tracker(state: TrackerState, learned: Learned) -> None:
     state.mean, state.covariance = learned.mean, learned.covariance
     state.window_s = _counted(learned, "window_s")
     state.tight_s = _counted(learned, "tight_s")  # what was learned in them stays as uncertain
+    state.hard = _counted(learned, "hard")
     state.distance = _counted(learned, "distance")
 
 

@@ -58,9 +58,6 @@ of."""
 STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
-TIGHT_SHARE: Final = 0.1
-"""Where tight turns (fit_covariance.TIGHT) last longer than this share of what was learned from, errors of
-the model are as in them."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 HELD_WITHIN: Final = math.radians(1.5)  # wheels that stay within so much of an angle are held
 LONGEST_HELD: Final = 25  # segments, 5 s
@@ -120,6 +117,7 @@ class TrackerState:
     distance: float = 0.0  # m, over which it has run
     window_s: float = 0.0  # duration of what was learned from since the last change of soil
     tight_s: float = 0.0  # duration of tight turns in it
+    hard: float = 0.0  # integral of the squared lateral acceleration over it, m^2/s^3
     last_pose_ns: int = 0
     informed_ns: int = 0
     published_ns: int = 0
@@ -241,7 +239,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         else:
             _detect_soil_change(state)
         state.informed_ns = record.end_ns
-        _count(state, len(record.ticks) * DT, tight)
+        _count(state, record, tight)
 
 
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
@@ -285,8 +283,10 @@ def _note_held(state: TrackerState, wheel: float) -> None:
     state.held += 1
 
 
-def _count(state: TrackerState, seconds: float, tight: bool) -> None:
+def _count(state: TrackerState, record: Record, tight: bool) -> None:
     """Count what was learned from. When the first look is over, it is where to begin, and tells no more."""
+    seconds = len(record.ticks) * DT
+    state.hard += seconds * fit_covariance.lateral_square(record)
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
     if state.by_steering and before < FIRST_LOOK_S <= state.window_s:
@@ -375,7 +375,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
     state.changes += 1
     state.changed_ns = state.last_pose_ns
-    state.window_s = state.tight_s = 0.0
+    state.window_s = state.tight_s = state.hard = 0.0
     text = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
     state.events.append(("soil_change", f"{text}; what was learned of it before is given up"))
 
@@ -395,8 +395,9 @@ def reported_covariance(state: TrackerState) -> Array:
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    tight = state.tight_s > TIGHT_SHARE * state.window_s
-    room = fit_covariance.model_sd(tight, math.sqrt(state.push[3]), fit_covariance.TRACKED_TIGHT_SD)
+    tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
+    lateral = math.sqrt(state.hard / max(state.window_s, DT))
+    room = fit_covariance.model_sd(tight, lateral, math.sqrt(state.push[3]), fit_covariance.TRACKED_TIGHT_SD)
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 
 

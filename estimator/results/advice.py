@@ -341,9 +341,12 @@ def advise(
         state = "is known least" if known else f"{'is' if len(undetermined) == 1 else 'are'} not determined"
         start = f"{names} {state}: {share(*now[undetermined])}"
     uneven = math.exp(mean[AT["uneven"]])
+    wheelbase = machine.tractor.a.value + machine.tractor.b.value
     after = {}
     for candidate, brought in table.items():
-        errors = fit_covariance.model_sd(math.radians(candidate.degrees) > fit_covariance.TIGHT, uneven)
+        angle, rate = math.radians(candidate.degrees), _speed_of(candidate, speed) / wheelbase
+        lateral = angle * _speed_of(candidate, speed) * rate / math.sqrt(2.0)
+        errors = fit_covariance.model_sd(angle > fit_covariance.TIGHT, lateral, uneven)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
     turn = _next_turn(now, after[TURN]) if TURN in after and chosen != TURN else ""

@@ -63,13 +63,17 @@ def rate(x: Array) -> Array:
     return out
 
 
+@pytest.mark.parametrize("sway", [0.0, 1.0], ids=["as its position", "of the antenna"])
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize("seed", range(3))
-def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int) -> None:
+def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int, sway: float) -> None:
+    """Of a receiver that corrects its position for roll it may be that of the antenna all the same."""
     x, point = somewhere(seed)
+    point.unknowns[AT["sway"]] = sway
+    antennas = SETUP._replace(heights=SETUP.heights + sway * SETUP.corrected)
     step = 1e-5 * rate(x)
     north, east = (
-        (value(x + step, kind, place, point) - value(x - step, kind, place, point)) / 2e-5
+        (value(x + step, kind, place, point, antennas) - value(x - step, kind, place, point, antennas)) / 2e-5
         for kind in (NORTH, EAST)
     )
     psi = x[X_PSI + place // 2]
@@ -98,7 +102,7 @@ def test_slow_errors_of_receivers_stand_still_while_a_body_turns(heading: float)
 def test_a_receiver_on_the_axle_of_the_implement_moves_as_its_wheels_do(seed: int) -> None:
     """On the ground, and wherever the drawbar is."""
     x, point = somewhere(seed)
-    point.unknowns[AT["roll_hitch"]] = 0.2
+    point.unknowns[AT["roll_hitch"]], point.unknowns[AT["sway"]] = 0.2, 0.0
     p = np.zeros(len(PARAMETERS) + len(CONSTANTS))
     set_parameters.interpreted()(point, SETUP, p)
     named = dict(zip((*PARAMETERS, *CONSTANTS), p, strict=True)) | dict.fromkeys(INPUTS, 0.0) | {"u": SPEED}

@@ -383,10 +383,14 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
 
 
+def window(tight: bool) -> Record:
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
+    return replace(record, ticks=record.ticks * np.array([10.0 if tight else 1.0, *[1.0] * 7]))
+
+
 def one_more(state: pem.PemState, tight: bool, sd: float, changed: bool = False) -> Array:
     """Adopt the fit of a window that knows each of the six to that sd, and return the sds then published."""
-    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
-    turned = replace(record, ticks=record.ticks * np.array([10.0 if tight else 1.0, *[1.0] * 7]))
+    turned = window(tight)
     state.closed = turned
     job = pem.request_fit(state, 0)
     assert job is not None
@@ -423,7 +427,7 @@ def test_after_a_change_of_soil_errors_of_the_model_are_those_of_the_new_window(
     state = pem.initial(MACHINE)
     one_more(state, True, 0.1)
     one_more(state, False, 0.1, changed=True)
-    assert state.model_sd == pytest.approx(fit_covariance.model_sd(False, math.exp(state.mean[AT["uneven"]])))
+    assert state.model_sd == pytest.approx(fit_covariance.model_sd_of(window(False), state.mean))
 
 
 # Windows and the age of what was learned.

@@ -284,7 +284,7 @@ def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
     by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
     there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
     scale = np.abs(there).max(axis=0)
-    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.15)
+    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.2)
     assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
 
 
