@@ -29,6 +29,7 @@ ROLL_MEMORY: Final = 300.0  # poses (60 s) over which the moments of roll forget
 LEAST_ROLL_POSES: Final = 75.0  # poses (15 s) before rolls are judged
 LEAST_ACCELERATION_SD: Final = 0.3  # m/s^2: with less lateral acceleration, its effect on roll is not judged
 LEAST_CORRELATION: Final = 0.8  # of roll and lateral acceleration
+TURNED: Final = 0.01  # mean square of cosine and sine of the heading that shows a slope
 LARGEST_ROLL_GRADIENT: Final = 0.05  # rad/(m/s^2); a body on its tyres has 0.004 to 0.03
 LARGEST_ROLL_DIFFERENCE: Final = math.radians(10.0)  # one wheel in a furrow rolls a tractor by less
 
@@ -45,8 +46,9 @@ class BodyMotion:
     displacement_integral: float = 0.0  # displacement times integral of the velocity, m^2
     integral_squared: float = 0.0  # the integral squared, m^2
     roll_weight: float = 0.0  # number of poses in the moments
-    mean: Array = field(default_factory=lambda: np.zeros(2))  # of lateral acceleration (m/s^2) and roll (rad)
-    moments: Array = field(default_factory=lambda: np.zeros((2, 2)))  # central, of the same two
+    mean: Array = field(default_factory=lambda: np.zeros(4))
+    """Of lateral acceleration (m/s^2), roll (rad), cosine and sine of the heading."""
+    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))  # central, of the same four
 
 
 @dataclass(slots=True)
@@ -82,7 +84,7 @@ def found(state: MotionCheck) -> dict[str, str]:
             key = f"receiver on the {name} (roll)"
             size = f"{math.degrees(gradient):+.1f}° per m/s² of lateral acceleration"
             wrong[key] = (
-                f"the {name}'s measured roll follows its turns by {size}, as no tractor leans: {key}?"
+                f"the {name}'s measured roll follows its turns by {size}, as no vehicle leans: {key}?"
             )
     tractor, implement = state.bodies
     difference = float(tractor.mean[1] - implement.mean[1])
@@ -140,11 +142,12 @@ def _add_interval(body: BodyMotion, displacement: tuple[float, float]) -> None:
 
 
 def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
-    if body_pose.roll is None or body_pose.forward_velocity is None or body_pose.yaw_rate is None:
+    speed, psi = body_pose.forward_velocity, body_pose.heading
+    if body_pose.roll is None or body_pose.yaw_rate is None or speed is None or psi is None:
         return
-    if abs(body_pose.forward_velocity) < SLOWEST:
+    if abs(speed) < SLOWEST:
         return
-    sample = np.array([body_pose.forward_velocity * body_pose.yaw_rate, body_pose.roll])
+    sample = np.array([speed * body_pose.yaw_rate, body_pose.roll, math.cos(psi), math.sin(psi)])
     keep = 1.0 - 1.0 / ROLL_MEMORY
     body.roll_weight = keep * body.roll_weight + 1.0
     off = sample - body.mean
@@ -153,11 +156,15 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
 
 
 def _gradient(body: BodyMotion) -> float:
-    """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0."""
+    """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0. What goes with the
+    heading is the slope of the field, as a plane."""
     if body.roll_weight < LEAST_ROLL_POSES:
         return 0.0
-    acceleration_sd, roll_sd = np.sqrt(np.diag(body.moments) / body.roll_weight)
-    covariance = body.moments[0, 1] / body.roll_weight
+    moments = body.moments / body.roll_weight
+    by_heading = np.linalg.solve(moments[2:, 2:] + TURNED * np.eye(2), moments[2:, :2])
+    left = moments[:2, :2] - moments[:2, 2:] @ by_heading
+    acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))
+    covariance = left[0, 1]
     if acceleration_sd < LEAST_ACCELERATION_SD:
         return 0.0
     if abs(covariance) < LEAST_CORRELATION * acceleration_sd * max(roll_sd, 1e-9):

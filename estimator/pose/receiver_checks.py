@@ -418,8 +418,10 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
     if lead == 0.0:
         state.wrong, state.unclear = [None] * 4, False
     elif lead > SURE**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
-        # What it explains is more than what no setting explains: something else may move antennas.
-        sure = np.all(likely != declared, axis=0)
+        # What it explains is more than what no setting explains: something else may move antennas. A receiver
+        # is named if its own response says so, too.
+        c, sds = responses(state)
+        sure = np.all(likely != declared, axis=0) & (np.abs(c - declared) > 1.96 * sds)
         kinds = [TWICE if t == 1.0 else NOT for t in declared]
         state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]
         state.unclear = not sure.any()

@@ -242,7 +242,7 @@ def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05
     [
         ({}, ()), ({"speed": 1.06}, ()), ({"speed": 1.3}, ("1.30 times as far",) * 2),
         ({"speed": 0.5}, ("0.50 times as far",) * 2), ({"gradient": 0.03}, ()),
-        ({"gradient": 0.1}, ("roll follows its turns",)), ({"gradient": -0.1}, ("as no tractor leans",)),
+        ({"gradient": 0.1}, ("roll follows its turns",)), ({"gradient": -0.1}, ("as no vehicle leans",)),
         ({"lean_i": 0.15}, ()), ({"lean_i": -0.2}, ("lean apart by +14°",)),
     ],
 )  # fmt: skip

@@ -20,6 +20,7 @@ from drives import (
     SECOND,
     SEED,
     SPEED,
+    Array,
     Changes,
     Run,
     driven,
@@ -164,26 +165,25 @@ SURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.0 
 UNSURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.05 }"),)
 
 
-def errors_of_the_model(run: Run, method: str) -> float:
-    """Their part of C_af's sd, which no gain can change."""
-    return float(run.state.estimators[method].model_sd[0]) if method == pem.METHOD else 0.0
+def from_data(run: Run, method: str) -> Array:
+    """Covariance of the six without errors of the model, which no gain can change."""
+    covariance = np.reshape(run.last(method).log_covariance, (6, 6))
+    errors = run.state.estimators[method].model_sd if method == pem.METHOD else np.zeros(6)
+    return np.asarray(covariance - np.diag(errors**2), np.float64)
 
 
 @each_method
 def test_an_unknown_gain_of_the_wheel_angle_widens_the_stiffness(method: str) -> None:
     runs = driven(QUIET, 42.0, SURE), driven(QUIET, 42.0, UNSURE)
     sure, unsure = (run.last(method) for run in runs)
-    known, unknown = (
-        math.sqrt(sds(run.last(method))[0] ** 2 - errors_of_the_model(run, method) ** 2) for run in runs
-    )
+    covariances = [from_data(run, method) for run in runs]
+    known, unknown = (math.sqrt(covariance[0, 0]) for covariance in covariances)
     assert unknown > 1.05 * known  # most of it is learned: what turns the implement follows the true angle
     assert sure.nuisances.get("wheel_gain", (0.0, 0.0))[1] == 0.0
     gain, sd = unsure.nuisances["wheel_gain"]
     assert abs(gain) < 3 * sd and 0.002 < sd <= 0.05
     # What the gain does to all stiffnesses alike shows in their correlation.
-    correlations = [
-        np.array(e.log_covariance).reshape(6, 6)[0, 1] / (sds(e)[0] * sds(e)[1]) for e in (sure, unsure)
-    ]
+    correlations = [c[0, 1] / math.sqrt(c[0, 0] * c[1, 1]) for c in covariances]
     assert abs(correlations[1] - correlations[0]) > 0.02
 
 
