@@ -28,8 +28,8 @@ HARDEST: Final = 1.5  # of its square: nobody knows how errors go on
 HARD_SD: Final = np.array([0.06, 0.05, 0.03, 0.05, 0.03, 0.18])
 """What is added where a rig is driven as hard as HARD; it goes with the square, as what tyres give less than
 in proportion to slip does. There real tyre curves, and how lengths fall with slip, differ most from the
-model's. By two plants of a stranger, one spatial and one planar, of 16 rigs each: C_af came out 7 % soft on
-the one, C_ar 5 % stiff and sigma_i 25 % short on the other."""
+model's. By two plants of a stranger, one spatial and one planar, of 24 and 16 rigs: C_af came out 7 % soft
+on the one, C_ar 5 % stiff and sigma_i 25 % short on the other."""
 TIGHT: Final = math.radians(15.0)  # of the wheels
 TIGHT_SHARE: Final = 0.1
 """Where wheels are beyond TIGHT for longer than this share of what was learned from, errors of the model are
