@@ -29,6 +29,7 @@ ROUGH_SHARE: Final = 4.0
 with the loads of the wheels, by shares that go with the square of it. On ground of 3 cm rms the largest ratio
 without a change was 60, on 1 cm 28."""
 LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
+MOST_CHANGE: Final = 1.6  # of a logarithm: no soil changes by more than five times
 # largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
 KNOWN_SD: Final = 0.2
 LARGEST_VARIANCES: Final = np.square(KNOWN_SD * DIRECTIONS.sum(axis=1))
@@ -75,6 +76,7 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     valid = known & (np.abs(score) > LEAST_CHANGE * information) & (information > 0.0)
     if not valid.any():
         return None
-    ratio = np.where(valid, score**2 / np.where(valid, information, 1.0), 0.0)
+    likeliest = np.clip(score / np.where(valid, information, 1.0), -MOST_CHANGE, MOST_CHANGE)
+    ratio = np.where(valid, likeliest * (2.0 * score - likeliest * information), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
-    return Change(float(ratio[k, d]), score[k, d] / information[k, d] * DIRECTIONS[d])
+    return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d])

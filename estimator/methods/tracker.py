@@ -82,7 +82,6 @@ ground is taken for what it is, its forces are learned as tyres."""
 PUSH_FORGETTING: Final = 1000.0  # segments over which these return to their prior
 LARGEST_PUSH: Final = 5.0  # largest ratio of observed to expected variance that one segment contributes
 LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
-LARGEST_REPORTED_LOG: Final = 10.0  # limit of a change of a logarithm in an event
 LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applied at a change of soil
 
 
@@ -369,7 +368,7 @@ def _detect_soil_change(state: TrackerState) -> None:
 def _forget_soil(state: TrackerState, logs: Array) -> None:
     """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
     names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
-    factor = math.exp(np.clip(logs[np.argmax(np.abs(logs))], -LARGEST_REPORTED_LOG, LARGEST_REPORTED_LOG))
+    factor = math.exp(logs[np.argmax(np.abs(logs))])
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
     _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres

@@ -473,6 +473,18 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
     assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
 
 
+def test_what_has_moved_by_more_than_it_has_learned_is_no_change_of_soil() -> None:
+    """A stiffness that moved by its sd while it learned next to nothing: no soil explains it, be it a
+    hundredth of the stiffness."""
+    before, after = 0.01 * np.eye(6), 0.01 * np.eye(6)
+    after[0, 0] *= 0.995
+    checkpoints = [Checkpoint(np.zeros(6), before)]
+    change = soil_change.likeliest_change(checkpoints, np.array([-0.1, *[0.0] * 5]), after)
+    assert change is not None
+    assert change.ratio < soil_change.CHANGED
+    assert np.abs(change.logs).max() == soil_change.MOST_CHANGE
+
+
 # What nothing may be learned from
 
 
