@@ -34,10 +34,9 @@ Array = NDArray[np.float64]
 INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
 SLOWEST: Final = 1.0  # m/s
 HITCH_SAMPLE_POSES: Final = 5  # poses (1 s) between two samples of the gap at the hitch
-HITCH_SAMPLES_IN_ONE: Final = 6.0
+HITCH_SAMPLES_IN_ONE: Final = 4.0
 """How many of them count as one: errors of receivers last for half a minute, and so does a roll on a slope.
-Counted as independent, they accused 4 of 14 right fields of an independent plant. What changes from one
-sample to the next has no such errors."""
+Counted as independent, they accused 6 of 93 right files on plants of a stranger."""
 LARGEST_GAP: Final = 1.0  # m: a larger gap has another cause
 OFFSET_SD: Final = 0.04  # m, of the gap at the hitch from the survey of antennas and the yaw of the pairs
 RESPONSE_PRIOR: Final = (0.5, 0.5)  # mean and sd of c before any data
@@ -61,18 +60,6 @@ class TurnInterval:
 
 
 @dataclass(slots=True)
-class HitchSample:
-    """The gap at the hitch at one instant, m: what a measurement of it tells."""
-
-    t_ns: int
-    gap: float  # m
-    variance: float  # m^2
-    row: Array  # (5,), slope over c and offset
-    arms: Array  # (2, 5), derivative of the row by the roll of either body
-    noises: Array  # (2,), variances of the rolls' noise, rad^2
-
-
-@dataclass(slots=True)
 class ReceiverChecks:
     """State of the checks; lists of four in the order of flow.Mount, lists of two tractor, implement."""
 
@@ -85,7 +72,6 @@ class ReceiverChecks:
     rolls: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """Of both bodies: sums of squares of the rolls and of their noise over the hitch samples, rad^2."""
     hitch_samples: int = 0
-    last_hitch: HitchSample | None = None
     wrong: list[FlagKind | None] = field(default_factory=lambda: [None] * 4)  # keys of _SET
     unclear: bool = False  # roll_corrected is wrong somewhere, but it is not known where
     last_pose_ns: int = 0
@@ -122,7 +108,7 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     for body, pair in enumerate(pairs):
         _update_intervals(state, aligner, body, pair, rolls[body], t_ns, follows)
     if (pose.t_ns // POSE_NS) % HITCH_SAMPLE_POSES == 0:
-        _add_hitch_sample(state, aligner.machine, pairs, rolls, t_ns)
+        _add_hitch_sample(state, aligner.machine, pairs, rolls)
         _judge(state, aligner.machine)
 
 
@@ -332,7 +318,6 @@ def _add_hitch_sample(
     machine: Machine,
     pairs: list[_Pair | None],
     rolls: list[tuple[float, float] | None],
-    t_ns: int,
 ) -> None:
     """Add the gap at the hitch: tractor's hitch minus implement's, to the right of the implement, m."""
     tractor, implement = pairs
@@ -355,13 +340,6 @@ def _add_hitch_sample(
     row[4] = 1.0
     variance, noises = tractor.sd_hitch**2 + implement.sd_hitch**2, [noise for _, noise in both]
     _add(state, row, arms, noises, gap, HITCH_SAMPLES_IN_ONE * variance)
-    before = state.last_hitch
-    state.last_hitch = HitchSample(t_ns, gap, variance, row, np.array(arms), np.array(noises))
-    if before is not None and t_ns - before.t_ns == HITCH_SAMPLE_POSES * POSE_NS:
-        _add(
-            state, row - before.row, [*arms, *before.arms], [*noises, *before.noises],
-            gap - before.gap, variance + before.variance,
-        )  # fmt: skip
     for body, (roll, noise) in enumerate(both):
         state.rolls[body] += roll**2, noise
     state.hitch_samples += 1

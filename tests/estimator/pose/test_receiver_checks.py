@@ -209,8 +209,8 @@ def test_one_not_a_number_poisons_nothing() -> None:
 def test_roll_that_is_corrected_the_wrong_way_is_found_on_uneven_ground(
     mounts: tuple[Mount, ...], kind: str
 ) -> None:
-    # waves of roll are 15 to 150 m long: about 60 s until tractor and implement can be told apart
-    state, found = drive(ROUGH, 80.0, really=reversed_front_and_rear(mounts))
+    # waves of roll are 15 to 150 m long: about three minutes until tractor and implement can be told apart
+    state, found = drive(ROUGH, 240.0, really=reversed_front_and_rear(mounts))
     setting = "true" if kind == "roll_corrected_twice" else "false"
     reported = {who(text): (k, text) for _, k, text in found if k != receiver_checks.UNCLEAR}
     assert reported.keys() == {m.value for m in mounts}
