@@ -50,6 +50,7 @@ MEMORY: Final = 180.0  # blocks (an hour of driving) over which older samples co
 SURE: Final = 25.0  # chi-square; of right rigs over 40 h the largest was half of it
 RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
 TWICE: Final = 2  # blocks in a row
+NEARLY: Final = 0.6  # share of the chi-square of a latency that may be a receiver
 CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
 LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.007)  # rad, m, rad
 LEAST_MOVED: Final = 0.025  # m, of a receiver: it turns its pair by half a degree
@@ -199,12 +200,20 @@ def _names(explanations: list[Explanation]) -> list[str]:
     return [v.name for v in explanations if v.chi_square > least and v.name not in LATENCIES]
 
 
+def _like_another(explanations: list[Explanation]) -> bool:
+    """Whether something that is no latency explains it nearly as well as the latency that does best."""
+    others = [v.chi_square for v in explanations if v.name not in LATENCIES]
+    return max(others) > NEARLY * explanations[0].chi_square
+
+
 def _suspect(state: WatchState, machine: Machine, since: int, explanations: list[Explanation]) -> list[Found]:
     """Something has been moved, if that is so block after block."""
     first, names = explanations[0], _names(explanations)
     state.suspected_blocks += 1
     if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
         return []
+    if first.name in LATENCIES and _like_another(explanations):
+        return []  # a receiver that is further forward looks alike until it is driven at another speed
     state.suspected_blocks = 0
     before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)

@@ -15,7 +15,7 @@ from tilth.estimator.watch import watch
 from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
 from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
-from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, suspects
+from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, Explanation, suspects
 from tilth.estimator.watch.watch import BLOCK, Found, WatchState
 from tilth.schemas.flow import Accepted, Mount, Pose
 from tilth.simulator.traffic import simulate
@@ -95,6 +95,18 @@ def test_a_latency_is_the_poses_own_business(name: str) -> None:
     drive.move(name, AMOUNTS[name])
     assert drive.drive(AFTER) == []
     assert drive.state.moved == []
+
+
+@pytest.mark.parametrize(("other", "absorbed"), [(80.0, False), (30.0, True)])
+def test_what_may_as_well_be_a_receiver_is_not_taken_for_a_latency(other: float, absorbed: bool) -> None:
+    """At one speed a receiver that is further forward looks like another latency."""
+    drive = Drive()
+    drive.drive(BEFORE)
+    late = Explanation(LATENCIES[0], 100.0, np.array([0.03]), 1e-6 * np.eye(1))
+    moved = Explanation("tractor_front", other, np.array([0.1, 0.0]), 1e-4 * np.eye(2))
+    for _ in range(watch.CLEAR):
+        assert watch._suspect(drive.state, MACHINE, 3, [late, moved]) == []
+    assert len(drive.state.blocks) == (3 if absorbed else BEFORE)
 
 
 def test_what_is_too_small_to_matter_is_not_said() -> None:
