@@ -27,7 +27,7 @@ from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at,
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.spread import plus_minus
+from tilth.schemas.spread import WITHIN, plus_minus
 
 Array = NDArray[np.float64]
 
@@ -399,7 +399,7 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
         # What it explains is more than what no setting explains: something else may move antennas. A receiver
         # is named if its own response says so, too.
         c, sds = responses(state)
-        sure = np.all(likely != declared, axis=0) & (np.abs(c - declared) > 1.96 * sds)
+        sure = np.all(likely != declared, axis=0) & (np.abs(c - declared) > WITHIN * sds)
         kinds = [TWICE if t == 1.0 else NOT for t in declared]
         state.wrong = [kind if yes else None for kind, yes in zip(kinds, sure, strict=True)]
         state.unclear = not sure.any()
