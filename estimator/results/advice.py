@@ -38,6 +38,7 @@ from tilth.estimator.record.record import (
     VELOCITY,
     WHEEL_ANGLE,
     YAW_RATE,
+    R,
     Record,
     U,
 )
@@ -239,6 +240,7 @@ def expected(
     headings[:, KIND], headings[:, SD] = HEADING, 1.0
     open_loop = likelihood.innovations(Record(0, ticks, headings), setup, start, point, closed=False)
     ticks[:, PSI : PSI + 2] = -open_loop.e.reshape(count, 2)
+    ticks[:, R : R + 2] = np.gradient(np.unwrap(ticks[:, PSI : PSI + 2], axis=0), DT, axis=0)
     rows = rows.copy()
     rows[:, VALUE] = 0.0
     rows[:, VALUE] = -likelihood.innovations(Record(0, ticks, rows), setup, start, point, closed=False).e
