@@ -8,8 +8,9 @@ import contextlib
 import os
 import pickle
 import sys
+import threading
 import time
-from typing import Any
+from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
@@ -17,6 +18,8 @@ from tilth.estimator.methods.estimators import ROW, rows_for
 from tilth.schemas.machine import Machine
 
 NICE = 10  # recording comes first
+
+_ONE_FIT: Final = threading.Lock()  # how many threads linear algebra has is one setting of a process
 
 Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong or "", computing time in s
 
@@ -30,7 +33,7 @@ def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
     try:
         fitting = ROW[method].fitting
         assert fitting is not None
-        with threadpool_limits(1):
+        with _ONE_FIT, threadpool_limits(1):
             return fitting.fit(machine, job), ""
     except Exception as error:  # whatever the numerics may say, it is a fit less
         return None, f"{type(error).__name__}: {error}"

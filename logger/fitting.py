@@ -128,11 +128,6 @@ class Worker:
         with self._changed:
             self._machine = machine
             self._given_up = self._process is not None
-        self.forget()
-
-    def forget(self) -> None:
-        """Whatever is asked from now on is of another run, which may have the same stamps."""
-        with self._changed:
             self._tickets.clear()
             self._results.clear()
 

@@ -92,14 +92,9 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     if not linear:
         return setup
     low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
+    none = np.zeros(4)
     return setup._replace(
-        rig=low,
-        roll=modes,
-        heights=np.zeros(4),
-        corrected=np.zeros(4),
-        speed_sd=0.0,
-        slope_sd=0.0,
-        scale=SMALL,
+        rig=low, roll=modes, heights=none, corrected=none, speed_sd=0.0, slope_sd=0.0, scale=SMALL
     )
 
 

@@ -38,7 +38,9 @@ def into_steady_state(state: SteadyState, learned: Learned) -> None:
 
 def of_tracker(state: TrackerState) -> Learned:
     """What this method has learned, from its state."""
-    counts = {name: getattr(state, name) for name in ("window_s", "tight_s", "hard", "distance")}
+    counts = {
+        "window_s": state.window_s, "tight_s": state.tight_s, "hard": state.hard, "distance": state.distance,
+    }  # fmt: skip
     return Learned(state.mean.copy(), state.covariance.copy(), counts)
 
 

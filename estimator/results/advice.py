@@ -346,8 +346,8 @@ def advise(
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
     after = {}
     for candidate, brought in table.items():
-        angle, rate = math.radians(candidate.degrees), _speed_of(candidate, speed) / wheelbase
-        lateral = angle * _speed_of(candidate, speed) * rate / math.sqrt(2.0)
+        angle = math.radians(candidate.degrees)
+        lateral = angle * _speed_of(candidate, speed) ** 2 / wheelbase / math.sqrt(2.0)
         errors = fit_covariance.model_sd(angle > fit_covariance.TIGHT, lateral, uneven)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])

@@ -255,6 +255,22 @@ def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], texts: tuple[s
     assert all(part in text for part, text in zip(texts, found, strict=True)), found
 
 
+@pytest.mark.parametrize("slope_deg", [3.0, -5.0])
+def test_a_slope_that_is_turned_round_on_is_no_lean(slope_deg: float) -> None:
+    """Straight up a field and back: only the turn goes across the slope, and only it has side force."""
+    state, psi = MotionCheck(), 0.0
+    for k in range(225):
+        r = math.pi / 12.0 if 125 <= k < 185 else 0.0  # 180 degrees in 12 s
+        psi += 0.2 * r
+        pose = pose_of(2.5, r, None)
+        roll = math.radians(slope_deg) * math.sin(psi)
+        bodies = (replace(body, heading=psi, roll=roll) for body in (pose.tractor, pose.implement))
+        tractor, implement = bodies
+        pose = replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
+        motion_check.observe(state, pose)
+        assert not any("follows its turns" in text for text in motion_check.found(state).values())
+
+
 def wrongly(what: str) -> Callable[[Measurement], Measurement]:
     def change(one: Measurement) -> Measurement:
         on_tractor = one.origin.mount in (Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR)

@@ -273,8 +273,9 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
     np.testing.assert_allclose(P_xx / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
 
 
-def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
-    x, point = somewhere(2)
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_what_the_ground_does_is_not_in_slopes_by_steering(seed: int) -> None:
+    x, point = somewhere(seed)
     covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
     steered = x.copy()
     steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
@@ -283,7 +284,7 @@ def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
     by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
     there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
     scale = np.abs(there).max(axis=0)
-    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.2)
+    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.15)
     assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
 
 
