@@ -120,7 +120,8 @@ class PromptedDriver:
         done_here = (along > self.lane[3] / 2 and not bar.room) or along > self.lane[3]
         if bar.phase in FREE and abs(off) < math.pi / 2 and done_here:
             self.turning = True
-        if self.turning and (self._armed or along > self.lane[3] + BEYOND_M):
+        has_room_back = self._armed or self.lane[3] / 2 < along < self.lane[3]
+        if self.turning and (has_room_back or along > self.lane[3] + BEYOND_M):
             self.outward, self.turning, self._armed = not self.outward, False, False
             along, across, off = self._on_lane(x)
         bearing = math.atan2(-across, LOOK_AHEAD_M) - off
