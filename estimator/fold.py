@@ -11,7 +11,7 @@ from typing import Any
 from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
 from tilth.estimator.methods.consistency import Consistency
-from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
+from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, log_time, receiver_checks
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -348,28 +348,29 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
 
 def finish(state: State) -> None:
     """No frame follows: the windows of driving that are open now are complete, and fits may be requested."""
-    for row in rows_for(state.machine):
-        if row.fitting is not None:
-            row.fitting.finish(state.estimators[row.method])
+    for method, fitting in FITTED:
+        if method in state.estimators:
+            fitting.finish(state.estimators[method])
 
 
 def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
     """(method, job) of the fits that are requested after the frame of t_ns; `ROW[method].fitting` makes
     them."""
     jobs = []
-    for row in rows_for(state.machine):
-        job = row.fitting.request_fit(state.estimators[row.method], t_ns) if row.fitting else None
+    for method, fitting in FITTED:  # at every frame: those that are not enabled have no state
+        method_state = state.estimators.get(method)
+        job = fitting.request_fit(method_state, t_ns) if method_state is not None else None
         if job is not None:
-            jobs.append((row.method, job))
+            jobs.append((method, job))
     return jobs
 
 
 def pending(state: State) -> list[tuple[str, Any, int]]:
     """(method, job, t_ns at which its result is due) of the fits that were requested and not adopted yet."""
     return [
-        (row.method, job, job.asked_ns + row.fitting.latency_ns)
-        for row in rows_for(state.machine)
-        if row.fitting and (job := state.estimators[row.method].job) is not None
+        (method, method_state.job, method_state.job.asked_ns + fitting.latency_ns)
+        for method, fitting in FITTED
+        if (method_state := state.estimators.get(method)) is not None and method_state.job is not None
     ]
 
 

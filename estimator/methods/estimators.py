@@ -121,6 +121,9 @@ ESTIMATORS: tuple[Estimator, ...] = (
 )
 
 ROW: dict[str, Estimator] = {row.method: row for row in ESTIMATORS}
+FITTED: tuple[tuple[str, Fitting], ...] = tuple(
+    (row.method, row.fitting) for row in ESTIMATORS if row.fitting is not None
+)
 
 
 def rows_for(machine: Machine) -> tuple[Estimator, ...]:
