@@ -8,8 +8,8 @@ import json
 from typing import Any, Final
 
 from tilth.estimator.fold import State, estimates_now
+from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import rows_for
-from tilth.estimator.methods.stored_state import consistency_json, consistency_of
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
@@ -22,7 +22,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 14
+VERSION: Final = 15
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 
@@ -38,12 +38,12 @@ def snapshot(state: State) -> str:
         "decoder": state.decoder.dump(),
         "aligner": to_json_data(state.aligner, skip=frozenset({"machine"})),
         "record": to_json_data(state.record),
-        "consistency": consistency_json(state.consistency),
-        "estimators": {row.method: row.to_json(state.estimators[row.method]) for row in rows},
+        "consistency": to_json_data(state.consistency),
+        "estimators": {row.method: to_json_data(state.estimators[row.method]) for row in rows},
         "checks": to_json_data(state.checks),
         "watch": to_json_data(state.watch),
         "accepted": to_json_data(state.accepted),
-        "previous_run": {method: saved.to_json() for method, saved in state.previous_run.items()},
+        "previous_run": to_json_data(state.previous_run),
         "previous_run_ns": state.previous_run_ns,
         "frames": state.frames,
         "measurements": state.measurements,
@@ -122,14 +122,11 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         decoder=_decoder_of(machine, stored.raw("decoder")),
         aligner=stored.value(Aligner, "aligner", {"machine": machine}),
         record=stored.value(RecordState, "record"),
-        consistency=consistency_of(stored.raw("consistency")),
+        consistency=stored.value(Consistency, "consistency"),
         estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
         watch=stored.value(WatchState, "watch"),
-        previous_run={
-            method: SavedPosterior.from_json(stored_posterior)
-            for method, stored_posterior in stored.raw("previous_run").items()
-        },
+        previous_run=stored.value(dict[str, SavedPosterior], "previous_run"),
         previous_run_ns=stored.value(int, "previous_run_ns"),
         frames=stored.value(int, "frames"),
         measurements=stored.value(int, "measurements"),
@@ -150,8 +147,9 @@ def _estimators_of(machine: Machine, raw: Any) -> dict[str, Any]:
     """Method -> its state; a method that was not enabled when the state was stored starts new."""
     if not isinstance(raw, dict):
         raise ValueError("estimators is not a table of names and values")
+    stored = Stored(raw, "estimators")
     return {
-        row.method: row.from_json(raw[row.method]) if row.method in raw else row.initial(machine)
+        row.method: stored.value(row.state, row.method) if row.method in raw else row.initial(machine)
         for row in rows_for(machine)
     }
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
-from typing import Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,13 @@ from numpy.typing import NDArray
 T = TypeVar("T")
 
 LONGEST_LIST = 16  # numbers; a longer array is stored as base 64, which is faster and as exact
+
+
+class Shape(NamedTuple):
+    """What an array must have to be read back, in an annotation: `Annotated[Array, Shape((3,))]`, with -1 for any
+    number."""
+
+    sizes: tuple[int, ...]
 
 
 def to_json_data(value: Any, skip: frozenset[str] = frozenset()) -> Any:
@@ -89,14 +96,6 @@ class Stored:
             return None
         return self.value(kind, key)
 
-    def array(self, key: str, *shape: int) -> NDArray[np.float64]:
-        """An array of this shape; -1 stands for any number of rows or columns."""
-        found: NDArray[np.float64] = self.value(np.ndarray, key)
-        required = tuple(n if k == -1 else k for n, k in zip(found.shape, shape, strict=False))
-        if found.shape != required or len(shape) != len(required):
-            raise ValueError(f"{self._of}, {key}: an array of {found.shape}, not of {shape}")
-        return found
-
     def end(self) -> None:
         """Call it last: raises ValueError if a part has not been read."""
         if self._unread:
@@ -105,6 +104,8 @@ class Stored:
 
 def _build(kind: Any, data: Any, skipped: dict[str, Any]) -> Any:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return _of_shape(_build(arguments[0], data, skipped), arguments[1])
     if origin in (typing.Union, types.UnionType):
         if data is None:
             return None
@@ -132,6 +133,16 @@ def _build(kind: Any, data: Any, skipped: dict[str, Any]) -> Any:
     return data
 
 
+def _of_shape(array: NDArray[np.float64], shape: Shape) -> NDArray[np.float64]:
+    sizes = shape.sizes
+    fits = array.ndim == len(sizes) and all(
+        n in (-1, size) for n, size in zip(sizes, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"an array of {array.shape}, not of {sizes}")
+    return array
+
+
 def _check_form(kind: Any, data: Any) -> None:
     """Raises TypeError if the type needs a JSON object or a list and the data are not one."""
     origin = typing.get_origin(kind)
@@ -145,16 +156,21 @@ _LEAVES: dict[Any, Any] = {bool: _NUMBER, int: _NUMBER, float: _NUMBER, str: str
 
 
 def _build_dataclass(kind: Any, data: dict[str, Any], skipped: dict[str, Any]) -> Any:
-    hints = typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind, include_extras=True)
     unknown = data.keys() - hints.keys()
     if unknown:
-        raise KeyError(f"{', '.join(sorted(unknown))} is not known")
+        raise ValueError(f"{', '.join(sorted(unknown))} is not known")
     values: dict[str, Any] = {}
     for f in fields(kind):
         if f.name in skipped and f.name not in data:
             values[f.name] = skipped[f.name]
             continue
-        value = _build(hints[f.name], data[f.name], skipped)
+        if f.name not in data:
+            raise ValueError(f"{f.name} is missing")
+        try:
+            value = _build(hints[f.name], data[f.name], skipped)
+        except (LookupError, TypeError, AttributeError, ValueError) as error:
+            raise ValueError(f"{f.name}: {error}") from None
         if typing.get_origin(hints[f.name]) is deque and f.default_factory is not MISSING:
             empty: deque[Any] = f.default_factory()
             empty.extend(value)  # the default's maximal length stays

@@ -7,14 +7,14 @@ mixed in the same way. The result is positive definite because both matrices are
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.methods.estimators import Memory, rows_for
 from tilth.estimator.methods.learned import Learned
-from tilth.estimator.state_json import Stored, to_json_data
+from tilth.estimator.state_json import Shape
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -27,34 +27,10 @@ class SavedPosterior:
     """What one method had learned when a run ended."""
 
     names: tuple[str, ...]  # [n], of the entries of the mean
-    mean: Array  # [n]
-    covariance: Array  # [n, n]
+    mean: Annotated[Array, Shape((-1,))]
+    covariance: Annotated[Array, Shape((-1, -1))]
     age_s: float  # time from the last data that it learned from to the moment of saving
     counts: dict[str, float]  # counters that continue, by name
-
-    def to_json(self) -> dict[str, Any]:
-        """For the file between two runs."""
-        return {
-            "names": list(self.names),
-            "mean": to_json_data(self.mean),
-            "covariance": to_json_data(self.covariance),
-            "age_s": self.age_s,
-            "counts": self.counts,
-        }
-
-    @classmethod
-    def from_json(cls, raw: Any) -> "SavedPosterior":
-        """The record that `to_json` wrote. Raises ValueError."""
-        stored = Stored(raw, "what was stored")
-        saved = cls(
-            tuple(stored.value(list[str], "names")),
-            stored.array("mean", -1),
-            stored.array("covariance", -1, -1),
-            stored.value(float, "age_s"),
-            stored.value(dict[str, float], "counts"),
-        )
-        stored.end()
-        return saved
 
 
 def save_learned(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, SavedPosterior]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from tilth.estimator.state_json import Stored, to_json_data
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
@@ -51,7 +51,7 @@ def text_of(
         "machine": machine.name,
         "utc_ns": utc_ns,
         "sections": _digests(machine),
-        "methods": {method: one.to_json() for method, one in learned.items()},
+        "methods": to_json_data(learned),
         "accepted": to_json_data(list(accepted)),
     }
     return json.dumps(plain, indent=1)
@@ -80,11 +80,9 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
-        learned = {method: SavedPosterior.from_json(one) for method, one in plain["methods"].items()}
+        learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
-        accepted = Stored({"accepted": plain.get("accepted", [])}, str(path)).value(
-            list[Accepted], "accepted"
-        )
+        accepted = from_json_data(list[Accepted], plain.get("accepted", []))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None
     if changed:

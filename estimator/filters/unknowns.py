@@ -6,7 +6,7 @@ without an sd has a prior sd of zero and stays fixed.
 """
 
 import math
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.parameters import GEOMETRY, geometry_of
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
+from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
@@ -59,6 +60,8 @@ NAMES: Final = (
 )  # fmt: skip
 
 AT: Final = {name: k for k, name in enumerate(NAMES)}
+Vector = Annotated[Array, Shape((len(NAMES),))]  # in that order; of a state that is stored
+Matrix = Annotated[Array, Shape((len(NAMES), len(NAMES)))]
 SIX: Final = slice(0, 6)
 NOISE: Final = slice(AT["push_t"], AT["s_roll"] + 1)
 SHAPE: Final = slice(AT["a"], AT["I_i"] + 1)

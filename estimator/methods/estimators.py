@@ -1,8 +1,9 @@
 """The estimators, one row each: an extension point. Tests run over every row.
 
-The functions of a row share a state of their own type. It is stored in the log and restored from it:
-`to_json` writes all of it, `from_json` reads it. Its `events` have not been published yet. A row with
-`fitting` requests fits, which are computed outside the fold.
+The functions of a row share a state of their own type, a dataclass. It is stored in the log and restored from
+it, all of it, by what its annotations say (state_json.py): whoever changes a field raises `VERSION` of
+snapshot.py. Its `events` have not been published yet. A row with `fitting` requests fits, which are computed
+outside the fold.
 """
 
 from collections.abc import Callable
@@ -11,9 +12,8 @@ from typing import Any
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import steady_outputs, unknowns
-from tilth.estimator.methods import learned, pem, steady_state, stored_state, tracker, two_step
+from tilth.estimator.methods import learned, pem, steady_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
-from tilth.estimator.methods.stored_state import Json
 from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Estimate, Pose
 from tilth.schemas.machine import Machine
@@ -44,9 +44,8 @@ class Memory:
 @dataclass(frozen=True, slots=True)
 class Estimator:
     method: str  # published on /soil_tire/<method>
+    state: type[Any]  # of what `initial` makes
     initial: Callable[[Machine], Any]
-    to_json: Callable[[Any], Json]  # the whole state
-    from_json: Callable[[Any], Any]  # the state; raises ValueError where it is not what `to_json` gave
     take: Callable[
         [Any, Machine, Pose, Segment | None], Estimate | None
     ]  # changes the state; an estimate when one is due
@@ -64,9 +63,8 @@ class Estimator:
 ESTIMATORS: tuple[Estimator, ...] = (
     Estimator(
         steady_state.METHOD,
+        steady_state.SteadyState,
         steady_state.initial,
-        stored_state.steady_state_json,
-        stored_state.steady_state_of,
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
@@ -78,9 +76,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
     ),
     Estimator(
         tracker.METHOD,
+        tracker.TrackerState,
         tracker.initial,
-        stored_state.tracker_json,
-        stored_state.tracker_of,
         tracker.take,
         tracker.estimate,
         tracker.clock_stepped,
@@ -90,9 +87,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
     ),
     Estimator(
         pem.METHOD,
+        pem.PemState,
         pem.initial,
-        stored_state.pem_json,
-        stored_state.pem_of,
         pem.take,
         pem.estimate,
         pem.clock_stepped,
@@ -101,9 +97,8 @@ ESTIMATORS: tuple[Estimator, ...] = (
     ),
     Estimator(
         two_step.METHOD,
+        two_step.TwoStepState,
         two_step.initial,
-        stored_state.two_step_json,
-        stored_state.two_step_of,
         two_step.take,
         two_step.estimate,
         two_step.clock_stepped,

@@ -14,6 +14,7 @@ fitted.
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import fit_covariance, scoring, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX, Matrix, Vector
 from tilth.estimator.record.record import Record, Segment, U
 from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
 from tilth.estimator.record.windows import OPEN, close_window, collect, describe_late, refuse
@@ -34,6 +35,7 @@ from tilth.estimator.results.reporting import (
     six_parameter_estimate,
     stale_reason,
 )
+from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
@@ -92,11 +94,11 @@ class Fit:
 class PemState:
     """Arrays in the order of unknowns.NAMES; times ns, distances m."""
 
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    model_sd: Array = field(default_factory=lambda: np.zeros(6))
+    mean: Vector
+    covariance: Matrix
+    prior_mean: Vector
+    prior_sd: Vector
+    model_sd: Annotated[Array, Shape((6,))] = field(default_factory=lambda: np.zeros(6))
     """Of the six, what errors of the model leave in `mean` and more data do not take away: in `covariance`,
     too."""
     window: list[Segment] = field(default_factory=list)

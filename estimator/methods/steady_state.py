@@ -21,6 +21,7 @@ sd of 0.5.
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ from tilth.estimator.results.reporting import (
     reason_without_data,
     stale_reason,
 )
+from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 
@@ -55,6 +57,9 @@ MODEL = "steady_turn"
 STATES = (*CONSTANTS, "roll_zero_t", "roll_zero_i", "slow_t", "slow_i")
 """The first three as compliance over the prior mean's; the others as unknowns.NAMES, but the zero of roll is
 the mean of a body's receivers; rad."""
+OfStates = Annotated[Array, Shape((len(STATES),))]
+OfThree = Annotated[Array, Shape((3,))]
+ThreeByThree = Annotated[Array, Shape((3, 3))]
 AT = {name: k for k, name in enumerate(STATES)}
 PUBLISHED = ("wheel_zero", "wheel_gain", "pair_t", "pair_i", "rolling", "curvature")
 SOIL = [AT["rolling"], AT["curvature"]]  # they differ with the soil too
@@ -90,14 +95,14 @@ _RELAXATION = ParameterEstimate(
 class SteadyState:
     """State of the filter. Times ns. P: covariance of x."""
 
-    x: Array  # [n] in the order of STATES
-    P: Array  # [n, n]
-    prior_sd: Array  # [n] sd; of the first three that of their logarithm
-    prior_logs: Array  # [3] prior mean
-    logs: Array  # [3] natural logarithms of the stiffnesses, of data and prior
-    log_covariance: Array  # [3, 3]
+    x: OfStates
+    P: Annotated[Array, Shape((len(STATES), len(STATES)))]
+    prior_sd: OfStates  # sd; of the first three that of their logarithm
+    prior_logs: OfThree  # prior mean
+    logs: OfThree  # natural logarithms of the stiffnesses, of data and prior
+    log_covariance: ThreeByThree
     # covariance of what uneven ground does to a sample of the outputs, and samples that it is from
-    ground: Array = field(default_factory=lambda: np.diag(np.square(GROUND_SD)))
+    ground: ThreeByThree = field(default_factory=lambda: np.diag(np.square(GROUND_SD)))
     ground_samples: float = GROUND_MEMORY[0]
     steadiness: Steadiness = field(default_factory=Steadiness)
     previous: SteadySample | None = None  # the sample before, of the same turn

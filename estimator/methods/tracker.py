@@ -7,7 +7,7 @@ the next one is there: if the latency is smaller than that of the machine file, 
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,17 +30,28 @@ from tilth.estimator.filters.tracker_kernel import (
     SegmentArrays,
     track_segment,
 )
-from tilth.estimator.filters.unknowns import AT, AT_ROLL_MODES, N_ROLL_MODES, NAMES, NOISE, SIX
-from tilth.estimator.record.record import PSI, WHEEL_ANGLE, Record, Segment, U
+from tilth.estimator.filters.unknowns import (
+    AT,
+    AT_ROLL_MODES,
+    N_ROLL_MODES,
+    NAMES,
+    NOISE,
+    SIX,
+    Matrix,
+    Vector,
+)
+from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
 from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
+from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
+MotionVector = Annotated[Array, Shape((N_STATES,))]
 
 METHOD = "tracker"
 
@@ -89,30 +100,40 @@ LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applie
 class TrackerState:
     """Arrays in the order of unknowns.NAMES, x in that of filters.states; times ns, distances m."""
 
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    x: Array = field(default_factory=lambda: np.zeros(N_STATES))
-    steered: Array = field(default_factory=lambda: np.zeros(N_STATES))
+    mean: Vector
+    covariance: Matrix
+    prior_mean: Vector
+    prior_sd: Vector
+    x: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
+    steered: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
     """x as it would be by steering alone, with the unknowns as they are estimated."""
-    P_xx: Array = field(default_factory=lambda: np.zeros((N_STATES, N_STATES)))
-    P_xtheta: Array = field(default_factory=lambda: np.zeros((N_STATES, len(NAMES))))
-    residual_ratio: Array = field(default_factory=lambda: np.ones(SENSORS))
+    P_xx: Annotated[Array, Shape((N_STATES, N_STATES))] = field(
+        default_factory=lambda: np.zeros((N_STATES, N_STATES))
+    )
+    P_xtheta: Annotated[Array, Shape((N_STATES, len(NAMES)))] = field(
+        default_factory=lambda: np.zeros((N_STATES, len(NAMES)))
+    )
+    residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
-    push: Array = field(default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN]))
+    push: Annotated[Array, Shape((4,))] = field(
+        default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])
+    )
     """Variances of the ground's pushes and of its unevenness."""
     segments_adapted: int = 0  # to which `push` has been adapted
     running: bool = False  # x is the state at the start of the next segment
     segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
-    ticks_before: Array = field(default_factory=lambda: np.zeros((0, 8)))  # ticks before those that wait
+    ticks_before: Annotated[Array, Shape((-1, len(INPUTS)))] = field(  # ticks before those that wait
+        default_factory=lambda: np.zeros((0, len(INPUTS)))
+    )
     steering: float = 0.0  # recent mean square of the wheel angle, rad^2
     held_at: float = 0.0  # rad, wheel angle at which the wheels came to be held
     held: int = 0  # segments for which they have been held there
     checkpoints: list[Checkpoint] = field(default_factory=list)
     segments_since_checkpoint: int = 0
-    counts: Array = field(default_factory=lambda: np.zeros(3))  # rows by USED, GATED, BAD
+    counts: Annotated[Array, Shape((3,))] = field(
+        default_factory=lambda: np.zeros(3)
+    )  # rows by USED, GATED, BAD
     distance: float = 0.0  # m, over which it has run
     window_s: float = 0.0  # duration of what was learned from since the last change of soil
     tight_s: float = 0.0  # duration of tight turns in it

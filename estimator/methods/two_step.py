@@ -6,7 +6,7 @@ two_step_fit describes the method, and why none of its numbers is published as u
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,12 @@ from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merg
 from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, close_window, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
+from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
+OfSix = Annotated[Array, Shape((6,))]
 
 METHOD: Final = "pem_two_step"
 PUBLISH_NS: Final = 10_000_000_000
@@ -48,9 +50,9 @@ class TwoStepState:
     job: Job | None = None  # requested, not adopted yet
     decided: int = OPEN  # state of the job: see windows.OPEN
     late_ns: int = 0  # by how much the last decided fit was late
-    values: Array = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
-    sds: Array = field(default_factory=lambda: np.zeros(6))
-    runs: Array = field(default_factory=lambda: np.zeros(6))  # number of windows merged into each
+    values: OfSix = field(default_factory=lambda: np.zeros(6))  # of flow.PARAMETERS, merged so far
+    sds: OfSix = field(default_factory=lambda: np.zeros(6))
+    runs: OfSix = field(default_factory=lambda: np.zeros(6))  # number of windows merged into each
     rank: int = 0  # of the last window
     window_s: float = 0.0
     informed_ns: int = 0

@@ -22,13 +22,13 @@ from tilth.estimator.filters.states import DT, START, X_ALPHA, X_PSI, X_R, X_V
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
 from tilth.estimator.methods import pem
-from tilth.estimator.methods.stored_state import pem_json, pem_of
 from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
 from tilth.estimator.results.reporting import take_events
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Frame, Pose, Status
 from tilth.schemas.machine import Machine, parse_machine
@@ -219,7 +219,7 @@ def test_a_job_is_requested_fitted_and_adopted(machine: Machine) -> None:
     job = pem.request_fit(state, 5)
     assert job is not None
     assert pem.request_fit(state, 6) is None  # one at a time
-    again = pem_of(pem_json(state))
+    again = from_json_data(pem.PemState, to_json_data(state))
     assert again.job is not None and np.array_equal(again.job.record.rows, record.rows)
     estimate = pem.adopt(state, machine, pem.fit(machine, job), job.closed_ns)
     assert state.job is None

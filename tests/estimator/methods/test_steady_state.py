@@ -26,11 +26,11 @@ from tilth.estimator.filters.steady_outputs import (
     outputs,
 )
 from tilth.estimator.methods import steady_state
-from tilth.estimator.methods.stored_state import steady_state_json, steady_state_of
 from tilth.estimator.models import nonlinear, rolling, rolling_terms
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.record.steady_driving import SETTLING, SETTLING_S, SteadySample
 from tilth.estimator.results.reporting import take_events
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
 from tilth.schemas.plausible import GRAVITY
 
@@ -608,7 +608,7 @@ def test_too_much_slip_for_the_tyre_model_teaches_nothing() -> None:
 
 def test_its_state_survives_json() -> None:
     state, estimate = learn(drive())
-    back = steady_state_of(steady_state_json(state))
+    back = from_json_data(steady_state.SteadyState, to_json_data(state))
     assert steady_state.estimate(back, MACHINE, estimate.t_ns) == estimate
 
 

@@ -13,7 +13,6 @@ from tilth.estimator.filters import two_step_fit, unknowns
 from tilth.estimator.filters.two_step_fit import Window, identify, merge_scalar
 from tilth.estimator.fold import initial
 from tilth.estimator.methods import two_step
-from tilth.estimator.methods.stored_state import two_step_json, two_step_of
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
@@ -211,7 +210,7 @@ def test_a_window_is_requested_fitted_merged_and_never_usable() -> None:
     made = two_step.fit(MACHINE, job)
     again = two_step.fit(MACHINE, from_json_data(two_step.Job, to_json_data(job)))
     assert np.array_equal(made.values, again.values) and np.array_equal(made.sds, again.sds)
-    back = two_step_of(two_step_json(state))
+    back = from_json_data(two_step.TwoStepState, to_json_data(state))
     estimate = two_step.adopt(state, MACHINE, made, t_ns + 3 * 10**9)
     assert two_step.adopt(back, MACHINE, made, t_ns + 3 * 10**9) == estimate
     assert state.job is None

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tilth.estimator import fold
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.snapshot import restore, snapshot
+from tilth.estimator.state_json import to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch.accepted import corrected
 from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
@@ -146,7 +147,7 @@ def test_all_that_is_learned_begins_from_the_file_with_the_value(name: str) -> N
     for again in (state, restore(MACHINE, snapshot(state))):
         assert again.machine == now and again.record.knots == [] and not again.consistency.confirmed
         for row in rows_for(now):
-            assert row.to_json(again.estimators[row.method]) == row.to_json(row.initial(now))
+            assert to_json_data(again.estimators[row.method]) == to_json_data(row.initial(now))
     kept = state.aligner.latency.tau.tolist() == latencies
     assert kept == (name == WHEEL)  # it is no length, which would have been taken for latency
     assert state.previous_run == {}  # what is discarded later does not bring it back either
