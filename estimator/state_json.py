@@ -22,7 +22,7 @@ LONGEST_LIST = 16  # numbers; a longer array is stored as base 64, which is fast
 
 
 class Shape(NamedTuple):
-    """What an array must have to be read back, in an annotation: `Annotated[Array, Shape((3,))]`, with -1 for any
+    """What an array must have to be read back, in an annotation: `Annotated[Array, Shape((3,))]`. -1: any
     number."""
 
     sizes: tuple[int, ...]
