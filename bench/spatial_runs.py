@@ -226,7 +226,8 @@ def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
         result[f"lever_{k}"] = float(np.mean([told[f"forward_{r.mount}"] for r in mounts]))
         result[f"cg_{k}"] = told[f"cg_forward_{body}"]
         result |= {f"roll_zero_{r.mount}": told[f"roll_zero_{r.mount}"] for r in mounts}
-        result[f"roll_late_{k}"] = float(np.mean([told[f"roll_delay_{r.mount}"] for r in mounts]))
+        for name, key in (("roll_late", "roll_delay"), ("rate_late", "turn_rate_delay")):
+            result[f"{name}_{k}"] = float(np.mean([told[f"{key}_{r.mount}"] for r in mounts]))
         aside[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
     result["sway"] = 0.0
     result["aside_i"] = aside["implement"] - aside["tractor"]

@@ -259,8 +259,12 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     back, side = leaning(body.roll, body.pitch)  # of a point one metre higher
     k = np.round((epochs - truth.time[0]) / STEP_S).astype(np.int64)
     psi, roll, pitch, r = body.heading[k], body.roll[k], body.pitch[k], body.yaw_rate[k]
-    late = round(truth.nuisances[f"roll_delay_{receiver.mount}"] / STEP_S)
-    measured_roll = body.roll[np.maximum(k - late, 0)] + truth.nuisances[f"roll_zero_{receiver.mount}"]
+    late, rate_late = (
+        np.maximum(k - round(truth.nuisances[f"{what}_delay_{receiver.mount}"] / STEP_S), 0)
+        for what in ("roll", "turn_rate")
+    )
+    measured_roll = body.roll[late] + truth.nuisances[f"roll_zero_{receiver.mount}"]
+    turn_rate = body.yaw_rate if body.gyro is None else body.gyro
     forward, right = _place(machine, truth, mount)
     ahead = forward * np.cos(pitch) - above * back[k]
     aside = (right + moved_m) * np.cos(roll) + above * side[k]
@@ -273,7 +277,7 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
         psi,
         u * cosine - v * sine,
         u * sine + v * cosine,
-        r if body.gyro is None else body.gyro[k],
+        turn_rate[rate_late],
         measured_roll,
         pitch,
     )

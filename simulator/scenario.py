@@ -298,12 +298,13 @@ class ReceiverLink:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class RollSensor:
-    """The receivers' own roll. With `draw`, what is not given is drawn anew for each receiver."""
+    """The receivers' own roll and turn rate. With `draw` what is not given is drawn anew for each."""
 
     draw: bool = False
     sd_deg: Annotated[float, Field(ge=0, le=5)] | None = None  # None: 0.2, or drawn from 0.2 to 0.5
     zero_deg: Annotated[float, Field(ge=-5, le=5)] | None = None  # None: 0, or drawn within 1
     delay: Annotated[float, Field(ge=0, le=0.5)] | None = None  # s; None: 0, or drawn up to 0.1
+    turn_rate_delay: Annotated[float, Field(ge=0, le=0.5)] | None = None  # s; None: 0, or drawn up to 0.06
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

@@ -34,8 +34,9 @@ PARAMETER_LOG_SD: Final = 0.2
 PARAMETER_LIMIT: Final = 0.35
 PAIR_LIMIT_DEG: Final = 0.3
 ZERO_SD_DEG: Final = 0.3
-ROLL_PLAIN: Final = (0.2, 0.0, 0.0)  # sd and zero error of a receiver's roll, degrees; its delay, s
-ROLL_DRAWN: Final = ((0.2, 0.5), (-1.0, 1.0), (0.0, 0.1))  # the same, from and to
+ROLL_PLAIN: Final = (0.2, 0.0, 0.0, 0.0)
+"""Sd and zero error of a receiver's roll, degrees; its delay and that of the turn rate, s."""
+ROLL_DRAWN: Final = ((0.2, 0.5), (-1.0, 1.0), (0.0, 0.1), (0.0, 0.06))  # the same, from and to
 COMPILED_FROM: Final = 2000  # samples: what is shorter is done before a compiler has been loaded
 TOLD: Final = 1000  # samples between two words on progress
 AT: Final = {name: k for k, name in enumerate(STATES)}
@@ -203,7 +204,7 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
     positions minus true heading, rad. cg_<forward|right|up>_<body>: true CG from the file's, m.
     <forward|right>_<mount>: true place of a receiver from the surveyed one, m. latency_<mount>: s.
     clock_offset, clock_skew: host clock minus UTC at the start, s, and its growth, s/s.
-    roll_<sd|zero|delay>_<mount>: of a receiver's own roll, rad, rad and s.
+    roll_<sd|zero|delay>_<mount>: of a receiver's own roll, rad, rad and s. turn_rate_delay_<mount>: s.
     """
     rng = generator(rig_seed(scenario, seed), noise.NUISANCES)
     zero, tractor, implement, offset, skew = rng.standard_normal(5) * [ZERO_SD_DEG, 1.0, 1.0, 0.2, 15e-6]
@@ -235,17 +236,20 @@ def _nuisances(machine: Machine, scenario: Scenario, seed: int) -> dict[str, flo
 
 
 def _roll_sensor(scenario: Scenario, mount: Mount, seed: int) -> dict[str, float]:
-    """Errors of one receiver's roll, as `_nuisances`."""
+    """Errors of one receiver's roll and turn rate, as `_nuisances`."""
     given, stream = scenario.roll_sensor, list(Mount).index(mount)
     rng = generator(rig_seed(scenario, seed), noise.ROLL, stream)
     drawn = tuple(rng.uniform(low, high) for low, high in ROLL_DRAWN)
-    sd, zero, delay = drawn if given.draw else ROLL_PLAIN
+    sd, zero, delay, rate_delay = drawn if given.draw else ROLL_PLAIN
     return {
         f"roll_sd_{mount}": float(np.radians(sd if given.sd_deg is None else given.sd_deg)),
         f"roll_zero_{mount}": float(
             np.radians(scenario.noise * zero if given.zero_deg is None else given.zero_deg)
         ),
         f"roll_delay_{mount}": float(delay if given.delay is None else given.delay),
+        f"turn_rate_delay_{mount}": float(
+            rate_delay if given.turn_rate_delay is None else given.turn_rate_delay
+        ),
     }
 
 

@@ -51,6 +51,8 @@ WORDS: Final[dict[str, NuisanceWords]] = {
     **{f"roll_zero_{mount.value}": NuisanceWords(f"roll zero of {mount.value}", ANGLE) for mount in Mount},
     "roll_late_t": NuisanceWords("rolls of the tractor's receivers later", TIME),
     "roll_late_i": NuisanceWords("rolls of the implement's receivers later", TIME),
+    "rate_late_t": NuisanceWords("turn rates of the tractor's receivers later", TIME),
+    "rate_late_i": NuisanceWords("turn rates of the implement's receivers later", TIME),
     "sway": NuisanceWords("share of the antennas' swaying in roll-corrected receivers' speeds", PLAIN),
     "curvature": NuisanceWords("1 over largest side force per load", PLAIN),
     "two_track": NuisanceWords("how far the wheels of an axle slip each by itself", PLAIN),

@@ -30,6 +30,7 @@ from tilth.estimator.filters.unknowns import (
     AT_HITCH,
     AT_LEVER,
     AT_PAIR,
+    AT_RATE_LATE,
     AT_ROLL_LATE,
     AT_ROLL_ZERO,
     AT_S_POSITION,
@@ -55,13 +56,14 @@ Array = NDArray[np.float64]
 
 
 class Observation(NamedTuple):
-    """One measurement without its value: kind, place, and the point of linearisation."""
+    """One measurement without its value: kind, place, when it is of, and the point of linearisation."""
 
     kind: int  # record.YAW_RATE to ROLL_ANGLE
     place: int  # as record.PLACE
-    share: float  # time since the tick before, in ticks, [0, 1)
+    share: float  # time since the tick before, in ticks, [0, 1); below 0 for a turn rate that is late
     u: float  # m/s
     psi_ref: float  # rad, heading of the body in `ticks` at the instant
+    faster: float  # rad/s^2: how fast the turn rate that it measures grows, 0.0 of other kinds
 
 
 @inner_kernel
@@ -73,13 +75,19 @@ def body_of(kind: int, place: int) -> int:
 
 
 @inner_kernel
-def observation(ticks: Array, row: Array, k: int, u: float) -> Observation:
-    """The observation of a row of the record, at or after tick k and before the next. u: m/s."""
-    following = min(k + 1, ticks.shape[0] - 1)
+def observation(
+    ticks: Array, row: Array, k: int, u: float, x: Array, following: Array, unknowns: Array
+) -> Observation:
+    """The observation of a row of the record, at or after tick k and before the next. u: m/s. x, following:
+    (30,), the state at both. unknowns: (n,)."""
+    after = min(k + 1, ticks.shape[0] - 1)
     kind, place, share = int(row[KIND]), int(row[PLACE]), row[OFFSET] / DT
     psi = PSI + body_of(kind, place)
-    psi_ref = ticks[k, psi] + share * (ticks[following, psi] - ticks[k, psi])
-    return Observation(kind, place, share, u, psi_ref)
+    psi_ref = ticks[k, psi] + share * (ticks[after, psi] - ticks[k, psi])
+    if kind != YAW_RATE:
+        return Observation(kind, place, share, u, psi_ref, 0.0)
+    faster = (following[X_R + place] - x[X_R + place]) / DT
+    return Observation(kind, place, share - unknowns[AT_RATE_LATE + place] / DT, u, psi_ref, faster)
 
 
 @inner_kernel
@@ -225,7 +233,12 @@ def predict_joint_measurement(
 ) -> float:
     """Predicted measurement at x, (30,); fills h, (30 + a,), with its Jacobian over the joint state."""
     value: float = predict_measurement(x, obs, point, setup, h)
-    if obs.kind == YAW_RATE or obs.kind == HEADING:
+    if obs.kind == HEADING:
+        return value
+    if obs.kind == YAW_RATE:
+        for j in range(active.places.shape[0]):
+            if active.places[j] == AT_RATE_LATE + obs.place:
+                h[N_STATES + j] = -obs.faster
         return value
     body = body_of(obs.kind, obs.place)
     if obs.kind == ROLL_ANGLE:

@@ -207,7 +207,7 @@ def take_row(
 ) -> None:  # fmt: skip
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
     x, following, x_at, carried = on.state.x, on.state.following, on.x_at, on.carried
-    obs = observation(measured.ticks, measured.rows[row], k, u)
+    obs = observation(measured.ticks, measured.rows[row], k, u, x, following, point.unknowns)
     for i in range(N_STATES):
         x_at[i] = x[i] + obs.share * (following[i] - x[i])
     error = measured.readings[row] - predict_joint_measurement(x_at, obs, point, on.active, setup, on.h)

@@ -206,7 +206,7 @@ def take_measurement(
 ) -> None:
     """Update the state with a row, (6,), of the record, after tick k at speed u, m/s; add to the tally."""
     x, following, counts = on.state.x, on.state.following, tally.counts
-    obs = observation(ticks, row, k, u)
+    obs = observation(ticks, row, k, u, x, following, on.state.unknowns)
     for i in range(N_STATES):
         on.x_at[i] = x[i] + obs.share * (following[i] - x[i])
     error = row[VALUE] - predict_joint_measurement(on.x_at, obs, on.point, on.active, setup, on.h)

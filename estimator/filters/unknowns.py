@@ -51,6 +51,7 @@ NAMES: Final = (
     "shrink",  # how far relaxation lengths fall with slip: 1 as the secant of the tyre curve, 0 not at all
     *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
     "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
+    "rate_late_t", "rate_late_i",  # s: the same of their turn rates, after their positions
     "sway",  # of velocities where positions are corrected for roll: 1 the antenna's, 0 of the ground point
     "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
     "parallel",  # how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel
@@ -90,6 +91,7 @@ AT_CAMBER: Final = AT["camber"]
 AT_SHRINK: Final = AT["shrink"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
 AT_ROLL_LATE: Final = AT["roll_late_t"]
+AT_RATE_LATE: Final = AT["rate_late_t"]
 AT_SWAY: Final = AT["sway"]
 AT_PUSH: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
@@ -108,6 +110,7 @@ CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
 ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
 ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
+RATE_LATE: Final = (0.02, 0.03)  # the same; a gyro is filtered less than a roll
 SWAY: Final = 0.5  # sd
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
@@ -157,6 +160,7 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = [zeros.get(mount, 0.0) for mount in Mount]
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
     sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
+    mean[AT_RATE_LATE : AT_RATE_LATE + 2], sd[AT_RATE_LATE : AT_RATE_LATE + 2] = RATE_LATE
     sd[AT["sway"]] = SWAY if any(r.roll_corrected for r in machine.receiver) else 0.0
     mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])
     sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], UNEVEN_LOG_SD] + [SENSOR_LOG_SD] * 4

@@ -23,8 +23,8 @@ WITHDRAWN: Final = 0.6  # posterior over prior sd of a logarithm, above which a 
 LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean is no tyre's
 NUISANCE_MODEL_SD: Final[dict[str, float]] = {
     "wheel_zero": 0.0015, "wheel_gain": 0.02, "latency": 0.01, "roll_late_t": 0.02, "roll_late_i": 0.02,
-    "pair_t": 0.002, "pair_i": 0.002, "lever_t": 0.01, "lever_i": 0.01,
-    "aside_i": 0.02, "sway": 0.2,
+    "rate_late_t": 0.01, "rate_late_i": 0.01, "pair_t": 0.002, "pair_i": 0.002, "lever_t": 0.01,
+    "lever_i": 0.01, "aside_i": 0.02, "sway": 0.2,
     **dict.fromkeys(ROLL_ZEROS, 0.01),
 }  # fmt: skip
 """By how much errors of the model move an unknown that is no tyre's, in its unit; part of its published sd.

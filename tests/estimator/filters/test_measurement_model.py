@@ -51,7 +51,8 @@ def somewhere(seed: int) -> tuple[Array, Point]:
 
 def value(x: Array, kind: int, place: int, point: Point, setup: RigSetup = SETUP) -> float:
     psi_ref = x[X_PSI + place // 2]
-    return float(predict(x, Observation(kind, place, 0.0, SPEED, psi_ref), point, setup, np.zeros(N_STATES)))
+    obs = Observation(kind, place, 0.0, SPEED, psi_ref, 0.0)
+    return float(predict(x, obs, point, setup, np.zeros(N_STATES)))
 
 
 def rate(x: Array) -> Array:

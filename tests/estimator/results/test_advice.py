@@ -203,7 +203,9 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     observe, predict = observation.interpreted(), predict_joint_measurement.interpreted()
     for row in rows:
         k = int(row[0])
-        value = predict(x[k], observe(ticks, row, k, SPEED), point, nothing, setup, unused)
+        obs = observe(ticks, row, k, SPEED, x[k], x[min(k + 1, count - 1)], point.unknowns)
+        at = x[k] + obs.share * (x[min(k + 1, count - 1)] - x[k])
+        value = predict(at, obs, point, nothing, setup, unused)
         row[4] = value + rng.normal(0, row[5])
     return Record(0, ticks, rows)
 
