@@ -27,10 +27,12 @@ class Quantity(BaseModel):
     sd: float = Field(default=0.0, ge=0.0)
 
 
-def _quantity(default_sd: float = 0.0) -> BeforeValidator:
+def _quantity(default_sd: float = 0.0, default_share: float = 0.0) -> BeforeValidator:
+    """A number alone has the default sd, or that share of it."""
+
     def widen(raw: Any) -> Any:
         if isinstance(raw, (int, float)) and not isinstance(raw, bool):
-            return {"value": raw, "sd": default_sd}
+            return {"value": raw, "sd": default_sd + default_share * abs(raw)}
         if not isinstance(raw, (dict, Quantity)):
             raise ValueError("give a number without a unit, or { value = …, sd = … }")
         return raw
@@ -40,6 +42,8 @@ def _quantity(default_sd: float = 0.0) -> BeforeValidator:
 
 Exact = Annotated[Quantity, _quantity()]
 Length = Annotated[Quantity, _quantity()]
+Inertia = Annotated[Quantity, _quantity(default_share=0.05)]
+"""Nobody weighs an inertia: a number alone is taken to 5 %."""
 
 
 class _Section(BaseModel):
@@ -57,7 +61,7 @@ class Tractor(_Section):
     b: Length = Field(description="CG to the rear axle, m")
     c: Length = Field(description="CG to the hitch, behind, m")
     mass: Exact = Field(description="kg")
-    yaw_inertia: Exact = Field(description="kg m^2")
+    yaw_inertia: Inertia = Field(description="kg m^2")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
         default=0.02, ge=0, description="of the CG's place along the body: moves a, b, c and receivers, m"
@@ -96,7 +100,7 @@ class Implement(_Section):
     d: Length = Field(description="hitch to its CG, m")
     e: Length = Field(description="CG to the axle, behind, m")
     mass: Exact = Field(description="kg")
-    yaw_inertia: Exact = Field(description="kg m^2")
+    yaw_inertia: Inertia = Field(description="kg m^2")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
         default=0.02, ge=0, description="of the CG's place along the body: moves d, e and receivers, m"
