@@ -9,6 +9,9 @@ from tilth.schemas.proto import tilth_pb2 as pb
 BEYOND: Final = 1.3  # ends of the bar over the run's largest angle, as on the page
 LEAST_DEG: Final = 2.0  # the bar is never narrower to either side
 
+WAITS_FOR_NOTHING: Final = pb.ExperimentCondition(name="nothing", met=True, text="it waits for nothing now")
+"""Their table shows an error in place of an empty list."""
+
 
 def prompt_of(state: pb.ExperimentState, t_ns: int) -> pb.ExperimentPrompt:
     """A state of `tilth experiment`, rad, in degrees. t_ns: its time, of the poses' clock."""
@@ -24,7 +27,7 @@ def prompt_of(state: pb.ExperimentState, t_ns: int) -> pb.ExperimentPrompt:
         ahead_deg=map(math.degrees, state.ahead),
         left_end_deg=-end,
         right_end_deg=end,
-        conditions=state.conditions,
+        conditions=state.conditions or [WAITS_FOR_NOTHING],
     )
 
 

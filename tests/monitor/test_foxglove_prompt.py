@@ -193,6 +193,14 @@ def test_a_bar_that_nobody_moves_any_more_is_taken_away_once() -> None:
     assert math.isnan(gone.wanted_deg) and math.isnan(gone.measured_deg) and list(gone.ahead_deg) == []
 
 
+def test_the_table_of_conditions_is_never_empty() -> None:
+    """A viewer's table shows an error then."""
+    following = prompt_of(pb.ExperimentState(phase="running"), 1)
+    assert [(one.met, one.text) for one in following.conditions] == [(True, "it waits for nothing now")]
+    waiting = prompt_of(pb.ExperimentState(conditions=[pb.ExperimentCondition(name="speed")]), 1)
+    assert [one.name for one in waiting.conditions] == ["speed"]
+
+
 def test_before_the_first_pose_a_prompt_has_the_daemons_time() -> None:
     with watching() as (ours, server, viewer):
         say(ours, server, pb.Status(t_ns=START_NS))
