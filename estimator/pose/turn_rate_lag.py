@@ -19,7 +19,8 @@ BIAS_SD: Final = 0.01  # rad/s, of a turn rate
 LEAST_HEADING_SD: Final = 0.003  # rad, of a heading change, even if the residuals are smaller
 INTERVALS_FOR_RESIDUALS: Final = 12  # intervals needed to take the noise from the residuals
 SMOOTHED_S: Final = 0.25  # s: a larger lag is smoothing, not latency
-SURE: Final = 4.5  # sds
+DELAYED_S: Final = 0.1  # s: so much delay is usual, and learned (unknowns.NAMES, rate_late)
+SURE: Final = 4.5  # sds, beyond it
 
 
 @dataclass(slots=True)
@@ -76,7 +77,7 @@ def update_verdict(lag: Lag) -> None:
     """Set `smoothed` once the lag is certain; reset it once there clearly is none."""
     if lag.intervals:
         tau, sd = time_constant(lag)
-        found = tau > SMOOTHED_S and tau > SURE * sd
+        found = tau > SMOOTHED_S and tau > DELAYED_S + SURE * sd
         lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)
 
 
