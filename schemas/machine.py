@@ -61,7 +61,7 @@ class Tractor(_Section):
     b: Length = Field(description="CG to the rear axle, m")
     c: Length = Field(description="CG to the hitch, behind, m")
     mass: Exact = Field(description="kg")
-    yaw_inertia: Inertia = Field(description="kg m^2")
+    yaw_inertia: Inertia = Field(description="kg m^2; a number alone is taken to 5 %")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
         default=0.02, ge=0, description="of the CG's place along the body: moves a, b, c and receivers, m"
@@ -100,7 +100,7 @@ class Implement(_Section):
     d: Length = Field(description="hitch to its CG, m")
     e: Length = Field(description="CG to the axle, behind, m")
     mass: Exact = Field(description="kg")
-    yaw_inertia: Inertia = Field(description="kg m^2")
+    yaw_inertia: Inertia = Field(description="kg m^2; a number alone is taken to 5 %")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
         default=0.02, ge=0, description="of the CG's place along the body: moves d, e and receivers, m"
