@@ -332,7 +332,7 @@ def test_a_state_in_which_fits_could_not_be_awaited_is_refused_with_a_reason() -
     again = GuardedFold(MACHINE, json.dumps(plain))
     assert again.renew() == fold.renew()
     del plain["estimators"]["pem"]["late_ns"]
-    with pytest.raises(NotRestorable, match="the state of pem lacks late_ns"):
+    with pytest.raises(NotRestorable, match="PemState: late_ns is missing"):
         GuardedFold(MACHINE, json.dumps(plain))
     del plain["version"]
     with pytest.raises(NotRestorable, match="another version"):

@@ -138,7 +138,7 @@ def with_state(live: Live, path: Path, change: Callable[[dict[str, Any]], object
         (lambda plain: None, ""),
         (lambda plain: plain.pop("version"), "it is of another version: 1 or none, where this program knows"),
         (lambda plain: plain.update(version=VERSION - 1), f"it is of another version: {VERSION - 1}, where"),
-        (lambda plain: plain["estimators"]["tracker"].pop("mean"), "the state of tracker lacks mean"),
+        (lambda plain: plain["estimators"]["tracker"].pop("mean"), "TrackerState: mean is missing"),
         (lambda plain: plain["aligner"]["tracks"].popitem(), "it is of a machine with other receivers"),
     ],
     ids=["whole", "of the first version", "older", "damaged", "of another machine"],

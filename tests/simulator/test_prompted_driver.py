@@ -35,7 +35,8 @@ def followed(person: Person, seconds: float, seed: int = 1) -> tuple[np.ndarray,
 def test_past_the_lane_he_turns_round_whether_or_not_somebody_knows_of_room(phase: str, room: bool) -> None:
     driver = PromptedDriver(EXACT, LANE, 1)
     driver.hands(0.0, Bar(phase, 0.0, 4.5, room), at(310.0))
-    assert driver.turning == (not room)
+    # In the far half there is room back: he turns where he is.
+    assert driver.outward == room and not driver.turning
     driver = PromptedDriver(EXACT, LANE, 1)
     driver.hands(0.0, Bar(phase, 0.0, 4.5, room), at(LANE[0] + LANE[3] + 1.0))
     assert driver.turning

@@ -350,7 +350,8 @@ def test_reports_drop_out_and_jitter_as_the_link_does(machine: Machine) -> None:
 def test_what_the_machine_file_is_sure_of_is_exact(machine: Machine) -> None:
     truth = drive(machine, 5, 0.1, Scenario(survey=SurveyErrors(cg_sd=0.0)))
     nominal = geometry_of(machine)
-    assert (truth.geometry != nominal).tolist() == [False] * 6 + [True] + [False] * 2  # the implement's mass
+    assert (truth.geometry != nominal).tolist() == [False] * 6 + [True] * 3  # the implement's mass, inertias
+    assert np.abs(truth.geometry[7:] / nominal[7:] - 1.0).max() <= 1.5 * 0.05
     assert abs(truth.geometry[6] - nominal[6]) <= 1.5 * 200.0
 
 
