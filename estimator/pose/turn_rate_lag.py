@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 BIAS_SD: Final = 0.01  # rad/s, of a turn rate
 LEAST_HEADING_SD: Final = 0.003  # rad, of a heading change, even if the residuals are smaller
 INTERVALS_FOR_RESIDUALS: Final = 12  # intervals needed to take the noise from the residuals
+SHARED_ENDS: Final = 1.5
+"""Where an interval ends the next one begins: errors of heading and of rate there are in both, with the other
+sign, so that the sum of their products varies by so much more than if intervals were independent."""
 SMOOTHED_S: Final = 0.25  # s: a larger lag is smoothing, not latency
 DELAYED_S: Final = 0.1  # s: so much delay is usual, and learned (unknowns.NAMES, rate_late)
 SURE: Final = 4.5  # sds, beyond it
@@ -57,7 +60,7 @@ def time_constant(lag: Lag) -> tuple[float, float]:
     weights = np.array([0.0, _variance(lag, None) / BIAS_SD**2])
     information = lag.information + np.diag(weights) + 1e-9 * np.eye(2)
     found: Array = np.asarray(np.linalg.solve(information, lag.vector), np.float64)
-    variance = _variance(lag, found)
+    variance = SHARED_ENDS * _variance(lag, found)
     return float(found[0]), math.sqrt(variance * np.linalg.inv(information)[0, 0])
 
 

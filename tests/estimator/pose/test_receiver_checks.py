@@ -310,7 +310,7 @@ def smoothed_frames(seconds: float) -> list[Frame]:
 
 @pytest.fixture(scope="module")
 def rows() -> list[Frame]:
-    return smoothed_frames(26.0)
+    return smoothed_frames(36.0)
 
 
 def learned_before() -> dict[str, SavedPosterior]:
