@@ -136,8 +136,11 @@ def wheels() -> dict[str, list[Wheel]]:
         "r": axle(loads["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),
         "i": axle(loads["i"], level_i, moment_i / P["w_i"], X["alpha_i"], P["C_i"], speed["i"]),
     }
-    for name, lean in (("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])):
-        thrust = [P["camber"] * load * lean for load, _, _ in found[name]]  # the front axle does not lean
+    tipped = -P["pin"] * front_side(even) / P["k_f"]  # the front axle, as it is pushed below its pin
+    for name, lean in (
+        ("f", tipped), ("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])
+    ):  # fmt: skip
+        thrust = [P["camber"] * load * lean for load, _, _ in found[name]]
         found[name] = [
             (load, along, across + more)
             for (load, along, across), more in zip(found[name], thrust, strict=True)
