@@ -111,7 +111,7 @@ SHRINK: Final = (0.5, 0.4)
 ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
 ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
 RATE_LATE: Final = (0.02, 0.03)  # the same; a gyro is filtered less than a roll
-SWAY: Final = 0.5  # sd
+SWAY: Final = (0.5, 0.5)  # either of 0 and 1; sd
 DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
 DISTURBANCE_LOG_SD: Final = 1.2
 MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
@@ -161,7 +161,8 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
     sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
     mean[AT_RATE_LATE : AT_RATE_LATE + 2], sd[AT_RATE_LATE : AT_RATE_LATE + 2] = RATE_LATE
-    sd[AT["sway"]] = SWAY if any(r.roll_corrected for r in machine.receiver) else 0.0
+    if any(r.roll_corrected for r in machine.receiver):
+        mean[AT["sway"]], sd[AT["sway"]] = SWAY
     mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])
     sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], UNEVEN_LOG_SD] + [SENSOR_LOG_SD] * 4
     sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
