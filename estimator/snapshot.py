@@ -145,8 +145,6 @@ def _state_of(machine: Machine, stored: Stored) -> State:
 
 def _estimators_of(machine: Machine, raw: Any) -> dict[str, Any]:
     """Method -> its state; a method that was not enabled when the state was stored starts new."""
-    if not isinstance(raw, dict):
-        raise ValueError("estimators is not a table of names and values")
     stored = Stored(raw, "estimators")
     return {
         row.method: stored.value(row.state, row.method) if row.method in raw else row.initial(machine)

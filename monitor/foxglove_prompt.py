@@ -10,7 +10,7 @@ BEYOND: Final = 1.3  # ends of the bar over the run's largest angle, as on the p
 LEAST_DEG: Final = 2.0  # the bar is never narrower to either side
 
 WAITS_FOR_NOTHING: Final = pb.ExperimentCondition(name="nothing", met=True, text="it waits for nothing now")
-"""Their table shows an error in place of an empty list."""
+"""In place of an empty list, for which the viewers' table shows an error."""
 
 
 def prompt_of(state: pb.ExperimentState, t_ns: int) -> pb.ExperimentPrompt:
