@@ -206,7 +206,7 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
         return
     for i in range(6):
         p[P_ROLL_MODES + i] *= math.exp(unknowns[AT_ROLL_MODES + i])
-    p[P_FRONT] *= math.exp(unknowns[AT_ROLL_MODES] + unknowns[AT_FRONT])
+    p[P_FRONT] *= math.exp(unknowns[AT_FRONT])
     p[P_PIN] = max(roll.pin + unknowns[AT_PIN], 0.0)
     p[P_DRAWBAR] += unknowns[AT_HITCH]
     p[P_HEIGHT] += unknowns[AT_HITCH + 1]
@@ -235,8 +235,6 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
             out[j, P_ROLLING] = 1.0
         elif 0 <= mode < 6:
             out[j, P_ROLL_MODES + mode] = p[P_ROLL_MODES + mode]
-            if mode == 0:
-                out[j, P_FRONT] = p[P_FRONT]
         elif place == AT_FRONT:
             out[j, P_FRONT] = p[P_FRONT]
         elif place == AT_PIN:

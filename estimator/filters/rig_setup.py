@@ -20,6 +20,7 @@ SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is in
 SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: two receivers, between fixes
 
 DEFLECTION: Final = 0.045  # m, of tyres under their static load
+FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: firm ones carry much of their rated load
 PIN: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
 GYRATION: Final = 0.48  # radius of gyration in roll, over the track
@@ -77,7 +78,7 @@ def nominal_roll(machine: Machine) -> RollModes:
     j_t, j_i = rig.m_t * (GYRATION * rig.w_r) ** 2, rig.m_i * (GYRATION * rig.w_i) ** 2
     d_t = 2 * DAMPING * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * DAMPING * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    k_f = front / DEFLECTION * (rig.w_f / 2) ** 2
+    k_f = front / FRONT_DEFLECTION * (rig.w_f / 2) ** 2
     return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
 
 

@@ -44,7 +44,7 @@ NAMES: Final = (
     "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over that of rig_setup.nominal_roll
     "roll_d_t", "roll_d_i",  # the same of roll damping
     "roll_j_t", "roll_j_i",  # the same of roll inertia
-    "roll_front",  # the same of the front axle about its pin, beyond roll_k_t
+    "roll_front",  # the same of the front axle about its pin
     "roll_pin", "roll_hitch",  # m: the front axle's pin and the drawbar are higher than nominal
     "roll_cg_t", "roll_cg_i",  # m: CG higher than the file says
     "camber",  # camber thrust of a leaning wheel over its load and camber angle
@@ -104,7 +104,7 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.25, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
+ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.3, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 TWO_TRACK: Final = (1.0, 0.5)  # twin wheels, wide tyres; one wheel an axle is 2 sd away
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)

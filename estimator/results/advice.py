@@ -348,7 +348,8 @@ def advise(
     for candidate, brought in table.items():
         angle = math.radians(candidate.degrees)
         lateral = angle * _speed_of(candidate, speed) ** 2 / wheelbase / math.sqrt(2.0)
-        errors = fit_covariance.model_sd(angle > fit_covariance.TIGHT, lateral, uneven)
+        held = 0.0 if candidate.manoeuvre == "chirp" else 1.0
+        errors = fit_covariance.model_sd(angle > fit_covariance.TIGHT, lateral, uneven, held=held)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
     turn = _next_turn(now, after[TURN]) if TURN in after and chosen != TURN else ""

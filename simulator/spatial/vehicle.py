@@ -38,6 +38,7 @@ DRAWN: Final = {
     "grip": (0.5, 0.9), "rms": (0.0, 0.02),
 }  # fmt: skip
 """From, to: of a factor on the nominal value, or of the value itself."""
+OWN_STIFFNESS: Final = (0.75, 1.33)  # the same of front and implement tyres over that of the rear ones
 
 SETTLING_DAMPING: Final = 6.0  # times that of the tyres, while the rig settles before a run
 STABLE: Final = 3.6  # of (omega step)^2 + 2 (damping/mass) step; from 4 on an oscillator grows by steps
@@ -84,7 +85,9 @@ class Vehicle(NamedTuple):
 def vehicle_of(masses: Masses, scenario: Scenario, rng: np.random.Generator) -> Vehicle:
     """As the scenario says, else nominal or drawn. The same numbers are drawn whatever is given."""
     given, draws = scenario.spatial, _draws(scenario.spatial, rng)
-    stiffness = given.vertical_stiffness or _each(STIFFNESS, draws["stiffness"])
+    front, rear, implement = _each(STIFFNESS, draws["stiffness"])
+    drawn = (front * draws["front_stiffness"], rear, implement * draws["implement_stiffness"])
+    stiffness = given.vertical_stiffness or drawn
     roll_t, roll_i = ROLL_GYRATION
     return Vehicle(
         masses,
@@ -120,10 +123,12 @@ def _draws(given: Spatial, rng: np.random.Generator) -> dict[str, float]:
     """Of each name of DRAWN, and which curve and which lag."""
     drawn = {name: float(rng.uniform(*ends)) for name, ends in DRAWN.items()}
     drawn |= {"tyre": float(rng.integers(len(CURVES))), "relaxation": float(rng.integers(len(RELAXATIONS)))}
+    own = ("front_stiffness", "implement_stiffness")
+    drawn |= {name: float(rng.uniform(*OWN_STIFFNESS)) for name in own}
     if given.draw:
         return drawn
     plain = {"pin_height": PIN_HEIGHT, "hitch_height": HITCH_HEIGHT, "load_exponent": 0.8}
-    ones = dict.fromkeys(("stiffness", "damping", "gyration", "track"), 1.0)
+    ones = dict.fromkeys(("stiffness", "damping", "gyration", "track", *own), 1.0)
     return dict.fromkeys(drawn, 0.0) | ones | plain
 
 

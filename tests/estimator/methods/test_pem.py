@@ -26,7 +26,7 @@ from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
+from tilth.estimator.record.record import HEADING, WHEEL_ANGLE, YAW_RATE, Record, Segment, concatenate
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.replay.readers.any_log import frames
@@ -384,6 +384,22 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
 
 
+@pytest.mark.parametrize("seconds", [1, 2, 8, 1000])
+def test_steering_that_is_held_leaves_more_room(seconds: int) -> None:
+    """Wheels that go to and fro every so many seconds, 30 s of them: the share that is held for 4 s."""
+    record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
+    ticks = np.repeat(record.ticks[:1], round(30.0 / DT), axis=0)
+    whole_s = np.arange(len(ticks)) // round(1.0 / DT)
+    ticks[:, WHEEL_ANGLE] = math.radians(4.0) * np.where(whole_s // seconds % 2 == 0, 1.0, -1.0)
+    there = replace(record, ticks=ticks)
+    share = 1.0 if seconds > fit_covariance.HELD_S else 0.0
+    assert fit_covariance.held_share(there) == pytest.approx(share, abs=1e-9)
+    ticks[:, WHEEL_ANGLE] = 0.0
+    assert fit_covariance.held_share(there) == 0.0
+    room = fit_covariance.model_sd(False, 0.0, 0.0, held=share)
+    assert np.all(room[:2] >= 0.06 * share) and np.array_equal(room[2:], fit_covariance.MODEL_SD[2:])
+
+
 def window(tight: bool) -> Record:
     record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 1, "random", 2.0, 4.0))
     return replace(record, ticks=record.ticks * np.array([10.0 if tight else 1.0, *[1.0] * 7]))
@@ -406,9 +422,9 @@ def one_more(state: pem.PemState, tight: bool, sd: float, changed: bool = False)
 
 
 WINDOWS = {
-    "ten alike": ([(True, 0.2)] * 10, 0.2 / math.sqrt(10.0), fit_covariance.TIGHT_SD),
-    "gentle, then tight": ([(False, 0.05), (True, 0.5)], 0.05, fit_covariance.MODEL_SD),
-    "tight, then gentle": ([(True, 0.1), (False, 0.05)], 0.05, fit_covariance.MODEL_SD),
+    "ten alike": ([(True, 0.2)] * 10, 0.2 / math.sqrt(10.0), True),
+    "gentle, then tight": ([(False, 0.05), (True, 0.5)], 0.05, False),
+    "tight, then gentle": ([(True, 0.1), (False, 0.05)], 0.05, False),
 }
 
 
@@ -416,7 +432,8 @@ WINDOWS = {
 def test_errors_of_the_model_neither_add_up_nor_average_out(case: str) -> None:
     """Windows of one kind tell more and more, beside what the model has wrong; a window that tells little
     brings little of its errors; errors that a window does not share count as what it corrects."""
-    windows, data, errors = WINDOWS[case]
+    windows, data, tight = WINDOWS[case]
+    errors = fit_covariance.model_sd_of(window(tight), unknowns.prior(MACHINE)[0])
     state = pem.initial(MACHINE)
     published = [one_more(state, tight, sd) for tight, sd in windows][-1]
     expected = np.hypot(data, errors)

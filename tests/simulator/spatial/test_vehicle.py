@@ -33,8 +33,13 @@ def test_draws_are_of_the_seed_and_within_their_ends() -> None:
         assert (
             low <= min(values) < low + 0.2 * (high - low) and high - 0.2 * (high - low) < max(values) <= high
         )
-    factors = [one.stiffness[0] / v.STIFFNESS[0] for one in many]
+    factors = [one.stiffness[1] / v.STIFFNESS[1] for one in many]
     assert 0.7 <= min(factors) < 0.9 and 1.3 < max(factors) <= 1.5
+    # Front and implement tyres are others than the rear ones.
+    low, high = v.OWN_STIFFNESS
+    for k in (0, 2):
+        own = [one.stiffness[k] / v.STIFFNESS[k] / factor for one, factor in zip(many, factors, strict=True)]
+        assert low <= min(own) < 0.85 and 1.2 < max(own) <= high
 
 
 def test_what_is_told_is_not_drawn_and_changes_no_other_draw() -> None:
