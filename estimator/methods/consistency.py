@@ -51,6 +51,7 @@ RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi
 OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
 OUTLIER_SEGMENTS: Final = 100
 LEAST_SEGMENTS: Final = 40  # segments (8 s) from which the open tracker has learned before it is used
+STEER: Final = "steer to and fro at working speed"  # what tells most; headland turns may not be enough
 NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
@@ -321,9 +322,9 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
     if not keys and not decided:
         keys = "turn rates and rolls"
     which = f" ({keys})" if keys else ""
-    state.missing = f"driving has not shown yet that the machine file is right{which}: steer to both sides"
+    state.missing = f"driving has not shown yet that the machine file is right{which}: {STEER}"
 
 
 def _doubt_reason(misfit: Misfit) -> str:
     key = KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]]
-    return f"driving does not agree well with the machine file ({key}?): drive on, steer to both sides"
+    return f"driving does not agree well with the machine file ({key}?): drive on, {STEER}"

@@ -26,6 +26,9 @@ from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
+pytestmark = pytest.mark.long
+
+
 PICTURE = ROOT / "docs/pictures/page-demo.png"
 DRIVE = """
 seconds = 160.0

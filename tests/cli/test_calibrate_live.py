@@ -39,6 +39,9 @@ from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
 
+pytestmark = pytest.mark.long
+
+
 STANDS: Plan = ((10, 0.0, 0),)
 DRIVES: Plan = ((LEAST_S + 20, 3.0, 0),)
 

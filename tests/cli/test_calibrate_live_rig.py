@@ -21,6 +21,9 @@ from tilth.logger.clock import Clock
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
+pytestmark = pytest.mark.long
+
+
 NAME = "jd7930-parker500"
 BASE = f"tilth/{NAME}"
 

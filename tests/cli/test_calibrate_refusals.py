@@ -18,6 +18,9 @@ from tilth.simulator.scenario import Fault, Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate
 
+pytestmark = pytest.mark.long
+
+
 ROWS = parse_scenario("seconds = 70.0\nsteering = [[70.0, 0.0]]\nspeed = 3.0\n")
 SHORT_S = 10.0
 FLOATING = Scenario(faults=tuple(Fault(mount, 0.0, SHORT_S, "rtk_float") for mount in MOUNTS))

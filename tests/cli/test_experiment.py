@@ -22,6 +22,9 @@ from tilth.schemas.experiment import parse_plan, steered
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.proto import tilth_pb2 as pb
 
+pytestmark = pytest.mark.long
+
+
 EXAMPLE = ROOT / "examples/experiments.toml"
 PLAN = parse_plan(EXAMPLE.read_text(encoding="utf-8"))
 NOWHERE = "tcp/127.0.0.1:1"

@@ -18,6 +18,9 @@ from tilth.client.experiment.runner import RESTARTED
 from tilth.client.link import open_session
 from tilth.schemas.proto import tilth_pb2 as pb
 
+pytestmark = pytest.mark.long
+
+
 BASE = "tilth/jd7930-parker500/replay"
 RATE = 4.0  # of the stage's time
 PLAN = """

@@ -20,6 +20,9 @@ from tilth.analysis.runs.run import open_runs
 from tilth.analysis.runs.segments import MARKED, STEP, DrivenSegment
 from tilth.cli import main
 
+pytestmark = pytest.mark.long
+
+
 Answer = Callable[..., tuple[int, str, str]]
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 

@@ -26,6 +26,9 @@ from tilth.cli import main
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
+pytestmark = pytest.mark.long
+
+
 Answer = Callable[..., tuple[int, str, str]]
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 

@@ -9,6 +9,9 @@ from recorded import recorded, shared_cache
 
 from tilth.deploy.notebooks import PAGES, SOURCES, cells_of, page_of, printed
 
+pytestmark = pytest.mark.long
+
+
 NOTEBOOKS = {
     "log_to_parameters": ("C_af", "segments agree", "machine file", "each:"),
     "parameters_to_gains": ("gains for the learned soil", "slowest pole of 200 draws"),

@@ -33,6 +33,9 @@ from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
+pytestmark = pytest.mark.long
+
+
 TWO_STEP = ("[zenoh]\n", "[estimation]\ntwo_step = true\n\n[zenoh]\n")  # so that two methods fit
 MACHINE, MACHINE_TEXT = demo_machine(**dict([TWO_STEP])), PACKAGED.replace(*TWO_STEP)
 SECOND = 1_000_000_000

@@ -24,6 +24,9 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
+pytestmark = pytest.mark.long
+
+
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-v"\n\n'
 SENT = list(simulate(demo_machine(), 5, 4.5))
 HALF = len(SENT) // 2

@@ -22,6 +22,9 @@ from tilth.logger.run_report import BUSY, FOLDER
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
 
+pytestmark = pytest.mark.long
+
+
 BASE = "tilth/jd7930-parker500"
 
 

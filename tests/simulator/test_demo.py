@@ -47,6 +47,9 @@ from tilth.simulator.socketcand_server import SocketcandServer, open_server, pla
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
+pytestmark = pytest.mark.long
+
+
 TEXT = resources.files("tilth.deploy").joinpath(PACKAGED).read_text()
 # Without asammdf, which reads files that are not needed here and takes two seconds to import.
 START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; sys.exit(main())"

@@ -28,6 +28,9 @@ from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.scenario import Scenario, as_json, from_json
 from tilth.simulator.steering import COMMAND, REFUSALS
 
+pytestmark = pytest.mark.long
+
+
 QUIET = Scenario(speed=3.0, other_traffic=False, speed_sd=0.0)
 
 

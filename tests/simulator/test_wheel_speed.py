@@ -17,6 +17,9 @@ from tilth.simulator.scenario import Fieldwork, Scenario, WheelBasedSpeed, parse
 from tilth.simulator.tractor import Truth, drive
 from tilth.simulator.wheel_speed import LIFTED_M, MOST_SLIP, TURNING, slip, wheel_speeds
 
+pytestmark = pytest.mark.long
+
+
 WORK = WheelBasedSpeed(slip=0.06, slip_sd=0.03, slip_length=60.0, light_slip=0.01)
 FIELD = Scenario(speed=3.0, steering=Fieldwork(length=80.0), wheel_speed=WORK)
 

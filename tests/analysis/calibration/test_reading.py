@@ -17,6 +17,9 @@ from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate
 
+pytestmark = pytest.mark.long
+
+
 AWAY = parse_scenario("seconds = 45.0\nsteering = [[45.0, 0.0]]\nspeed = 4.0\n")
 PARKED = parse_scenario("seconds = 45.0\nsteering = [[45.0, 0.0]]\nspeed = 0.0\n")
 

@@ -23,6 +23,8 @@ from tilth.analysis.runs.run import Run
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import PARAMETERS
 
+pytestmark = pytest.mark.long
+
 
 def replayed() -> Run:
     (run,) = tilth.analysis.open(marked(), cache=shared_cache())

@@ -18,6 +18,9 @@ from tilth.analysis.report.document import ReportFigure, figures_of
 from tilth.analysis.report.figure_look import FONT_PT, LOOK, METHOD_LINES, floats, plain_ticks
 from tilth.analysis.report.gather import SOIL_CHANGE
 
+pytestmark = pytest.mark.long
+
+
 NOWHERE: dict[str, list[float]] = {"x": [], "y": []}
 
 

@@ -13,6 +13,9 @@ from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import DriveReport, ReportTable, as_json, figures_of, parts_of
 from tilth.analysis.report.page import page
 
+pytestmark = pytest.mark.long
+
+
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 
 

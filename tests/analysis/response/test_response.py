@@ -12,6 +12,9 @@ from tilth.analysis.response.segments import plan_segments, segment_spectra
 from tilth.analysis.response.spectra import transfer
 from tilth.estimator.models.parameters import TABLE_7_2
 
+pytestmark = pytest.mark.long
+
+
 BOTH = {"initial": TABLE_7_2, "estimated": TRUE}
 SEEDS = 100
 

@@ -10,6 +10,8 @@ import tilth.analysis
 from tilth.analysis.runs import driving as module
 from tilth.analysis.runs.driving import Driven, driving
 
+pytestmark = pytest.mark.long
+
 
 def rows(found: tuple[Driven, ...]) -> np.ndarray:
     return np.concatenate([at.segment.record.rows for at in found if at.segment is not None])

@@ -15,6 +15,9 @@ from tilth.analysis.runs.reading import ChannelReader, RunClock
 from tilth.analysis.runs.run import topics
 from tilth.schemas.channels import CHANNEL
 
+pytestmark = pytest.mark.long
+
+
 CLOCK = RunClock(0, 0)
 LOGGED = [topic for topic in topics() if CHANNEL[topic].logged and topic not in ("/status", "/ready")]
 

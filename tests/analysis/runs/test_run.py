@@ -14,6 +14,8 @@ from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.schemas.flow import Frame
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

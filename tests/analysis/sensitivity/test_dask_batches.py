@@ -19,6 +19,9 @@ from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, here, run
 from tilth.estimator.models.parameters import TABLE_7_2
 
+pytestmark = pytest.mark.long
+
+
 pytest.importorskip("distributed")
 PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 3.0, Uniform(DISSERTATION, 24_000))
 QUIET = {"OPENBLAS_NUM_THREADS": "1", "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "false"}

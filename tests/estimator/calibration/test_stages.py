@@ -16,6 +16,9 @@ from tilth.estimator.calibration.changes import Changes, heard_after
 from tilth.estimator.calibration.stages import TICK_NS, StageFold, StageTally
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, WheelAngle
 
+pytestmark = pytest.mark.long
+
+
 PARK: Plan = ((24, 0.0, 0),)
 STRAIGHT: Plan = ((60, 3.0, 0), (13.7, 1.8, 20.3), (60, 3.0, 0))
 CIRCLES: Plan = tuple(

@@ -21,6 +21,9 @@ from tilth.simulator.scenario import Scenario
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.tractor import Setting, drive
 
+pytestmark = pytest.mark.long
+
+
 GUIDANCE = 44288
 SOURCE = 0x1C
 START_NS = 1_760_000_000_000_000_000

@@ -42,6 +42,9 @@ from tilth.schemas.flow import YawRate as YawRateMeasurement
 from tilth.simulator.tractor import Fault, draw
 from tilth.simulator.traffic import simulate
 
+pytestmark = pytest.mark.long
+
+
 METHODS = [row.method for row in ESTIMATORS if row.method in PREFERRED]
 each_method = pytest.mark.parametrize("method", METHODS)
 

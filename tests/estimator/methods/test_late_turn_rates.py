@@ -13,6 +13,9 @@ from drives import LEARNING, QUIET, driven, errors, values
 from tilth.estimator.methods import pem, tracker
 from tilth.simulator.scenario import RollSensor
 
+pytestmark = pytest.mark.long
+
+
 DELAY = 0.06  # s
 LATE = replace(
     QUIET, roll_sensor=RollSensor(turn_rate_delay=DELAY), steering=(*LEARNING, (12.0, 6.0), (12.0, -6.0))

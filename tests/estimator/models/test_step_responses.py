@@ -14,6 +14,9 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig
 from tilth.estimator.models.step_responses import FIELDS, growth, packed_systems, step_changes
 
+pytestmark = pytest.mark.long
+
+
 ANGLE = math.radians(10)
 COLUMNS = np.array([FIELDS.index(name) for name in VARIED])
 LOW = np.array([20e3, 50e3, 10e3, 0.1, 0.15, 0.1, 1100, 3200])

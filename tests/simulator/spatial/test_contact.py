@@ -9,6 +9,9 @@ from tilth.simulator.scenario import Bump, Ground
 from tilth.simulator.spatial.contact import contact_of
 from tilth.simulator.spatial.height_field import HeightField, height, height_field
 
+pytestmark = pytest.mark.long
+
+
 contact, up_at = contact_of.interpreted(), height.interpreted()
 RADIUS = 0.9
 STEEP = Bump(north=5.0, east=0.0, height=0.2, length=2.0, width=2.0, ramp=0.1)
