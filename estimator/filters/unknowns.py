@@ -104,7 +104,7 @@ AT_GEOMETRY: Final = AT["a"]
 
 ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
 CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.3, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
+ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
 TWO_TRACK: Final = (1.0, 0.5)  # twin wheels, wide tyres; one wheel an axle is 2 sd away
 CAMBER: Final = (0.2, 0.15)
 SHRINK: Final = (0.5, 0.4)
