@@ -263,7 +263,8 @@ def _update_findings(
         if not finding.active:
             finding.text = text
         opened = key in KEYS.values() and key not in by_method
-        if opened and finding.poses == LEAST_POSES_OPEN and not state.open_restarted:
+        may_diverge = not state.open_restarted or open_tracker.is_rough(state.open)
+        if opened and finding.poses == LEAST_POSES_OPEN and may_diverge:
             _restart_open_tracker(state, machine, key)
             continue
         if finding.poses >= (LEAST_POSES_OPEN if opened else LEAST_POSES) and not finding.active:
@@ -294,7 +295,7 @@ def _begin_open_tracker(state: Consistency, machine: Machine) -> None:
 
 def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
     """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
-    twice."""
+    twice, except on rough ground. There a file is not accused; it is not confirmed either."""
     state.open_restarted = True
     _begin_open_tracker(state, machine)
     del state.findings[key]

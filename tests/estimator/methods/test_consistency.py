@@ -347,3 +347,23 @@ def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
     assert set(open_tracker.unconfirmed(now, machine)) == set(open_tracker.CONFIRMING_SD)
     narrow = open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))
     assert [name for name, so in zip(open_tracker.NAMES, narrow, strict=True) if not so] == ["m_i"]
+
+
+@pytest.mark.parametrize("uneven", [0.005, 0.012])
+def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
+    uneven: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There it may have diverged: it begins again each time, and the file is not confirmed either."""
+    machine = demo_machine()
+    state, out = run(machine, frames())
+    pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
+    n = len(open_tracker.NAMES)
+    far = open_tracker.Misfit(1e3, np.full(n, 1e3), np.ones(n), np.full(n, 0.1), np.full(n, 0.1))
+    monkeypatch.setattr(open_tracker, "misfit", lambda state, machine: far)
+    checks, events = state.consistency, list[tuple[str, str]]()
+    for _ in range(200):  # poses, 40 s
+        checks.learned, checks.rates_known, checks.open.push[3] = 100, True, uneven**2
+        events += consistency.observe(checks, machine, state.aligner, state.checks, pose, None, {})
+    accused = [kind for kind, _ in events]
+    assert accused == ([CONTRADICTION] if uneven < open_tracker.ROUGH else [])
+    assert not checks.confirmed
