@@ -20,7 +20,7 @@ SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is in
 SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: two receivers, between fixes
 
 DEFLECTION: Final = 0.045  # m, of tyres under their static load
-FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: firm ones carry much of their rated load
+FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: smaller, and near their rated load
 PIN: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
 GYRATION: Final = 0.48  # radius of gyration in roll, over the track
