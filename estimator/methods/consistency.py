@@ -295,7 +295,9 @@ def _begin_open_tracker(state: Consistency, machine: Machine) -> None:
 
 def _restart_open_tracker(state: Consistency, machine: Machine, key: str) -> None:
     """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
-    twice, except on rough ground. There a file is not accused; it is not confirmed either."""
+    twice, except on rough ground. There a file is not accused, but from the second time on it is not
+    confirmed either: a restarted one agrees with any file until it has learned."""
+    state.confirmed &= not state.open_restarted
     state.open_restarted = True
     _begin_open_tracker(state, machine)
     del state.findings[key]
