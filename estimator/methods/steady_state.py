@@ -354,8 +354,9 @@ def _find_posterior(state: SteadyState) -> None:
     covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
-    room = fit_covariance.model_sd(state.largest_angle > fit_covariance.TIGHT, 0.0, 0.0)[:3] ** 2
-    state.log_covariance = covariance + np.diag(learned * room)
+    tight = state.largest_angle > fit_covariance.TIGHT
+    room = fit_covariance.TIGHT_SD[:3] if tight else np.full(3, fit_covariance.MODEL_SD)
+    state.log_covariance = covariance + np.diag(learned * room**2)
 
 
 def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:

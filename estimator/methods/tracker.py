@@ -417,7 +417,9 @@ def reported_covariance(state: TrackerState) -> Array:
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
-    room = fit_covariance.model_sd(tight, lateral, math.sqrt(state.push[3]), fit_covariance.TRACKED_TIGHT_SD)
+    room = fit_covariance.model_sd(
+        tight, lateral, math.sqrt(state.push[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
+    )
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 
 

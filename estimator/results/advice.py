@@ -349,7 +349,8 @@ def advise(
         angle = math.radians(candidate.degrees)
         lateral = angle * _speed_of(candidate, speed) ** 2 / wheelbase / math.sqrt(2.0)
         held = 0.0 if candidate.manoeuvre == "chirp" else 1.0
-        errors = fit_covariance.model_sd(angle > fit_covariance.TIGHT, lateral, uneven, held=held)
+        tight = angle > fit_covariance.TIGHT
+        errors = fit_covariance.model_sd(tight, lateral, uneven, mean[SIX], held=held)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
     turn = _next_turn(now, after[TURN]) if TURN in after and chosen != TURN else ""

@@ -367,7 +367,7 @@ def test_where_the_open_loop_runs_away_little_is_told_but_a_number(monkeypatch: 
         fits.append(maximise_posterior(record, rig_setup(MACHINE), mean, np.diag(sd**2)))
     steered, away = (np.sqrt(np.diag(found.covariance)) for found in fits)
     assert np.all(np.isfinite(away)) and np.all(away[SIX] > 1.3 * steered[SIX])
-    assert np.all(away[SIX] < 1.05 * np.hypot(sd[SIX], fit_covariance.MODEL_SD))
+    assert np.all(away[SIX] < 1.05 * np.hypot(sd[SIX], fit_covariance.model_sd(False, 0.0, 0.0, mean[SIX])))
 
 
 def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
@@ -396,8 +396,24 @@ def test_steering_that_is_held_leaves_more_room(seconds: int) -> None:
     assert fit_covariance.held_share(there) == pytest.approx(share, abs=1e-9)
     ticks[:, WHEEL_ANGLE] = 0.0
     assert fit_covariance.held_share(there) == 0.0
-    room = fit_covariance.model_sd(False, 0.0, 0.0, held=share)
-    assert np.all(room[:2] >= 0.06 * share) and np.array_equal(room[2:], fit_covariance.MODEL_SD[2:])
+    logs = np.zeros(6)
+    room = fit_covariance.model_sd(False, 0.0, 0.0, logs, held=share)
+    assert np.all(room[:2] >= 0.06 * share)
+    assert np.array_equal(room[2:], fit_covariance.model_sd(False, 0.0, 0.0, logs)[2:])
+
+
+@pytest.mark.parametrize("tight", [False, True])
+def test_the_room_for_errors_of_a_short_length_is_a_distance(tight: bool) -> None:
+    lengths = np.array([0.1, 0.3, 1.0, 3.0])
+    rooms = np.array([
+        fit_covariance.model_sd(tight, 0.0, 0.0, np.array([12.0] * 3 + [math.log(x)] * 3)) for x in lengths
+    ])  # fmt: skip
+    assert np.all(np.ptp(rooms[:, :3], axis=0) == 0.0)
+    assert np.all(np.diff(rooms[:, 3:], axis=0) <= 0.0)
+    meters = rooms[:, 3:] * lengths[:, None]
+    assert np.all(meters[0] < 1.05 * fit_covariance.LENGTH_SD) and np.all(meters >= fit_covariance.LENGTH_SD)
+    least = fit_covariance.TIGHT_SD[3:] if tight else fit_covariance.MODEL_SD
+    assert np.all(rooms[:, 3:] >= least) and np.all(rooms[3, 3:] < 1.3 * least)
 
 
 def window(tight: bool) -> Record:

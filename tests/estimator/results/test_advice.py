@@ -310,7 +310,9 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
     assert "10 s of a headland turn at 25° or more would bring" in text
     exact = advice.predicted(covariance, table[advice.TURN])
-    assert (advice.predicted(covariance, table[advice.TURN], model_sd(True, 0.0, 0.006)) > exact).all()
+    assert (
+        advice.predicted(covariance, table[advice.TURN], model_sd(True, 0.0, 0.006, MEAN[SIX])) > exact
+    ).all()
 
 
 def test_the_headland_turn_that_comes_anyway_is_said_beside_what_tells_more() -> None:
@@ -321,7 +323,7 @@ def test_the_headland_turn_that_comes_anyway_is_said_beside_what_tells_more() ->
     assert offer.startswith("10 s of a turn held at 8°")
     found = re.fullmatch(r"the next headland turn at 25° or more would bring (\w+) to .* \(95 %\)", turn)
     assert found is not None
-    k, errors = PARAMETERS.index(found[1]), model_sd(True, 0.0, math.exp(MEAN[AT["uneven"]]))
+    k, errors = PARAMETERS.index(found[1]), model_sd(True, 0.0, math.exp(MEAN[AT["uneven"]]), MEAN[SIX])
     after = advice.predicted(covariance, table[advice.TURN], errors) / SD[SIX]
     assert k == int(np.argmin(after)) and after[k] < advice.WORTHWHILE
     assert turn not in advice.advise(MACHINE, MEAN, covariance, SPEED, {step: table[step]})
