@@ -116,15 +116,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
     with closing(FieldRig(tmp_path, 900.0)) as rig:
         monitor = Monitor("--connect", rig.endpoint)
         page, faults = opened(browser, monitor)
-        expect_run(page, "WAITING", "wait")
-        expect(page.locator("#problems")).to_be_hidden()
-        expect(page.locator("#preparing")).to_have_text(
-            "Waiting for the daemon: it may just have been started."
-        )
-        expect_run(page, "NO DAEMON", "bad")
-        expect(page.locator("#problems")).to_contain_text("No daemon is heard")
-        picture(request, page, "page-no-daemon")
-
+        expect_no_daemon(page, request)
         rig.start()
         expect_run(page, "RECORDING", "good")
         for name in MOUNTS:
@@ -134,17 +126,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         expect(page.locator("#map-words")).to_contain_text("slope down", timeout=SOON_MS)
         assert not faults.told
 
-        rig.unplug("implement_rear")
-        lost = state_of(page, "Implement rear")
-        expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
-        expect(lost).to_contain_text("LOST")
-        expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
-        expect(page.locator("#events")).to_contain_text("implement_rear", timeout=SOON_MS)
-        picture(request, page, "page-receiver-lost")
-        rig.unplug()
-        expect(lost).to_have_attribute("data-state", "good", timeout=SOON_MS)
-        expect(lost).to_contain_text("was lost until")
-
+        expect_a_lost_receiver(page, rig, request)
         rig.let_it_write(False)
         expect_run(page, "NOT RECORDING", "bad")
         assert page.title().endswith("NOT RECORDING")
@@ -153,13 +135,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
 
         expect_run(page, "● RECORDING", "good")
 
-        page.keyboard.press("m")
-        page.keyboard.type("wet spot begins")
-        page.keyboard.press("Enter")
-        expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.", timeout=SOON_MS)
-        expect(page.locator("#events")).to_contain_text("wet spot begins", timeout=SOON_MS)
-        page.keyboard.press("Escape")
-
+        expect_a_mark(page)
         expect_a_report(page)
 
         rig.kill()
@@ -177,6 +153,40 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         with closing(Monitor("--connect", rig.endpoint, port=int(monitor.address.rpartition(":")[2]))):
             expect_run(page, "● RECORDING", "good")
             page.context.close()
+
+
+def expect_no_daemon(page: Page, request: pytest.FixtureRequest) -> None:
+    """Nothing is heard yet: first it waits, then it says so."""
+    expect_run(page, "WAITING", "wait")
+    expect(page.locator("#problems")).to_be_hidden()
+    expect(page.locator("#preparing")).to_have_text("Waiting for the daemon: it may just have been started.")
+    expect_run(page, "NO DAEMON", "bad")
+    expect(page.locator("#problems")).to_contain_text("No daemon is heard")
+    picture(request, page, "page-no-daemon")
+
+
+def expect_a_lost_receiver(page: Page, rig: FieldRig, request: pytest.FixtureRequest) -> None:
+    """One is unplugged and plugged in again."""
+    rig.unplug("implement_rear")
+    lost = state_of(page, "Implement rear")
+    expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
+    expect(lost).to_contain_text("LOST")
+    expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
+    expect(page.locator("#events")).to_contain_text("implement_rear", timeout=SOON_MS)
+    picture(request, page, "page-receiver-lost")
+    rig.unplug()
+    expect(lost).to_have_attribute("data-state", "good", timeout=SOON_MS)
+    expect(lost).to_contain_text("was lost until")
+
+
+def expect_a_mark(page: Page) -> None:
+    """Typed, with the key that opens it, and found among the events."""
+    page.keyboard.press("m")
+    page.keyboard.type("wet spot begins")
+    page.keyboard.press("Enter")
+    expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.", timeout=SOON_MS)
+    expect(page.locator("#events")).to_contain_text("wet spot begins", timeout=SOON_MS)
+    page.keyboard.press("Escape")
 
 
 def expect_a_report(page: Page) -> None:
