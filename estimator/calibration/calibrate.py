@@ -27,6 +27,7 @@ from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.first_look import Pairs, Straightness
 from tilth.estimator.calibration.joint import JointFit
+from tilth.estimator.calibration.least_squares import Solved
 from tilth.estimator.calibration.records import FollowedRecords, follow
 from tilth.estimator.calibration.refusals import CannotCalibrate as CannotCalibrate
 from tilth.estimator.calibration.refusals import (
@@ -66,6 +67,8 @@ class Calibration:
     roll_sd: Array  # rad, (4,)
     aside_sd: float  # m, of what stands aside on the tractor
     hitch_sd: tuple[float, float]  # m, of hitch and drawbar by where the bodies see the hitch
+    late_sd: Array  # s, (3,): of how much later one receiver of a pair is, tractor first; one body
+    speed: float  # m/s, rms: what is late moves things along the way by it
     fit: JointFit
     moved: dict[str, float]  # name of a number -> SI, by how much the file was moved
     driven: Straightness
@@ -101,10 +104,13 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     assert fit is not None
     share = float(np.clip(1.0 - fit.mean[AT["parallel"]], *LIMITS["tractor.ackermann"].range))
     changes = replace(changes, ackermann=share - machine.tractor.ackermann.value)
-    gap = first_look.hitch(_view(applied(machine, changes), _placed(drive, changes), changes, found_rolls))
+    placed = _placed(drive, changes)
+    after = _view(applied(machine, changes), placed, changes, found_rolls)
+    gap = first_look.hitch(after)
     return Calibration(
         changes, applied(machine, changes), tuple(faults), found_rolls,
-        np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine), _hitch_sd(gap.sds), fit,
+        np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine),
+        (float(gap.sds[0]), float(gap.sds[2])), _late_sd(placed, after, gap), _speed(after), fit,
         _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
         looked.curve_sd,
     )  # fmt: skip
@@ -189,8 +195,6 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
 TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
 ASIDE_FLOOR: Final = 0.004
-TYPICAL_SPEED: Final = 2.0  # m/s, in turns
-LATE_TOLD: Final = 0.01  # s: sd of what is late between the bodies, from which on it is used
 
 
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
@@ -231,10 +235,10 @@ def _first_look(
             "the four receivers were heard together for less than a minute of driving; drive what "
             "docs/calibrate.md lists, with RTK"
         )
-    changes = replace(changes, late=first_look.latency_differences(placed, view))
+    changes = replace(changes, late=first_look.latency_differences(placed, view)[0])
     for _ in range(LOOKS - 1):
         view = _view(applied(machine, changes), placed, changes, None)
-        changes = _between_bodies(changes, float(first_look.hitch(view).value[4]))
+        changes = _between_bodies(changes, first_look.hitch(view))
     view = _view(applied(machine, changes), placed, changes, None)
     signs, wrong = finding.yaw_rate_signs(view)
     found_rolls = rolls(placed, view)
@@ -248,8 +252,8 @@ def _first_look(
     check_lengths(changes.longer)
     view = _view(applied(machine, changes), placed, changes, found_rolls)
     base = machine.tractor.a.value + machine.tractor.b.value
-    told = first_look.wheel(view, base, view.rate[:, 0])
-    wheel_faults = finding.wheel_faults(told, first_look.explained(view, base, view.rate[:, 0], told))
+    told, share = first_look.wheel_by_the_way(view, base, view.rate[:, 0])
+    wheel_faults = finding.wheel_faults(told, share)
     faults += wheel_faults
     if any(fault.kind == finding.WHEEL_UNREAD for fault in wheel_faults):
         check_turned(first_look.driven(view))
@@ -275,7 +279,9 @@ def _with_linkage(
     return replace(changes, linkage=told.linkage), told.curve_sd
 
 
-def _between_bodies(changes: Changes, late: float) -> Changes:
+def _between_bodies(changes: Changes, seen: Solved) -> Changes:
+    """seen: as first_look.hitch gives it."""
+    late = float(seen.value[4]) if seen.sds[4] < first_look.LATE_TOLD else 0.0
     return replace(changes, late=changes.late + late * np.array([-0.5, -0.5, 0.5, 0.5]))
 
 
@@ -319,8 +325,7 @@ def _by_the_hitch(
     """
     now = applied(machine, changes)
     told = first_look.hitch(_view(now, drive if placed else _placed(drive, changes), changes, found))
-    if told.sds[4] < LATE_TOLD:
-        changes = _between_bodies(changes, float(told.value[4]))
+    changes = _between_bodies(changes, told)
     if told.sds[1] > 0.05:
         return changes
     right = -told.value[[1, 3]] - _middles(now)[:, 1]
@@ -398,11 +403,14 @@ def _largest(fit: JointFit) -> float:
     return float(np.max(np.abs(fit.mean[rows]) / np.sqrt(np.diag(fit.covariance)[rows])))
 
 
-def _hitch_sd(sds: Array) -> tuple[float, float]:
-    """Of hitch and drawbar: what is late between the bodies shifts them along the way, and the likelihood has
-    no unknown for it."""
-    late = TYPICAL_SPEED * float(sds[4])
-    return math.hypot(float(sds[0]), late), math.hypot(float(sds[2]), late)
+def _late_sd(placed: DriveGrid, view: Pairs, gap: Solved) -> Array:
+    between = float(gap.sds[4])
+    pairs = first_look.latency_differences(placed, view)[1]
+    return np.array([*pairs, between if between < first_look.LATE_TOLD else first_look.LATE_SD])
+
+
+def _speed(view: Pairs) -> float:
+    return math.sqrt(float(np.mean(view.along[view.known, 0] ** 2)))
 
 
 def _aside_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:

@@ -6,7 +6,7 @@ the tractor.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -28,10 +28,14 @@ HARDLY: Final = 0.5  # sd of the wheel angle in slow driving over that in all of
 JUMPS: Final = math.radians(0.1)  # of the wheels between instants; 0.01 degrees are usual, 0.5 by wrong bytes
 SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
 NOISE_M: Final = 0.01  # of a position
+LAGS: Final = range(4)  # instants by which the tractor may turn after its wheels
 WHEEL_DELAY_S: Final = np.arange(-0.25, 0.2501, 0.01)  # that are tried
 RELAXATIONS_M: Final = (0.0, 0.3, 0.7, 1.1, 1.6)  # that are tried with each, of the yaw rate behind the wheel
 USUAL: Final = ((0.0, 0.1), (0.8, 0.4))  # s and m, with their sds, of both: they look much alike
 UNUSUAL: Final = 0.03  # share by which one sd from what is usual makes a fit worse
+SLOW_M, SLOW_S = 0.01, 60.0  # errors of positions that last: how large, how long
+LATE_TOLD: Final = 0.01  # s: sd of how much later one is than another, from which on it is used
+LATE_SD: Final = 0.05  # s, of the same where a drive does not tell it
 HITCH_BLOCK: Final = 400  # rows that may err together: 40 s of two coordinates
 
 
@@ -112,18 +116,28 @@ def _rate(heading: Array) -> Array:
     return found
 
 
-def latency_differences(drive: DriveGrid, view: Pairs) -> Array:
-    """By how much each receiver is later than the mean of its body's, s, (4,): so much longer is the pair the
-    faster it drives. In turns, too: along a body all points are equally fast, but for what stands aside."""
-    late = np.zeros(4)
+def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
+    """By how much each receiver is later than the mean of its body's, s, (4,), and the sds of how much later
+    one of a pair is than the other, s, (2,): so much longer is the pair the faster it drives. In turns, too:
+    along a body all points are equally fast, but for what stands aside. What is not told is 0."""
+    late, sds = np.zeros(4), np.full(2, LATE_SD)
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
         ahead = np.column_stack([np.cos(view.heading[rows, body]), np.sin(view.heading[rows, body])])
         apart = ((drive.at[rows, front] - drive.at[rows, rear]) * ahead).sum(axis=1)
         found = solve(np.column_stack([np.ones(len(u)), -u]), apart, np.array([30.0, 0.15]), NOISE_M)
-        late[front], late[rear] = found.value[1] / 2, -found.value[1] / 2
-    return late
+        sd = math.hypot(float(found.sds[1]), _slow_error(u))
+        if sd < LATE_TOLD:
+            late[front], late[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd
+    return late, sds
+
+
+def _slow_error(u: Array) -> float:
+    """Sd, s, of what is late by positions at speeds u, m/s, (n,), from errors of positions that last. At one
+    speed they are all that there is: what is late moves a receiver by one distance."""
+    spread = float(np.std(u)) if len(u) else 0.0
+    return SLOW_M / max(spread, 1e-6) / math.sqrt(max(len(u) * STEP_S / SLOW_S, 1.0))
 
 
 def hitch(view: Pairs) -> Solved:
@@ -139,7 +153,9 @@ def hitch(view: Pairs) -> Solved:
         columns = [forward(psi[:, 0]), right(psi[:, 0]), -forward(psi[:, 1]), -right(psi[:, 1])]
         blocks.append(np.column_stack([*columns, -u * forward(psi[:, 1])]))
     design = np.stack(blocks, axis=1).reshape(-1, 5)
-    return solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
+    found = solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
+    further = np.diag([0.0, 0.0, 0.0, 0.0, _slow_error(u) ** 2])
+    return found._replace(covariance=found.covariance + further)
 
 
 def crab(view: Pairs, body: int) -> Solved:
@@ -162,6 +178,18 @@ def wheel(view: Pairs, wheelbase: float, rate: Array) -> Solved:
     u, r = view.along[rows, 0], rate[rows]
     design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
     return solve(design, view.wheel[rows], np.array([0.5, 20.0, 0.05]), 0.002)
+
+
+def wheel_by_the_way(view: Pairs, wheelbase: float, rate: Array) -> tuple[Solved, float]:
+    """`wheel` and `explained`, with the wheel as much earlier as goes with the way best: weaving quickly, a
+    tractor turns up to half a second after its wheels."""
+    tried = []
+    for late in LAGS:
+        then = np.concatenate([np.full(late, np.nan), view.wheel[: len(view.wheel) - late]])
+        earlier = replace(view, wheel=then)
+        found = wheel(earlier, wheelbase, rate)
+        tried.append((found, explained(earlier, wheelbase, rate, found)))
+    return max(tried, key=lambda one: one[1])
 
 
 def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> float:

@@ -4,12 +4,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.changes import BODY, Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict
 from tilth.schemas.machine import Machine, Quantity, Receiver
+
+Array = NDArray[np.float64]
 
 LEAST_SURVEY = 0.002  # m
 
@@ -66,17 +69,20 @@ def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> M
         turned["gain"] = Quantity(value=wheel.gain.value, sd=wheel.gain.value * sds["wheel_gain"])
     if "wheel_curve" in sds:
         turned["curve"] = Quantity(value=wheel.curve.value, sd=sds["wheel_curve"])
-    receivers = [_receiver(receiver, sds) for receiver in after.receiver]
+    receivers = [_receiver(receiver, sds, found.late_sd) for receiver in after.receiver]
     return after.model_copy(
         update={**bodies, "receiver": receivers, "wheel_angle": wheel.model_copy(update=turned)}
     )
 
 
-def _receiver(receiver: Receiver, sds: dict[str, float]) -> Receiver:
+def _receiver(receiver: Receiver, sds: dict[str, float], late_sd: Array) -> Receiver:
+    """late_sd: as Calibration's; the mean of all four has some of it already."""
     update: dict[str, object] = {}
+    body = BODY[MOUNTS.index(receiver.mount)]
     if "latency" in sds:
-        update["latency"] = Quantity(value=receiver.latency.value, sd=sds["latency"])
-    aside = "aside_i" if BODY[MOUNTS.index(receiver.mount)] else "aside_t"
+        sd = math.hypot(sds["latency"], late_sd[body] / 2.0, late_sd[2] / 2.0)
+        update["latency"] = Quantity(value=receiver.latency.value, sd=sd)
+    aside = "aside_i" if body else "aside_t"
     if aside in sds:
         update["survey_sd"] = max(sds[aside], LEAST_SURVEY)
     name = f"roll_zero_{receiver.mount.value}"

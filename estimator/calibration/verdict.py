@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.first_look import Straightness
+from tilth.estimator.calibration.first_look import LATE_SD, Straightness
 from tilth.estimator.calibration.joint import Half
 from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Sought
 from tilth.estimator.filters.unknowns import AT, SIX
@@ -30,6 +30,7 @@ FLOOR: Final = {
 }  # fmt: skip
 """Sds of what the model leaves out, which a longer drive does not reduce: by bench/calibration.py."""
 ENOUGH_S: Final = 15.0  # of a way of driving
+ONE_WAY_SD: Final = math.radians(0.2)  # of the yaw of pairs by a slope of 2 degrees that is met one way only
 DISAGREE: Final = 0.01  # p of the halves' difference, of one number
 
 
@@ -94,11 +95,8 @@ def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
     if name in BY_LIKELIHOOD:
         k = AT[name]
         scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
-        # Folded, what stands aside on one body looks like it on the other; the tractor's is held in the fit.
-        seen = {"c": found.hitch_sd[0], "d": found.hitch_sd[1], "aside_i": 0.5 * found.aside_sd}.get(
-            name, 0.0
-        )
-        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], seen)
+        further = _not_in_the_fit(found).get(name, 0.0)
+        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], further)
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
             halves = (float(one), float(other))
@@ -114,6 +112,34 @@ def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
     status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD
     return Told(number, moved, sd, halves, p, status)
+
+
+def _not_in_the_fit(found: Calibration) -> dict[str, float]:
+    """Number -> sd, SI, of what the fit has no unknown for: by how much receivers are later than each other,
+    and the tractor's receivers aside."""
+    covariance, slopes = found.fit.covariance, priors.slopes(found.machine)
+    # Who is late looks like further back, at one speed; with it goes what the fit takes these places for.
+    way = found.speed * float(found.late_sd[2])
+    places = {"lever_t": way / 2.0, "lever_i": way / 2.0, "c": way, "d": way}
+    at = [BY_LIKELIHOOD.index(name) for name in places]
+    all_rows = [AT[name] for name in BY_LIKELIHOOD]
+    rows = [all_rows[k] for k in at]
+    moved = np.linalg.solve(covariance[np.ix_(rows, rows)], covariance[np.ix_(rows, all_rows)])
+    sds = slopes * np.sqrt((np.array(list(places.values())) / slopes[at]) ** 2 @ moved**2)
+    further = dict(zip(BY_LIKELIHOOD, sds.tolist(), strict=True))
+    others = {
+        "c": found.hitch_sd[0], "d": found.hitch_sd[1],
+        "latency": float(np.linalg.norm(found.late_sd)) / 2.0,
+        "aside_i": 0.5 * found.aside_sd,  # folded, what stands aside on one body looks like it on the other
+    }  # fmt: skip
+    if _one_way(found.driven):
+        others |= {"pair_t": ONE_WAY_SD, "pair_i": ONE_WAY_SD}
+    return further | {name: math.hypot(further[name], sd) for name, sd in others.items()}
+
+
+def _one_way(driven: Straightness) -> bool:
+    opposite = np.minimum(driven.directions, np.roll(driven.directions, 4))
+    return float(opposite.sum()) < ENOUGH_S
 
 
 def _difference(halves: tuple[Half, Half], k: int) -> float:
@@ -146,14 +172,15 @@ def soil_cost(covariance: Array, machine: Machine, told: Sequence[Told]) -> dict
     return {name: (float(whole[k]), float(shares[k])) for k, name in enumerate(PARAMETERS)}
 
 
-def _not_driven(driven: Straightness) -> Iterator[str]:
+def _not_driven(driven: Straightness, late_sd: Array) -> Iterator[str]:
     """What would have told more, by the ways of driving that are missing."""
     if min(driven.left, driven.right) < ENOUGH_S:
         side = "left" if driven.left < driven.right else "right"
         yield f"Hardly a turn to the {side}: zero and scale of the wheel are told less well; {priors.CIRCLE}."
-    opposite = np.minimum(driven.directions, np.roll(driven.directions, 4))
-    if float(opposite.sum()) < ENOUGH_S:
+    if _one_way(driven):
         yield f"Straight driving in one direction only: a slope is taken for yaw of the pairs; {priors.ROW}."
+    if float(late_sd.max()) >= LATE_SD:
+        yield f"Nearly one speed all the way: a late receiver looks like one further back; {priors.WEAVE}."
     if driven.folded < ENOUGH_S:
         yield f"The implement hardly folded: hitch and drawbar are not told apart; {priors.FOLD}."
 
@@ -170,7 +197,7 @@ def _sentences(told: tuple[Told, ...], p: float, found: Calibration) -> list[str
         )
     elif found.fit.halves is not None:
         said.append("Both halves of the drive give the same numbers within their intervals.")
-    said += list(_not_driven(found.driven))
+    said += list(_not_driven(found.driven, found.late_sd))
     if not found.fit.settled:
         said.append("The search has not settled; take the numbers with care, and drive again.")
     if not found.rolls.signs_told:

@@ -68,9 +68,9 @@ most 0.006, with wrong files too."""
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 OF_PAIRS: Final = STRAIGHT[1:]
 UNTOLD_IN_SHARP_TURNS: Final = [AT["m_i"], AT["I_i"]]
-"""Small forces between the bodies tell of the implement's mass and inertia. In sharp turns, where slopes are at
-the estimated state, these came out at a half to a quarter, and 2 of 12 right files were doubted on a stranger's
-fields."""
+"""Small forces between the bodies tell of the implement's mass and inertia. In sharp turns, where slopes are
+at the estimated state, these came out at a half to a quarter, and 2 of 12 right files were doubted on a
+stranger's fields."""
 _STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
 

@@ -159,6 +159,38 @@ def _looked(machine: Machine, log: Path) -> _Looked:
     return _look_at(machine, heard, lambda what, share: None)
 
 
+ONE_SPEED = """
+seconds = 240.0
+speed = 4.5
+steering = [[12.0, 0.0], [228.0, "random"]]
+[soil]
+grip = 0.7
+[ground]
+slope_deg = 1.5
+"""
+
+
+def test_at_one_speed_what_looks_like_a_late_receiver_is_not_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Levers and hitch were 10 cm off there with sds of 1 cm, and latencies 50 ms with sds of 6."""
+    log, file, out = _simulate(tmp_path, ONE_SPEED), tmp_path / "wrong.toml", tmp_path / "out.toml"
+    file.write_text(WRONG, encoding="utf-8")
+    assert main(["calibrate", str(log), "--machine", str(file), "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    numbers = {number["name"]: number for number in told["numbers"]}
+    along = ("lever_t", "lever_i", "c", "d", "latency")
+    assert {numbers[name]["status"] for name in along} <= {"rough", "not told"}
+    assert any("one speed" in sentence for sentence in told["sentences"])
+    now, truth = parse_machine(out.read_text(encoding="utf-8")), _true(log)["nuisances"]
+    zero, sd = np.degrees(truth["wheel_zero"]), np.degrees(numbers["wheel_zero"]["sd"])
+    assert now.wheel_angle.zero.value == pytest.approx(zero, abs=3 * sd)
+    assert now.wheel_angle.scale == pytest.approx(0.01, rel=3 * numbers["wheel_gain"]["sd"])
+    for receiver in now.receiver:
+        late = truth[f"latency_{receiver.mount.value}"]
+        assert receiver.latency.value == pytest.approx(late, abs=2.5 * receiver.latency.sd)
+
+
 def test_a_wrong_roll_correction_leaves_nothing_in_the_places(tmp_path: Path) -> None:
     """Where the setting is found to be wrong, geometry is looked at once more: the hitch was 3 cm off."""
     log = _simulate(tmp_path, DRIVE.replace("slope_deg = 1.5", "slope_deg = 4.0"))

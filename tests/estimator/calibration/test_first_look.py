@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kinematic_drive import GUIDED, MACHINE, ONE_SIDE, ROWS, measurements
+from kinematic_drive import GUIDED, MACHINE, ONE_SIDE, ONE_SPEED, ROWS, Plan, measurements
 
 from tilth.estimator.calibration import calibrate as calibrating
 from tilth.estimator.calibration import drive as drives
@@ -83,6 +83,24 @@ def _reach(machine: Machine) -> float:
     return machine.implement.d.value - float(np.mean([r.position[0] for r in machine.receiver[2:]]))
 
 
+@pytest.mark.parametrize(("plan", "told"), [(GUIDED, True), (ONE_SPEED, False)])
+def test_how_late_receivers_are_apart_is_told_by_two_speeds(plan: Plan, told: bool) -> None:
+    """At one speed what is late looks like what stands further back, and nothing of it is taken."""
+    late = np.array([0.03, -0.04, 0.02, -0.01])
+    wrong = applied(MACHINE, Changes(late=late))
+    made = [m for m in measurements(plan, slope=(0.0, 0.0)) if m.rx_ns * 1e-9 > 1020.0 or told]
+    drive = _drive(wrong, made)
+    changes, _, view, _ = calibrating._first_look(wrong, drive)
+    found, sds = first_look.latency_differences(drive, view)
+    between = float(first_look.hitch(view).sds[4])
+    most = float(max(*sds, between))
+    assert (most < first_look.LATE_TOLD) == told
+    apart = changes.late - changes.late.mean()
+    expected = late.mean() - late if told else np.zeros(4)
+    assert apart == pytest.approx(expected, abs=0.004)
+    assert told or (found == 0.0).all()
+
+
 @pytest.mark.parametrize("who", [(1, 0, 2, 3), (0, 1, 3, 2), (2, 3, 0, 1), (2, 1, 0, 3), (3, 1, 0, 2)])
 def test_who_stands_where(who: tuple[int, ...], heard: list[Measurement]) -> None:
     found, faults = _look(Changes(who=who), heard)
@@ -133,8 +151,7 @@ def test_one_circle_at_one_angle_shows_that_the_wheel_is_read(
     base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
     view = replace(view, wheel=view.wheel + rng.choice([-jumps, jumps], view.wheel.shape))
     rate = view.rate[:, 0] + way_sd / base * view.along[:, 0] * rng.normal(size=view.wheel.shape)
-    told = first_look.wheel(view, base, rate)
-    faults = finding.wheel_faults(told, first_look.explained(view, base, rate, told))
+    faults = finding.wheel_faults(*first_look.wheel_by_the_way(view, base, rate))
     assert [fault.kind for fault in faults] == ([] if is_read else [finding.WHEEL_UNREAD])
 
 
@@ -152,7 +169,7 @@ def test_circles_to_one_side_are_taken_and_said(sign: int, missing: str) -> None
     made = measurements([(seconds, speed, sign * angle) for seconds, speed, angle in ONE_SIDE])
     changes, _, view, _ = calibrating._first_look(MACHINE, _drive(MACHINE, made))
     assert changes.wheel_gain == pytest.approx(1.0, abs=0.1)
-    said = list(_not_driven(first_look.driven(view)))
+    said = list(_not_driven(first_look.driven(view), np.zeros(3)))
     assert said[0].startswith(f"Hardly a turn to the {missing}: zero and scale of the wheel are told less")
     assert "circles to both sides" in said[0]
 
