@@ -108,7 +108,7 @@ def _write_report(out: Path, text: str) -> None:
 def _write(args: argparse.Namespace, found: Calibrated) -> bool:
     """Whether the file stands as found. A file that exists is changed only with a yes and kept."""
     there = args.out.read_text(encoding="utf-8") if args.out.exists() else None
-    change = found.difference(args.out.name if there is None or there == found.before else str(args.out))
+    change = found.difference((f"{args.machine or 'the machine file of the log'} (before)", str(args.out)))
     if not args.json and change:
         Console().print(change, highlight=False, markup=False, soft_wrap=True)
     if there == found.after:

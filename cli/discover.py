@@ -1,6 +1,7 @@
 """`tilth discover`: listen to buses, or look into logs, and draft a machine file."""
 
 import argparse
+import contextlib
 import json
 import re
 import signal
@@ -138,7 +139,9 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
     if args.json:
         print(json.dumps(as_json(findings, text)))
         return
-    _show(findings)
+    # The draft alone is the output where it is sent into a file.
+    with contextlib.redirect_stdout(sys.stderr if args.out is None else sys.stdout):
+        _show(findings)
     if args.out is None:
         print(text)
 

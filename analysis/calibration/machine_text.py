@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ from tomlkit.items import AbstractTable, Item
 from tilth.estimator.filters.unknowns import ROLL_ZERO_SD
 from tilth.schemas.machine import Machine, Quantity
 
+EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was (\[[^\]]*\]|[^;])*)?(; |$)")  # of a calibration before
 DIGITS: Final = 4  # after the point of a length, an angle or a time
 _RECEIVER: Final = (
     "mount", "position", "survey_sd", "latency", "roll_zero", "roll_sign", "yaw_rate_sign", "roll_corrected",
@@ -64,6 +66,7 @@ def _put(table: AbstractTable, key: str, value: Any, said: str) -> None:
     items: Any = table.value
     known: Item | None = items.item(key) if key in table else None
     comment = known.trivia.comment.lstrip("# ") if known is not None and known.trivia.comment else ""
+    comment = EARLIER.sub("", comment)
     table[key] = _hexadecimal(value) if key in _HEXADECIMAL else _item(value)
     items.item(key).comment(f"{said}; {comment}" if comment else said)
 
@@ -152,10 +155,10 @@ def _bare(value: Any, key: str) -> str:
     return f"{number:g}"
 
 
-def difference(before: str, after: str, name: str) -> str:
-    """What changes, line by line; "" where nothing does."""
+def difference(before: str, after: str, names: tuple[str, str]) -> str:
+    """What changes, line by line; "" where nothing does. names: of the files."""
     lines = difflib.unified_diff(
-        before.splitlines(keepends=True), after.splitlines(keepends=True), f"{name} (before)", name, n=0
+        before.splitlines(keepends=True), after.splitlines(keepends=True), *names, n=0
     )
     return "".join(lines)
 

@@ -150,7 +150,7 @@ def _soil(found: Calibrated) -> ReportSection:
 
 
 def _file(found: Calibrated) -> ReportSection:
-    lines = [line for line in found.difference("machine file").splitlines() if line[:1] in "+-"][2:]
+    lines = [line for line in found.difference(("before", "after")).splitlines() if line[:1] in "+-"][2:]
     rows = tuple((ReportCell({"+": "new", "-": "old"}[line[0]]), ReportCell(line[1:])) for line in lines)
     table = ReportTable("file", "Lines that change in the machine file", ("", "line"), rows)
     asked = [ReportText(text) for text in found.sentences() if text.startswith("Not by driving")]

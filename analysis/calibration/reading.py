@@ -74,6 +74,9 @@ def read(
     Raises LogError, OSError, MachineError; CannotCalibrate where it is of two rigs.
     """
     heard, decoder = LogHeard(), Decoder(machine)
+    for k, path in enumerate(paths):
+        if any(path.samefile(other) for other in paths[:k]):
+            raise CannotCalibrate(f"{path} is given twice")
     _check_same_receivers(paths)
     earlier: tuple[Path, int] | None = None
     whole, before = sum(path.stat().st_size for path in paths), 0
@@ -96,7 +99,8 @@ def read(
         before += log.size
         earlier = path, heard.last_ns
     if not heard.frames:
-        raise EmptyLog(f"{paths[0]}: no frame is in it")
+        left_out = ", whose buses are all left out" if buses else ""
+        raise EmptyLog(f"{paths[0]}: no frame is in it{left_out}")
     _check_one_rig(heard, machine, buses)
     return heard
 

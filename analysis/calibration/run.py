@@ -1,7 +1,8 @@
 """Logs in, what the drive tells out: measurements, calibration, verdict and the machine file's new text."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -60,14 +61,15 @@ class Calibrated:
     def title(self) -> str:
         return f"{self.machine.name}, drive of {self.when}, {self.found.records_s:.0f} s of it used"
 
-    def difference(self, name: str) -> str:
-        """What changes in the machine file."""
-        return difference(self.before, self.after, name)
+    def difference(self, names: tuple[str, str]) -> str:
+        """What changes in the machine file. names: of the files before and after."""
+        return difference(self.before, self.after, names)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Of the table of numbers, as texts."""
         written = from_to(self.machine, self.told, _places(self.found))
-        return [_row(one, written[one.number.name]) for one in self.verdict.told]
+        zero = math.radians(self.told.wheel_angle.zero.value - self.machine.wheel_angle.zero.value)
+        return [_row(_of_the_file(one, zero), written[one.number.name]) for one in self.verdict.told]
 
     def sentences(self) -> list[str]:
         """What a person should know of it."""
@@ -244,6 +246,20 @@ def _notes(heard: LogHeard) -> list[str]:
         f"Devices that the machine file does not name send positions from this rig, too: {many}. They are "
         "left out."
     ]
+
+
+def _of_the_file(one: Told, zero: float) -> Told:
+    """The same as it changes the file: the wheel's scale by as much as its reading was too large; its zero,
+    rad, with what the scale does to it."""
+    if one.number.name == "wheel_gain":
+        sd = one.sd * math.exp(-one.moved)
+        halves = None if one.halves is None else (math.expm1(-one.halves[0]), math.expm1(-one.halves[1]))
+        return replace(one, moved=math.expm1(-one.moved), sd=sd, halves=halves)
+    if one.number.name == "wheel_zero":
+        by = zero - one.moved
+        halves = None if one.halves is None else (one.halves[0] + by, one.halves[1] + by)
+        return replace(one, moved=zero, halves=halves)
+    return one
 
 
 def _row(one: Told, written: str) -> tuple[str, ...]:

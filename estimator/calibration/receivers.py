@@ -14,7 +14,7 @@ from tilth.estimator.pose.geometry import to_plane
 from tilth.schemas.flow import Measurement, Mount, Origin, Position, Velocity
 from tilth.schemas.machine import Machine
 
-STANDING: Final = 0.1  # m/s
+STANDING: Final = 0.15  # m/s: speeds of a standing receiver are 0.05 at random, each way
 SETTLED_NS: Final = 2_000_000_000  # of standing, after which a body has come to rest
 LONGEST_NS: Final = 2_000_000_000  # between two positions: more is an interruption
 FEWEST: Final = 20  # positions at standstill, or nothing is said of how they jitter
@@ -117,7 +117,7 @@ class ReceiverRow(NamedTuple):
             return f"{place}: not heard"
         name = f"NAME {self.name}, " if self.name else ""
         rate = "a single position" if self.per_s is None else f"{self.per_s:.1f} positions a second"
-        still = "no standstill yet"
+        still = "no standstill"
         if self.jitter is not None:
             still = f"jitter {self.jitter * 1e3:.0f} mm at standstill"
         late = f"latency {self.latency * 1e3:.0f} ms"

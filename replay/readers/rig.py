@@ -56,6 +56,8 @@ def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: S
     first = list(islice(log.records, PEEKED))
     heard = dict.fromkeys(record.bus for record in first if isinstance(record, Frame))
     log_buses = [bus for bus in heard if given.get(bus) != LEFT_OUT]
+    if unheard := [bus for bus in given if bus not in heard]:
+        say(f"{log.path}: --bus names {', '.join(unheard)}; it begins with {', '.join(heard) or 'none'}")
     renames = {bus: name for bus, name in given.items() if bus != name}
     if set(given.values()) <= {LEFT_OUT} and len(log_buses) == len(names) == 1 and log_buses != names:
         renames[log_buses[0]] = names[0]

@@ -17,7 +17,7 @@ SAME = {mount.value: mount.value for mount in MOUNTS}
 
 def test_nothing_changes_nothing() -> None:
     assert rewritten(TEXT, MACHINE, MACHINE, SAME, "2026-05-04") == TEXT
-    assert difference(TEXT, TEXT, "m.toml") == ""
+    assert difference(TEXT, TEXT, ("a.toml", "b.toml")) == ""
 
 
 def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
@@ -36,8 +36,21 @@ def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
     for one, other in zip(again.receiver, after.receiver, strict=True):
         assert one.position == pytest.approx(other.position, abs=1e-4)
         assert one.roll_sign == other.roll_sign
-    changed = [line for line in difference(text, made, "m.toml").splitlines() if line.startswith("-")]
+    changed = [
+        line for line in difference(text, made, ("a.toml", "b.toml")).splitlines() if line.startswith("-")
+    ]
     assert len(changed) == 1 + 1 + 2 + 1  # the heading, c, the tractor's positions, scale; others are new
+
+
+def test_a_second_calibration_says_what_the_first_one_put_there() -> None:
+    """Only that, and what people wrote: comments do not grow with each drive."""
+    text = TEXT.replace("c = 2.1\n", "c = 2.1  # to the pin, by tape\n")
+    once = applied(MACHINE, Changes(hitch=np.array([0.05, 0.0]), aside=np.array([0.1, 0.0])))
+    made = rewritten(text, MACHINE, once, SAME, "2026-05-04")
+    twice = applied(once, Changes(hitch=np.array([-0.02, 0.0]), aside=np.array([0.1, 0.0])))
+    again = rewritten(made, parse_machine(made), twice, SAME, "2026-05-06")
+    assert "c = 2.13 # calibrate 2026-05-06; was 2.15; to the pin, by tape" in again
+    assert "2026-05-04" not in again and again.count("was [") == 2
 
 
 def test_keys_that_stood_at_their_default_say_it() -> None:

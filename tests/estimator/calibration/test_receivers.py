@@ -43,7 +43,7 @@ def test_what_is_not_known_is_said() -> None:
     made = [m for m in measurements(((30, 3.0, 0),)) if m.origin.mount is not Mount.IMPLEMENT_REAR]
     found = _rows(made)
     assert found[Mount.IMPLEMENT_REAR].words == "implement rear: not heard"
-    assert ", no standstill yet, latency 100 ms by the file" in found[FRONT].words
+    assert ", no standstill, latency 100 ms by the file" in found[FRONT].words
     assert _rows([])[FRONT].words == "tractor front: not heard"
 
 
