@@ -13,14 +13,13 @@ from estimation_study import STEPS
 
 from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
-from tilth.estimator.methods import consistency, open_tracker, tracker
+from tilth.estimator.methods import consistency, open_tracker
 from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import motion_check, wheel_check
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.record.record import Segment
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
     Attitude,
@@ -339,28 +338,6 @@ def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
         now = open_tracker.misfit(state, machine)
         assert (now.by_name.max() > consistency.ENDS * consistency.BEGINS) == doubted
     assert not state.by_steering
-
-
-def test_sharp_turns_tell_the_open_tracker_nothing_of_the_implements_mass(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They give a half to a quarter of it; all else is learned there."""
-    take, places = open_tracker.take, open_tracker.UNTOLD_IN_SHARP_TURNS
-    moved: list[tuple[bool, bool, bool]] = []  # in a sharp turn, these two, any other unknown
-
-    def watched(state: TrackerState, machine: Machine, segment: Segment) -> bool:
-        tight = state.pending is not None and tracker.is_tight(state, state.pending)
-        before = state.mean.copy()
-        learned = take(state, machine, segment)
-        changed = state.mean != before
-        moved.append((tight, bool(changed[places].any()), bool(np.delete(changed, places).any())))
-        return learned
-
-    monkeypatch.setattr(open_tracker, "take", watched)
-    run(demo_machine(), frames(wrong_files.DRIVES["field"]))
-    turns = [(mass, other) for tight, mass, other in moved if tight]
-    assert len(turns) > 100 and not any(mass for mass, _ in turns) and all(other for _, other in turns)
-    assert sum(mass for tight, mass, _ in moved if not tight) > 20
 
 
 def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
