@@ -181,7 +181,7 @@ def _show(found: Calibrated) -> None:
     for fault in found.faults:
         console.print(f"FOUND {fault.text}", highlight=False, markup=False, soft_wrap=True)
     table = RichTable(title=found.title, title_justify="left")
-    for heading in ("", "change ± 95 %", "in the file", "sd before", "sd now", "sd wanted", "halves", ""):
+    for heading in ("", "change ± 95 %", "in the file", "sd assumed", "sd now", "sd wanted", "halves", ""):
         table.add_column(heading, overflow="fold")
     for row in found.rows():
         table.add_row(*row)

@@ -43,7 +43,7 @@ def _numbers(found: Calibrated) -> ReportSection:
         "number",
         "change ± 95 %",
         "in the file",
-        "sd before",
+        "sd assumed",
         "sd now",
         "sd wanted",
         "by either half",
