@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 STRAIGHT: Final = 0.012  # rad/s
 CRUISE: Final = 1.5  # m/s
+WEAVING: Final = 0.05  # rad/s: more than corrections along a row
 MOVING: Final = 0.8  # m/s
 LEAST_DRIVEN_S: Final = 60.0  # of moving: less tells nothing
 SLOW: Final = 2.6  # m/s: below, slip is small
@@ -252,6 +253,7 @@ class Straightness:
     right: float = 0.0
     folded: float = 0.0  # articulation beyond 10 degrees
     parked: float = 0.0
+    weaved: float = 0.0  # with the wheels turned, faster than SLOW
 
 
 def driven(view: Pairs) -> Straightness:
@@ -267,4 +269,5 @@ def driven(view: Pairs) -> Straightness:
         float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & folded)) * STEP_S,
         float(np.count_nonzero(known & (np.abs(u) < 0.1))) * STEP_S,
+        float(np.count_nonzero(known & (np.abs(rate) > WEAVING) & (u > SLOW))) * STEP_S,
     )
