@@ -146,8 +146,10 @@ def _not_in_the_fit(found: Calibration) -> dict[str, float]:
 
 
 def _one_way(driven: Straightness) -> bool:
-    opposite = np.minimum(driven.directions, np.roll(driven.directions, 4))
-    return float(opposite.sum()) < ENOUGH_S
+    """Whether hardly any straight driving has some in nearly the other direction."""
+    there = driven.directions
+    back = sum(np.roll(there, 4 + k) for k in (-1, 0, 1))
+    return float(np.minimum(there, back).sum()) < ENOUGH_S
 
 
 def _difference(halves: tuple[Half, Half], k: int) -> float:

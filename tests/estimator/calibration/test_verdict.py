@@ -7,7 +7,8 @@ import pytest
 from logs import MACHINE
 
 from tilth.estimator.calibration import priors
-from tilth.estimator.calibration.verdict import TOLD, Told, soil_cost
+from tilth.estimator.calibration.first_look import Straightness
+from tilth.estimator.calibration.verdict import TOLD, Told, _not_driven, soil_cost
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.schemas.flow import PARAMETERS
 
@@ -24,3 +25,15 @@ def test_what_numbers_cost_goes_with_the_sds_that_are_published(published: float
     whole, share = soil_cost(covariance, MACHINE, told)[PARAMETERS[0]]
     assert share == pytest.approx(10.0 * published, rel=1e-3)
     assert whole == pytest.approx(math.hypot(0.01, 10.0 * published), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("there", "back", "one_way"), [(0, 4, False), (0, 3, False), (7, 2, False), (0, 0, True), (0, 2, True)]
+)
+def test_there_and_back_need_not_be_on_one_line(there: int, back: int, one_way: bool) -> None:
+    """Eighths of all directions; where only one way was driven a slope is taken for yaw of the pairs."""
+    eighths = np.zeros(8)
+    eighths[there] += 40.0
+    eighths[back] += 30.0
+    said = list(_not_driven(Straightness(eighths, 60.0, 60.0, 60.0, 20.0, 60.0), np.zeros(3)))
+    assert [one.startswith("Straight driving in one direction") for one in said] == [True] * one_way
