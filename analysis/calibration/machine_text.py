@@ -12,7 +12,7 @@ from tomlkit.items import AbstractTable, Item
 from tilth.estimator.filters.unknowns import ROLL_ZERO_SD
 from tilth.schemas.machine import Machine, Quantity
 
-EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was (\[[^\]]*\]|[^;])*)?(; |$)")  # of a calibration before
+EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was [^;]*)?(; |$)")  # of a calibration before
 DIGITS: Final = 4  # after the point of a length, an angle or a time
 _RECEIVER: Final = (
     "mount", "position", "survey_sd", "latency", "roll_zero", "roll_sign", "yaw_rate_sign", "roll_corrected",

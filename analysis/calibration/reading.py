@@ -13,7 +13,7 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.pose.geometry import to_plane
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, LogError
-from tilth.replay.readers.rig import NO_RECEIVER, Say, machine_in, on_buses_of
+from tilth.replay.readers.rig import LEFT_OUT, NO_RECEIVER, Say, machine_in, on_buses_of
 from tilth.replay.steering_commands import SteeringCommands
 from tilth.replay.wheel_by_way import WheelMessages
 from tilth.schemas.can_id import split
@@ -99,7 +99,7 @@ def read(
         before += log.size
         earlier = path, heard.last_ns
     if not heard.frames:
-        left_out = ", whose buses are all left out" if buses else ""
+        left_out = ", whose buses are left out" if LEFT_OUT in buses.values() else ""
         raise EmptyLog(f"{paths[0]}: no frame is in it{left_out}")
     _check_one_rig(heard, machine, buses)
     return heard

@@ -250,7 +250,9 @@ def _notes(heard: LogHeard) -> list[str]:
 
 def _of_the_file(one: Told, zero: float) -> Told:
     """The same as it changes the file: the wheel's scale by as much as its reading was too large; its zero,
-    rad, with what the scale does to it."""
+    rad, with what the scale does to it. What is not told changes nothing there."""
+    if one.status == NOT_TOLD:
+        return one
     if one.number.name == "wheel_gain":
         sd = one.sd * math.exp(-one.moved)
         halves = None if one.halves is None else (math.expm1(-one.halves[0]), math.expm1(-one.halves[1]))

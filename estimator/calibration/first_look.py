@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 
 STRAIGHT: Final = 0.012  # rad/s
 CRUISE: Final = 1.5  # m/s
+FOLDED: Final = math.radians(20.0)  # articulation: less hardly tells hitch and drawbar apart
 WEAVING: Final = 0.05  # rad/s: more than corrections along a row
 MOVING: Final = 0.8  # m/s
 LEAST_DRIVEN_S: Final = 60.0  # of moving: less tells nothing
@@ -251,8 +252,7 @@ class Straightness:
     directions: Array = field(default_factory=lambda: np.zeros(8))  # straight driving, by eighths of north
     left: float = 0.0  # turning
     right: float = 0.0
-    folded: float = 0.0  # articulation beyond 10 degrees
-    parked: float = 0.0
+    folded: float = 0.0  # articulation beyond FOLDED
     weaved: float = 0.0  # with the wheels turned, faster than SLOW
 
 
@@ -262,12 +262,11 @@ def driven(view: Pairs) -> Straightness:
     rate = np.nan_to_num(view.rate[:, 0])
     straight = known & (np.abs(rate) < STRAIGHT) & (u > CRUISE)
     eighths = np.floor(view.heading[straight, 0] / (2 * np.pi) * 8).astype(np.int64) % 8
-    folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > np.radians(10.0)
+    folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > FOLDED
     return Straightness(
         np.bincount(eighths, minlength=8).astype(np.float64) * STEP_S,
         float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & folded)) * STEP_S,
-        float(np.count_nonzero(known & (np.abs(u) < 0.1))) * STEP_S,
         float(np.count_nonzero(known & (np.abs(rate) > WEAVING) & (u > SLOW))) * STEP_S,
     )

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration import receivers
-from tilth.estimator.calibration.first_look import CRUISE, MOVING, SLOW, STRAIGHT
-from tilth.estimator.calibration.receivers import HeardReceivers
+from tilth.estimator.calibration.first_look import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
+from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
@@ -30,13 +30,11 @@ TICK_S: Final = TICK_NS * 1e-9
 OLD_TICKS: Final = 6  # a value that is older counts as not heard
 GAP_TICKS: Final = 10  # after this, what was under way is forgotten
 WINDOW: Final = 10  # instants: 2 s, over which courses are compared
-STANDING: Final = 0.1  # m/s
 DIRECTIONS: Final = 72  # of straight driving
 ALIKE: Final = 4  # directions to either side that belong to one line: 45 degrees together
 SIDES: Final = ("left", "right")
 ANGLES_DEG: Final = (6.0, 14.0, 22.0)  # from here on the wheels are turned a little, half, far
 STEADY: Final = math.radians(5.0)  # by which the wheels of a circle may differ within the window
-FOLDED: Final = math.radians(20.0)  # less hardly tells hitch and drawbar apart
 TURNING: Final = 0.03  # rad/s: a turn to a side, in weaving
 WEAVE_TICKS: Final = 40  # the next turn to the other side follows within 8 s
 WEAVE_SPEEDS: Final = (1.9, 3.3)  # m/s: slowly from the first on, quickly from the second on

@@ -2,7 +2,7 @@
 and what it costs the six parameters of soil and tyres."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -81,7 +81,8 @@ class RigVerdict:
 
 def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     """machine: as it was read."""
-    told = tuple(_told(machine, found, number) for number in NUMBERS if _heard(found, number))
+    further = _not_in_the_fit(found)
+    told = tuple(_told(found, number, further) for number in NUMBERS if _heard(found, number))
     zs = [_z(one, found) for one in told if one.halves is not None]
     chi2, dof = float(sum(z * z for z in zs)), len(zs)
     p = float(chdtrc(dof, chi2)) if dof else 1.0
@@ -95,14 +96,14 @@ def _heard(found: Calibration, number: Sought) -> bool:
     return place not in names or found.rolls.heard[names.index(place)]
 
 
-def _told(machine: Machine, found: Calibration, number: Sought) -> Told:
+def _told(found: Calibration, number: Sought, further: Mapping[str, float]) -> Told:
+    """further: as _not_in_the_fit gives it."""
     name, fit = number.name, found.fit
     moved, halves, p = found.moved[name], None, None
     if name in BY_LIKELIHOOD:
         k = AT[name]
         scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
-        further = _not_in_the_fit(found).get(name, 0.0)
-        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], further)
+        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], further[name])
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
             halves = (float(one), float(other))

@@ -355,8 +355,8 @@ def _find_posterior(state: SteadyState) -> None:
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
     tight = state.largest_angle > fit_covariance.TIGHT
-    room = fit_covariance.TIGHT_SD[:3] if tight else np.full(3, fit_covariance.MODEL_SD)
-    state.log_covariance = covariance + np.diag(learned * room**2)
+    room = np.square(fit_covariance.TIGHT_SD[:3] if tight else fit_covariance.MODEL_SD)
+    state.log_covariance = covariance + np.diag(learned * room)
 
 
 def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:

@@ -35,5 +35,5 @@ def test_there_and_back_need_not_be_on_one_line(there: int, back: int, one_way: 
     eighths = np.zeros(8)
     eighths[there] += 40.0
     eighths[back] += 30.0
-    said = list(_not_driven(Straightness(eighths, 60.0, 60.0, 60.0, 20.0, 60.0), np.zeros(3)))
+    said = list(_not_driven(Straightness(eighths, 60.0, 60.0, 60.0, 60.0), np.zeros(3)))
     assert [one.startswith("Straight driving in one direction") for one in said] == [True] * one_way
