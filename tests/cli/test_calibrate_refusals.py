@@ -1,6 +1,7 @@
 """What `tilth calibrate` refuses: a sentence, an exit status, and the old file as it was."""
 
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,10 @@ def _then_another(at: Path, rows: Driven) -> list[Path]:
     return [write_candump(at / "both.log", (*rows.frames, *others))]
 
 
+def _copied(log: Path, at: Path) -> Path:
+    return Path(shutil.copy(log, at / "copy.log"))
+
+
 def _of_two_files(at: Path, rows: Driven) -> list[Path]:
     """Two logs of Tilth's own, with the machine files of two rigs in them."""
     paths = [at / "one.mcap", at / "other.mcap"]
@@ -98,8 +103,9 @@ CASES: dict[str, tuple[Make, str, int, str]] = {  # logs, machine file, exit sta
     "two rigs in a log": (_then_another, MACHINE_TEXT, 1, "two rigs are in this: the receivers at"),
     "two machine files": (_of_two_files, MACHINE_TEXT, 1, "are of two rigs: by the machine files in them"),
     "twice the same time": (
-        lambda at, rows: [rows.log, rows.log], MACHINE_TEXT, 1, "rows.log begins before",
+        lambda at, rows: [rows.log, _copied(rows.log, at)], MACHINE_TEXT, 1, "copy.log begins before",
     ),
+    "one log twice": (lambda at, rows: [rows.log, rows.log], MACHINE_TEXT, 1, "rows.log is given twice"),
     "a file of other devices": (_only_rows, OTHER_TEXT, 1, "none of the receivers of the machine file is in"),
     "who is there then": (_only_rows, OTHER_TEXT, 1, "come from other devices: address 28 on can0 (NAME A00"),
     "a part of its devices": (_only_rows, PART_TEXT, 1, "no position of tractor_front, tractor_rear is in"),
