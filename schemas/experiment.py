@@ -164,6 +164,9 @@ class ExperimentPlan(_PlanSection):
     predicted: Mapping[str, float] = Field(
         default_factory=dict, description="sd of the logarithms by all runs; for reading"
     )
+    predicted_with_log: Mapping[str, float] = Field(
+        default_factory=dict, description="the same with what a log told before; for reading"
+    )
     predicted_for: str = Field(default="", max_length=64, description="`steered` of the plan as it was then")
 
     @model_validator(mode="after")
@@ -174,7 +177,11 @@ class ExperimentPlan(_PlanSection):
                     f"run[{number}].amplitude_deg = {run.amplitude_deg:g}: limits.wheel_angle_deg allows "
                     f"{self.limits.wheel_angle_deg:g}"
                 )
-        for name in {*self.predicted, *(key for run in self.run for key in run.predicted)}:
+        for name in {
+            *self.predicted,
+            *self.predicted_with_log,
+            *(key for run in self.run for key in run.predicted),
+        }:
             if name not in PARAMETERS:
                 raise ValueError(f"predicted.{name}: there are {', '.join(PARAMETERS)}")
         return self

@@ -27,7 +27,8 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
     lines += [f"name = {_value(plan.name)}", f"machine = {_value(plan.machine)}"]
     lines += [f"seed = {plan.seed}  # of the order and of random steering"]
     lines += [f"countdown_s = {plan.countdown_s:g}"]
-    lines += [_predicted(plan.predicted, "after all runs")]
+    lines += _predicted("predicted", plan.predicted, "by all runs, as `tilth fit` will give it")
+    lines += _predicted("predicted_with_log", plan.predicted_with_log, f"by {source} and all runs")
     lines += [f"predicted_for = {_value(plan.predicted_for)}  # the runs below, unedited", ""]
     lines += ["[limits]", *_keys(plan.limits), ""]
     lines += ["[field]  # without a corner its near headland ends where the first run is armed"]
@@ -38,10 +39,19 @@ def text_of(proposal: Proposal, path: str, source: str = "") -> str:
 
 
 def worth(proposal: Proposal) -> str:
-    """What a plan brings, in one sentence."""
-    worst = PARAMETERS[int(proposal.sd.argmax())]
-    left = share(float(proposal.sd.max()))
-    what = f"{proposal.seconds:.0f} s of steering leave {worst} known least, {left}"
+    """What a plan brings, in a few sentences."""
+    least = int(proposal.sd.argmax())
+    name, left = PARAMETERS[least], share(float(proposal.sd[least]))
+    what = f"{proposal.seconds:.0f} s of steering"
+    if proposal.told_already:
+        return (
+            f"The log has told nearly all that {what} could tell: {name} stays known least, {left} where the "
+            "last run is. Harder limits, another speed or other kinds may tell more."
+        )
+    what += f" leave {name} known least, {left}"
+    if proposal.from_log:
+        alone = share(float(proposal.before[least]))
+        what = f"With what the log has told, {what} where the last run is; there the log alone leaves {alone}"
     return (
         f"{what}. To be as good, held steps {_compared(proposal, proposal.held)}, and steps of three seconds "
         f"to either side {_compared(proposal, proposal.swung)}."
@@ -57,7 +67,7 @@ def _compared(proposal: Proposal, other: Compared | None) -> str:
 
 def _run(run: AnyRun) -> list[str]:
     lines = [f"[[run]]  # {_purpose(run)}", f"kind = {_value(run.kind)}", *_keys(run, ("kind", "predicted"))]
-    return [*lines, _predicted(run.predicted, "of its replicates alone"), ""]
+    return [*lines, *_predicted("predicted", run.predicted, "by its replicates alone"), ""]
 
 
 def _purpose(run: AnyRun) -> str:
@@ -72,11 +82,11 @@ def _purpose(run: AnyRun) -> str:
     return manoeuvre_named(run.kind).meaning
 
 
-def _predicted(found: Any, of: str) -> str:
+def _predicted(key: str, found: Any, of: str) -> list[str]:
     if not found:
-        return ""
+        return []
     inside = ", ".join(f"{name} = {value:g}" for name, value in found.items())
-    return f"predicted = {{ {inside} }}  # sd of the logarithms {of}"
+    return [f"{key} = {{ {inside} }}  # sd of the logarithms {of}; 1.96 times that is 95 %"]
 
 
 def _keys(section: BaseModel, without: tuple[str, ...] = ()) -> list[str]:

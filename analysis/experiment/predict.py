@@ -4,6 +4,9 @@ Each run is expected without noise: where the filter's model says that both bodi
 as well as the receivers do. What such records tell is what `tilth fit` finds in them: the same terms, the
 same join, with all nuisances and the model's errors. The ground and the receivers are as a log found them, or
 as the priors of the estimators have them.
+
+A fit holds at the place of its last run, and soil differs from place to place: what a log told counts a
+little less with each run that lies between.
 """
 
 from collections.abc import Sequence
@@ -133,24 +136,26 @@ def _windows(record: Record) -> list[Record]:
     return found
 
 
-def joined(known: Known, told: Sequence[Told]) -> Joint:
-    """The posterior after these runs, and after what the log has told. Raises ValueError without any."""
+def joined(known: Known, told: Sequence[Told], runs_on: int = 0) -> Joint:
+    """The posterior after what the log has told and after these runs, so many runs further on. Raises
+    ValueError without any."""
     before = known.before
-    first = () if before is None else before.told
-    gaps = () if before is None else before.between_m
-    if not first and not told:
+    every = [*(() if before is None else before.told), *told]
+    if not every:
         raise ValueError("nothing to join")
-    links = [0.0] if first and told else []  # from the log to the first run
-    between = (*gaps, *links, *[BETWEEN_M] * (len(told) - 1))
-    every = (*first, *told)
-    return join(known.machine, Linearised(known.point, every, between, (0.0,) * len(every)))
+    gaps = () if before is None else before.between_m
+    between = [*gaps, *[BETWEEN_M] * (len(every) - 1 - len(gaps))]
+    if runs_on:
+        every.append(())  # a place of which nothing is told
+        between.append(runs_on * BETWEEN_M)
+    return join(known.machine, Linearised(known.point, tuple(every), tuple(between), (0.0,) * len(every)))
 
 
-def sds(known: Known, told: Sequence[Told]) -> Array:
-    """Sds of the six logarithms, (6,), as they will be published."""
+def sds(known: Known, told: Sequence[Told], runs_on: int = 0) -> Array:
+    """Sds of the six logarithms, (6,), as they will be published after these runs, so many further on."""
     if not told and known.before is None:
         return np.asarray(unknowns.prior(known.machine)[1][SIX], np.float64)
-    return np.asarray(np.sqrt(np.diag(joined(known, told).covariance)[SIX]), np.float64)
+    return np.asarray(np.sqrt(np.diag(joined(known, told, runs_on).covariance)[SIX]), np.float64)
 
 
 def worst_of(known: Known, sd: Array) -> float:
@@ -164,3 +169,8 @@ def predicted(known: Known, plan: ExperimentPlan) -> Array:
     """Sds of the six logarithms after a whole plan, (6,)."""
     planned = drives(plan, default_rng)
     return sds(known, [told_by(known, one, plan.limits, plan.seed) for one, _ in planned])
+
+
+def without_log(known: Known) -> Known:
+    """The same ground and receivers, and nothing told of the tyres yet: as a fit of the runs alone."""
+    return replace(known, before=None)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from scipy.optimize import minimize
 
-from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, worst_of
+from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, without_log, worst_of
 from tilth.analysis.fit.joint import Told
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.models.planned_run import Scheduled, Way, check, drives, needed, way, wheel_angle
@@ -38,6 +38,7 @@ TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 SHORTEST_S: Final = 8.0  # of a proposed run
 MOST_REPLICATES: Final = 40  # of the steps that a plan is compared with
 LEAST_AMPLITUDE: Final = 1.0  # degrees
+TOLD_ALREADY: Final = 0.95  # of the worst sd: a plan that leaves more of it tells nearly nothing
 DRIFT: Final = 0.85  # of the field's width, of a proposed run: a driver comes off its course
 _RUN: Final[TypeAdapter[AnyRun]] = TypeAdapter(Run)
 SAFE: Final = 0.8  # of the acceleration at which a run is broken off: tyres may hold better than expected
@@ -94,8 +95,10 @@ class Proposal:
 
     plan: ExperimentPlan
     seconds: float  # of steering
-    sd: Array  # (6,) of the logarithms, after the plan
-    before: Array  # (6,)
+    sd: Array  # (6,) of the logarithms, after the plan and what was known before
+    before: Array  # (6,) where the last run will be, without the plan
+    from_log: bool  # whether a log told something before
+    told_already: bool  # by the log, nearly all that the plan could tell
     held: "Compared | None"  # with steps that are held
     swung: "Compared | None"  # with steps to either side, three seconds each, as in MANOEUVRES
 
@@ -124,8 +127,9 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: 
         raise PlanError(refusals[0])
     progress("choosing what is best together")
     chosen = _together(known, best, wanted.count)
+    alone = without_log(known)
     runs = [
-        one.run.model_copy(update={"predicted": _named(one.sd)})
+        one.run.model_copy(update={"predicted": _named(sds(alone, one.told))})
         for one in sorted(chosen, key=lambda one: worst_of(known, one.sd))
     ]
     plan = ExperimentPlan(
@@ -133,14 +137,23 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: 
         limits=wanted.limits, run=tuple(runs),
     )  # fmt: skip
     check(plan, rig_of(known.machine), drives(plan, default_rng))
-    sd = predicted(known, plan)
-    plan = plan.model_copy(update={"predicted": _named(sd), "predicted_for": steered(plan)})
+    sd, count = predicted(known, plan), sum(run.replicates for run in plan.run)
+    with_log = known.before is not None
+    plan = plan.model_copy(
+        update={
+            "predicted": _named(predicted(alone, plan)),
+            "predicted_with_log": _named(sd) if with_log else {},
+            "predicted_for": steered(plan),
+        }
+    )
     seconds = sum(run.seconds * run.replicates for run in plan.run)
     progress("comparing it with held steps")
     worst = worst_of(known, sd)
-    held = compared(known, wanted, worst, "step", {})
-    swung = compared(known, wanted, worst, "steps", {"hold_s": 3.0})
-    return Proposal(plan, seconds, sd, sds(known, ()), held, swung)
+    held = compared(known, wanted, worst, count, "step", {})
+    swung = compared(known, wanted, worst, count, "steps", {"hold_s": 3.0})
+    before = sds(known, (), count)
+    told_already = with_log and worst > TOLD_ALREADY * worst_of(known, before)
+    return Proposal(plan, seconds, sd, before, with_log, told_already, held, swung)
 
 
 def _named(sd: Array) -> dict[str, float]:
@@ -242,22 +255,24 @@ def _together(known: Known, best: Sequence[BestRun], count: int) -> tuple[BestRu
 
 
 def compared(
-    known: Known, wanted: WantedPlan, worst: float, kind: str, values: dict[str, float]
+    known: Known, wanted: WantedPlan, worst: float, count: int, kind: str, values: dict[str, float]
 ) -> Compared | None:
     """Runs of one kind, to either side in turn, of the largest amplitude allowed, until the worst sd is as
-    small as that; between whole runs it is interpolated. None where they have no room."""
+    small as that of a plan of so many runs, no nearer to the log than its last one; between whole runs it is
+    interpolated. None where they have no room."""
     try:
         run = largest(known, wanted, kind, values)
     except PlanError:
         return None
     both = [told_by(known, Scheduled(1, k, run), wanted.limits, wanted.seed) for k in (1, 2)]
-    before = worst_of(known, sds(known, ()))
+    before = worst_of(known, sds(known, (), count))
     low, high = 0, 1
     while high <= MOST_REPLICATES:
-        after = worst_of(known, sds(known, [both[k % 2] for k in range(high)]))
+        told = [both[k % 2] for k in range(high)]
+        after = worst_of(known, sds(known, told, max(count - high, 0)))
         if after <= worst:
             share = (np.log(before) - np.log(worst)) / max(np.log(before) - np.log(after), 1e-9)
-            return Compared((low + float(share) * (high - low)) * run.seconds, True)
+            return Compared((low + float(np.clip(share, 0.0, 1.0)) * (high - low)) * run.seconds, True)
         low, before = high, after
         high += max(1, high // 4)
     return Compared(low * run.seconds, False)

@@ -53,7 +53,9 @@ def test_what_a_log_told_counts_and_is_not_asked_for_again(
     assert "fitting 1 stretch of driving in the log" in said.err
     texts = [(tmp_path / name).read_text(encoding="utf-8") for name in ("new.toml", "from.toml")]
     assert "--propose`. Edit" in texts[0] and "--propose` from step.log. Edit" in texts[1]
-    new, known = (sds_of(parse_plan(text).predicted) for text in texts)
+    plans = [parse_plan(text) for text in texts]
+    new, known = sds_of(plans[0].predicted), sds_of(plans[1].predicted_with_log)
+    assert not plans[0].predicted_with_log
     prior = sds(from_machine(MACHINE), ())
     assert np.all(new < prior) and np.all(known < 0.7 * new)
     # A slow turn tells next to nothing of sigma_i: that it is known is by the log, and nothing asks for it.

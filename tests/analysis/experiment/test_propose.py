@@ -1,15 +1,18 @@
 """A proposed plan is one that can be driven, says what it is worth, and is read back as it was written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from logs import MACHINE
 from numpy.random import default_rng
 
 from tilth.analysis.experiment.plan_text import text_of, worth
-from tilth.analysis.experiment.predict import from_machine
+from tilth.analysis.experiment.predict import Known, from_machine, told_of
 from tilth.analysis.experiment.propose import WantedPlan, compared, propose
+from tilth.analysis.fit.joint import Linearised
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.models.planned_run import check, drives
+from tilth.estimator.models.planned_run import DT, check, drives
 from tilth.schemas.experiment import ChirpRun, DrivingLimits, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.flow import PARAMETERS
 
@@ -46,9 +49,40 @@ def test_a_proposal_can_be_driven_and_is_better_than_held_steps() -> None:
     assert "held steps take" in worth(found)
 
 
+def driven(seconds: int) -> Known:
+    """What a log of weaving told; of no driving the prior."""
+    angles = np.radians(8) * np.sin(
+        0.8 * np.sin(0.05 * np.arange(seconds * 20)) * np.arange(seconds * 20) * DT
+    )
+    told = told_of(KNOWN, 4.5, angles)
+    return replace(KNOWN, before=Linearised(KNOWN.point, (told,), (), (float(seconds),)), cache={})
+
+
+@pytest.mark.parametrize("seconds", [20, 600])
+def test_after_a_log_no_plan_is_worse_than_none_and_no_way_to_drive_takes_less_than_no_time(
+    seconds: int,
+) -> None:
+    found = propose(driven(seconds), wanted(kinds=("chirp",), count=1, replicates=4))
+    # Errors of the model differ from one way to drive to another, and are not averaged.
+    assert np.all(found.sd < 1.06 * found.before) and found.from_log
+    assert seconds > 100 or np.all(found.sd < found.before)
+    for other in (found.held, found.swung):
+        assert other is not None and other.seconds >= 0.0
+    said = worth(found)
+    assert found.told_already == (seconds > 100)
+    words = ("could tell", "stays known least") if found.told_already else ("log alone leaves", "held steps")
+    assert all(word in said for word in words)
+    plan = parse_plan(text_of(found, "PLAN.toml", "a.mcap"))
+    alone, joint = (
+        np.array([row[name] for name in PARAMETERS]) for row in (plan.predicted, plan.predicted_with_log)
+    )
+    assert np.all(joint < alone)
+    assert plan.run[0].predicted == plan.predicted  # one kind: its replicates are all runs
+
+
 def test_on_a_narrow_field_there_is_nothing_to_compare_with() -> None:
     narrow = wanted(field=Rectangle(length=300, width=30))
-    assert compared(KNOWN, narrow, 0.1, "step", {}) is None
+    assert compared(KNOWN, narrow, 0.1, 3, "step", {}) is None
 
 
 @pytest.mark.parametrize(
