@@ -99,7 +99,7 @@ def _wires(args: argparse.Namespace, machine: Machine | None) -> CalibrationWire
         if found is not None and found.log_file and not Path(found.log_file).exists():
             raise WrongUse(
                 f"{found.log_file}: the daemon writes this log, and it is not here; start this on the "
-                "daemon's computer, and in the folder where it was started"
+                "daemon's computer"
             )
         stack.pop_all()
     return CalibrationWires(session, base)

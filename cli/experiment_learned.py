@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from tilth.logger.log.runs import stored_runs
 from tilth.schemas.experiment import ExperimentPlan, edited
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command, in_background
@@ -24,17 +25,18 @@ class FitOfRuns:
 
     def __init__(self, plan: ExperimentPlan, logs: Sequence[str]) -> None:
         """logs: paths on the daemon's computer, which need not be this one."""
-        self._plan, self._logs = plan, list(logs)
-        report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all")
+        self._plan, self._logs = plan, with_all_parts(logs)
+        marks = ("--mark", f"experiment {plan.name} run * seed {plan.seed}")  # not those of other plans
+        report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all", *marks)
         self._commands = (report,) if logs else ()
         self._process: subprocess.Popen[bytes] | None = None
         self._lines: tuple[str, ...] = ()
-        here = bool(logs) and all(Path(log).exists() for log in logs)
-        words = in_background("fit", *self._logs, "--json") if here else []
+        here = bool(logs) and all(Path(log).exists() for log in self._logs)
+        words = in_background("fit", *self._logs, *marks, "--json") if here else []
         if not logs:
             self._lines = ("No log was heard of: look whether the daemon records.",)
         elif not words:
-            fit = command("fit", *self._logs)
+            fit = command("fit", *self._logs, *marks)
             self._lines = (f"The log is on the daemon's computer. What was learned says there: {fit}",)
         else:
             self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
@@ -78,7 +80,8 @@ def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]
     agree. Raises LookupError, TypeError where it is no such answer."""
     if answer["joint"] is None:
         return ("The runs tell nothing of the tyres: `tilth fit` says why of each.",)
-    predicted: Mapping[str, float] = {} if edited(plan) else plan.predicted
+    missing = _missing(answer["runs"], plan)
+    predicted: Mapping[str, float] = {} if edited(plan) or missing else plan.predicted
     lines = []
     for name in PARAMETERS:
         row = answer["joint"]["parameters"][name]
@@ -93,4 +96,28 @@ def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]
         lines.append(f"{name}: {text}, {percent}{expected}")
     if len(answer["runs"]) > 1:
         lines.append(answer["agreement"]["sentence"])
-    return (*lines, EDITED) if edited(plan) else tuple(lines)
+    if edited(plan):
+        lines.append(EDITED)
+    elif plan.predicted and missing:
+        lines.append(missing)
+    return tuple(lines)
+
+
+def _missing(runs: Sequence[Mapping[str, Any]], plan: ExperimentPlan) -> str:
+    """What a fit lacks of a plan, in a sentence; "" if every run is in it, once."""
+    count, names = sum(run.replicates for run in plan.run), {one["name"].split(" try ")[0] for one in runs}
+    if len(names) == len(runs) == count:
+        return ""
+    return (
+        f"{len(names)} of the {count} runs are in this fit, in {len(runs)} tries: what was expected of the "
+        "plan is of all of them, once each. If others are in an earlier log, give both to `tilth fit`."
+    )
+
+
+def with_all_parts(logs: Sequence[str]) -> list[str]:
+    """Logs of runs, and what else was written of the same runs, where that is here."""
+    found: dict[str, None] = {}
+    for log in map(Path, logs):
+        stored = [run for run in stored_runs(log.parent) if log in run.files]
+        found |= dict.fromkeys(map(str, stored[0].files if stored else (log,)))
+    return list(found)

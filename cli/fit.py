@@ -44,6 +44,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         choices=KINDS,
         help="only such segments; again for more",
     )
+    parser.add_argument(
+        "--mark", action="append", default=[], metavar="NAME",
+        help='only between marks "NAME start" and "NAME end"; * is anything; again for more',
+    )  # fmt: skip
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
     parser.add_argument("--jobs", type=_jobs, metavar="N", help="processes (as many as there are cores)")
     add_bus_names(parser)
@@ -80,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
                 args.logs, machine=machine, buses=buses, say=_say,
                 progress=lambda done, of: show("reading", done, of),
             )  # fmt: skip
-            wanted = choose(runs, args.segment, args.kind)
+            wanted = choose(runs, args.segment, args.kind, args.mark)
             _check_same_rig([one.run for one in wanted])
             fitted = fit_all(
                 wanted, two_step=args.two_step, jobs=args.jobs,

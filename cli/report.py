@@ -58,6 +58,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "without it the runs of a plan of experiments are all fitted, and so are segments that are named",
     )
     add_bus_names(parser)
+    parser.add_argument(
+        "--mark", action="append", default=[], metavar="NAME",
+        help='fit only what is between marks "NAME start" and "NAME end"; * is anything; again for more',
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
 
 
@@ -97,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
             return 1
         segments = _given(driven, args)
         with ExitStack() as stack:
-            answers = _answers(driven, segments, args.fit, _steps(stack, args))
+            answers = _answers(driven, segments, args, _steps(stack, args))
         return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
 
 
@@ -162,10 +166,12 @@ def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
         raise WrongUse(f"--segment: {error}") from None
 
 
-def _answers(runs: Sequence[Run], segments: list[Any], most: int | None, steps: Steps) -> dict[str, Any]:
+def _answers(
+    runs: Sequence[Run], segments: list[Any], args: argparse.Namespace, steps: Steps
+) -> dict[str, Any]:
     from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
 
-    found = answers_of(runs, segments, steps, most)
+    found = answers_of(runs, segments, steps, args.fit, args.mark)
     for note in found["notes"]:
         _say(note)
     return found

@@ -53,7 +53,7 @@ def log_status(status: pb.Status, recording: Recording) -> None:
     status.recording = recording.recording or recording.resting
     status.resting = recording.resting
     files = recording.files  # none yet while a busy disk makes the first one
-    status.log_file = str(files[-1]) if recording.recording and files else ""
+    status.log_file = str(files[-1].absolute()) if recording.recording and files else ""
     status.log_bytes = recording.size_bytes
     if recording.free_bytes is not None:
         status.disk_free_bytes = recording.free_bytes

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
 from typing import Final, TypeVar
@@ -72,11 +73,13 @@ class Fitted:
 
 
 def choose(
-    runs: Sequence[Run], given: Sequence[tuple[int, float, float]] = (), kinds: Sequence[str] = ()
-) -> tuple[Wanted, ...]:
+    runs: Sequence[Run], given: Sequence[tuple[int, float, float]] = (), kinds: Sequence[str] = (),
+    marks: Sequence[str] = (),
+) -> tuple[Wanted, ...]:  # fmt: skip
     """The segments to fit: those given, else those between marks, else all found with steering.
 
-    given: (log, from 1; start, end in s of that log's run). kinds: only these. Raises CannotFit.
+    given: (log, from 1; start, end in s of that log's run). kinds: only these. marks: only those between
+    marks with such a name, as of a shell's files: * is anything. Raises CannotFit.
     """
     if given:
         seen = Counter[int]()
@@ -85,9 +88,9 @@ def choose(
             seen[log] += 1
             found.append(_given(runs, log, seen[log], start_s, end_s))
     else:
-        found = [one for log, run in enumerate(runs, 1) for one in _of_run(run, log, kinds)]
+        found = [one for log, run in enumerate(runs, 1) for one in _of_run(run, log, kinds, marks)]
     if not found:
-        raise _nothing(runs, kinds)
+        raise _nothing(runs, kinds, marks)
     found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
     for one, other in pairwise(found):
         shared_s = one.segment.end_s - other.segment.start_s if one.run is other.run else 0.0
@@ -109,17 +112,25 @@ def _given(runs: Sequence[Run], log: int, number: int, start_s: float, end_s: fl
         raise CannotFit(f"--segment {start_s:g}:{end_s:g}: {error}") from None
 
 
-def _of_run(run: Run, log: int, kinds: Sequence[str]) -> list[Wanted]:
+def _of_run(run: Run, log: int, kinds: Sequence[str], marks: Sequence[str]) -> list[Wanted]:
     return [
         Wanted(run, log, number, segment)
         for number, segment in enumerate(segments.all_segments(run.poses, run.marks), 1)
-        if (segment.steers or segment.kind == segments.MARKED) and (not kinds or segment.kind in kinds)
+        if (segment.steers or segment.kind == segments.MARKED)
+        and (not kinds or segment.kind in kinds)
+        and (not marks or any(fnmatchcase(segment.name, pattern) for pattern in marks))
     ]
 
 
-def _nothing(runs: Sequence[Run], kinds: Sequence[str]) -> CannotFit:
+def _nothing(runs: Sequence[Run], kinds: Sequence[str], marks: Sequence[str]) -> CannotFit:
     if not any(run.poses.rows for run in runs):
         return CannotFit("there are no poses in these logs: `tilth verify` says which sensors were silent")
+    if marks:
+        names = [one.segment.name for log, run in enumerate(runs, 1) for one in _of_run(run, log, (), ())]
+        known = "; ".join(dict.fromkeys(filter(None, names))) or "none with a name"
+        return CannotFit(
+            f"no marks begin and end a run that is called {' or '.join(marks)}; there are {known}"
+        )
     what = f" of the kinds {', '.join(kinds)}" if kinds else ""
     return NoSteering(f"no driving with steering{what} was found, of which something could be learned")
 

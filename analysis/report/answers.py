@@ -24,13 +24,15 @@ def answers_of(
     given: Sequence[Sequence[DrivenSegment]],
     progress: Progress,
     most: int | None = None,
+    marks: Sequence[str] = (),
 ) -> dict[str, Any]:
     """ "fit", "held_out", "residuals", "response" and "notes". given: of each run the segments that the user
     named, which are all fitted. most: segments that are fitted of each other run; None: the runs of a plan of
-    experiments, and MOST_FITTED of what else there is. Raises LogError, OSError.
+    experiments, and MOST_FITTED of what else there is. marks: only those between marks of such
+    names. Raises LogError, OSError.
     """
     try:
-        wanted = _wanted(runs, given)
+        wanted = _wanted(runs, given, marks)
         chosen, notes = (wanted, []) if any(given) else fewer(wanted, most)
         fitted = fit_all(chosen, progress=lambda done, of: progress("fitting", done, of))
     except CannotFit as error:
@@ -44,14 +46,16 @@ def answers_of(
     return found
 
 
-def _wanted(runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]]) -> tuple[Wanted, ...]:
+def _wanted(
+    runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]], marks: Sequence[str]
+) -> tuple[Wanted, ...]:
     if any(given):
         return tuple(
             Wanted(run, log, number, segment)
             for log, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
             for number, segment in enumerate(rows, 1)
         )
-    return choose(runs)
+    return choose(runs, marks=marks)
 
 
 def fewer(wanted: Sequence[Wanted], most: int | None) -> tuple[tuple[Wanted, ...], list[str]]:

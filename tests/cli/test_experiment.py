@@ -15,9 +15,10 @@ from paths import ROOT
 from stage import Stage
 
 from tilth.cli import main
-from tilth.cli.experiment_learned import FitOfRuns, lines_of
+from tilth.cli.experiment_learned import FitOfRuns, lines_of, with_all_parts
 from tilth.cli.experiment_screen import bar, panel, title
 from tilth.client.link import open_session
+from tilth.logger.log.runs import file_name
 from tilth.schemas.experiment import parse_plan, steered
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -27,6 +28,11 @@ pytestmark = pytest.mark.long
 
 EXAMPLE = ROOT / "examples/experiments.toml"
 PLAN = parse_plan(EXAMPLE.read_text(encoding="utf-8"))
+NAMES = [
+    f"experiment {PLAN.name} run {number} {run.kind} replicate {k} of {run.replicates} try 1 seed {PLAN.seed}"
+    for number, run in enumerate(PLAN.run, 1)
+    for k in range(1, run.replicates + 1)
+]
 NOWHERE = "tcp/127.0.0.1:1"
 BASE = "tilth/jd7930-parker500/replay"
 
@@ -228,7 +234,8 @@ def test_what_was_learned_is_told_beside_what_was_expected() -> None:
     }
     covariance = [[0.0025 if i == j else 0.0 for i in range(6)] for j in range(6)]
     answer = {
-        "runs": [{}, {}], "joint": {"parameters": rows, "log_covariance": covariance},
+        "runs": [{"name": name} for name in NAMES],
+        "joint": {"parameters": rows, "log_covariance": covariance},
         "agreement": {"sentence": "The 2 segments agree."},
     }  # fmt: skip
     plan = PLAN.model_copy(update={"predicted": {"C_af": 0.06}, "predicted_for": steered(PLAN)})
@@ -239,6 +246,21 @@ def test_what_was_learned_is_told_beside_what_was_expected() -> None:
     other = lines_of(answer, plan.model_copy(update={"run": plan.run[:2]}))
     assert not any("expected ±" in one for one in other) and "was edited" in other[-1]
     assert "tell nothing" in lines_of({"joint": None}, PLAN)[0]
+    for names in (NAMES[:-1], [*NAMES, NAMES[0].replace("try 1", "try 2")]):
+        fewer = lines_of({**answer, "runs": [{"name": name} for name in names]}, plan)
+        count = len({name.split(" try ")[0] for name in names})
+        assert not any("expected ±" in one for one in fewer)
+        assert f"{count} of the {len(NAMES)} runs are in this fit, in {len(names)} tries" in fewer[-1]
+
+
+def test_all_parts_of_a_run_are_fitted(tmp_path: Path) -> None:
+    parts = [tmp_path / file_name("rig_20261124T080000Z", k) for k in (1, 2, 3)]
+    other = tmp_path / file_name("rig_20261124T090000Z", 1)
+    for path in (*parts, other):
+        path.touch()
+    assert with_all_parts([str(parts[1])]) == [str(path) for path in parts]
+    assert with_all_parts([str(parts[2]), str(other)]) == [str(path) for path in (*parts, other)]
+    assert with_all_parts(["/nowhere/a.mcap"]) == ["/nowhere/a.mcap"]
 
 
 def test_a_log_on_another_computer_is_told_of() -> None:
@@ -247,6 +269,7 @@ def test_a_log_on_another_computer_is_told_of() -> None:
     fit.close()
     assert fit.over and "on the daemon's computer" in lines[0]
     assert "report /nowhere/run_001.mcap --out three-kinds.html --fit all" in commands[0]
+    assert "--mark 'experiment three-kinds run * seed 1'" in commands[0]
 
 
 @pytest.mark.parametrize("wanted", [-0.2, -0.05, 0.0, 0.1, 0.3])

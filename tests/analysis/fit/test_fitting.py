@@ -112,6 +112,12 @@ def test_what_cannot_be_fitted_is_said(
         choose([run], given, kinds)
 
 
+def test_only_marks_of_a_name_are_fitted_where_one_is_given() -> None:
+    assert choose([replayed()], marks=["experiment *", "west*"]) == choose([replayed()])
+    with pytest.raises(CannotFit, match=r"is called north \* or east; there are west step$"):
+        choose([replayed()], marks=["north *", "east"])
+
+
 def test_runs_of_two_rigs_are_not_joined(tmp_path: Path) -> None:
     changed = tmp_path / "changed.toml"
     changed.write_text(MACHINE_TEXT.replace("a = 1.7", "a = 1.75"))
