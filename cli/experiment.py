@@ -29,6 +29,7 @@ from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 MOST_TRIES = 999
+_PROMPTS = "a driver is prompted through {} already, and two would mark one log; end that one first"
 _OF_A_PROPOSAL: dict[str, object] = {
     "speed": 4.5, "seconds": 20.0, "replicates": 3, "runs": 3, "kind": [], "seed": 1,
     "field": Rectangle(length=400, width=80, headland=0), "headland": None, "angle": None,
@@ -219,9 +220,7 @@ def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
         raise _nobody_on(args, plan)
     if other := prompts_already(session, meant.base(args.prefix)):
         session.close()
-        raise WrongUse(
-            f"a driver is prompted through {other} already, and two would mark one log; end that one first"
-        )
+        raise WrongUse(_PROMPTS.format(other))
     return PrompterWires(session, meant.base(args.prefix))
 
 
@@ -263,7 +262,7 @@ def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> in
     learning: FitOfRuns | None = None
     with Screen(panel, line, KEYS) as screen:
         with suppress(KeyboardInterrupt):
-            while True:
+            while not wires.gives_way_to:
                 began_s = time.monotonic()
                 state = runner.turn()
                 pressed = screen.show(state)
@@ -283,6 +282,8 @@ def _drive(args: argparse.Namespace, course: Course, wires: PrompterWires) -> in
             runner.leave()
     if learning is not None:
         learning.close()
+    if wires.gives_way_to:
+        raise WrongUse(_PROMPTS.format(wires.gives_way_to))
     return _ended(args, course, runner.prompt)
 
 

@@ -239,6 +239,8 @@ def _order(prompt: Prompt, course: Course, kind: str) -> tuple[Prompt, tuple[Mar
         return replace(prompt, phase=IDLE, since_s=prompt.now_s, said=said), ()
     if kind == SKIP and prompt.phase in (IDLE, LINING_UP, COUNTDOWN):
         return _skip(prompt, course)
+    if kind == SKIP and prompt.phase == RUNNING:
+        return replace(prompt, said="Follow the bar. To skip this run, stop it first."), ()
     return prompt, ()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from tilth.client.experiment.prompter import (
+    ARM,
     FINISHED,
     Anew,
     Course,
@@ -26,6 +27,7 @@ TURN_S: Final = 0.1
 LEAVE_S: Final = 3.0  # for the answers to marks, before a prompter ends
 JUMP_S: Final = 60.0  # poses that jump so far are of another clock
 RESTARTED: Final = "the daemon has begun anew and writes another log"
+UNHEARD_S: Final = 5.0  # without a word of the daemon, which tells of itself once a second
 JUMPED: Final = "the clock of the poses jumped"
 FIELD_FORGOTTEN: Final = (
     "Where the field is, is not known: drive to where it begins, as before the first run, and arm there."
@@ -53,8 +55,9 @@ class PlanRunner:
         return self.prompt.phase == FINISHED
 
     def order(self, kind: str) -> None:
-        """The driver's, from the terminal."""
-        self._take(Order(kind))
+        """The driver's. Nothing is armed while no daemon could mark it."""
+        if kind != ARM or self._wires.silent_s < UNHEARD_S:
+            self._take(Order(kind))
 
     def leave(self) -> None:
         """Whatever is under way ends, and its note is in the log, if the daemon answers soon."""
@@ -76,13 +79,15 @@ class PlanRunner:
             self._ahead_s = max(self._ahead_s, ahead_s)
             self._take(seen)
         for order in self._wires.orders():
-            self._take(order)
+            self.order(order.kind)
         if math.isfinite(self._ahead_s):
             self._take(Tick(self._now_s() + self._ahead_s))
         return self._show()
 
     def _show(self) -> pb.ExperimentState:
         state = shown(self.prompt, self._course)
+        if (silent_s := self._wires.silent_s) > UNHEARD_S and not self.finished:
+            state.text = f"The daemon has not been heard for {silent_s:.0f} s: is it still running?"
         state.learned.extend(self.learned)
         state.commands.extend(self.commands)
         self._wires.show(state)

@@ -1,10 +1,12 @@
 """A prompter's wires: poses and orders in, marks and what is shown out, all over one Zenoh session."""
 
+import math
 import queue
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Final
 
 import zenoh
@@ -34,10 +36,13 @@ class PrompterWires:
         self._marked: queue.Queue[Marked] = queue.Queue()
         self._refused: Counter[str] = Counter()
         self._logs: dict[str, None] = {}
+        self._me, self._first = str(session.zid()), ""
+        self._heard_s = math.inf  # when the daemon last told how it is
         self._run = ""  # of the daemon: another one after it was restarted
         self._restarted = threading.Event()
         self._link.hear(session.declare_subscriber(f"{base}/pose"), self._take_pose)
         self._link.hear(session.declare_subscriber(f"{base}/status"), self._take_status)
+        self._link.hear(session.declare_subscriber(f"{base}/experiment"), self._take_state)
         self._link.hear(session.declare_queryable(f"{base}/experiment/order"), self._orders.take)
 
     @property
@@ -62,6 +67,16 @@ class PrompterWires:
         again = self._restarted.is_set()
         self._restarted.clear()
         return again
+
+    @property
+    def gives_way_to(self) -> str:
+        """The plan of another prompter that began at the same moment and goes on; "" without."""
+        return self._first
+
+    @property
+    def silent_s(self) -> float:
+        """How long the daemon has told nothing of itself; 0 before it has."""
+        return max(time.monotonic() - self._heard_s, 0.0)
 
     def poses(self) -> list[tuple[float, Seen]]:
         """(when it came, s of time.monotonic; the pose), of those since the last call."""
@@ -91,6 +106,7 @@ class PrompterWires:
         return _answered(note, self._session.get(f"{self._base}/mark", payload=note.encode(), timeout=MARK_S))
 
     def show(self, state: pb.ExperimentState) -> None:
+        state.prompter = self._me
         self._session.put(f"{self._base}/experiment", state.SerializeToString(), encoding=ENCODING)
 
     def close(self) -> None:
@@ -108,12 +124,19 @@ class PrompterWires:
             self._poses.get()
         self._poses.put((time.monotonic(), seen))
 
+    def _take_state(self, sample: zenoh.Sample) -> None:
+        with suppress(Refused):
+            state = parse(pb.ExperimentState, sample.payload.to_bytes(), str(sample.encoding))
+            if state.phase != FINISHED and "" < state.prompter < self._me:
+                self._first = state.plan
+
     def _take_status(self, sample: zenoh.Sample) -> None:
         try:
             status = parse(pb.Status, sample.payload.to_bytes(), str(sample.encoding))
         except Refused as error:
             self._refused[str(error)] += 1
             return
+        self._heard_s = time.monotonic()
         if status.run and status.run != self._run:
             if self._run:
                 self._restarted.set()

@@ -561,7 +561,7 @@ class RunListings(_message.Message):
     def __init__(self, rows: _Optional[_Iterable[_Union[RunListing, _Mapping]]] = ...) -> None: ...
 
 class ExperimentState(_message.Message):
-    __slots__ = ("plan", "phase", "drive", "done", "of", "text", "conditions", "count_s", "at_s", "length_s", "wanted", "measured", "ahead", "largest", "speed", "attempts", "learned", "commands", "t_ns", "skipped")
+    __slots__ = ("plan", "phase", "drive", "done", "of", "text", "conditions", "count_s", "at_s", "length_s", "wanted", "measured", "ahead", "largest", "speed", "attempts", "learned", "commands", "t_ns", "skipped", "prompter")
     PLAN_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     DRIVE_FIELD_NUMBER: _ClassVar[int]
@@ -582,6 +582,7 @@ class ExperimentState(_message.Message):
     COMMANDS_FIELD_NUMBER: _ClassVar[int]
     T_NS_FIELD_NUMBER: _ClassVar[int]
     SKIPPED_FIELD_NUMBER: _ClassVar[int]
+    PROMPTER_FIELD_NUMBER: _ClassVar[int]
     plan: str
     phase: str
     drive: str
@@ -602,7 +603,8 @@ class ExperimentState(_message.Message):
     commands: _containers.RepeatedScalarFieldContainer[str]
     t_ns: int
     skipped: int
-    def __init__(self, plan: _Optional[str] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., done: _Optional[int] = ..., of: _Optional[int] = ..., text: _Optional[str] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ..., count_s: _Optional[float] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., wanted: _Optional[float] = ..., measured: _Optional[float] = ..., ahead: _Optional[_Iterable[float]] = ..., largest: _Optional[float] = ..., speed: _Optional[float] = ..., attempts: _Optional[_Iterable[_Union[ExperimentAttempt, _Mapping]]] = ..., learned: _Optional[_Iterable[str]] = ..., commands: _Optional[_Iterable[str]] = ..., t_ns: _Optional[int] = ..., skipped: _Optional[int] = ...) -> None: ...
+    prompter: str
+    def __init__(self, plan: _Optional[str] = ..., phase: _Optional[str] = ..., drive: _Optional[str] = ..., done: _Optional[int] = ..., of: _Optional[int] = ..., text: _Optional[str] = ..., conditions: _Optional[_Iterable[_Union[ExperimentCondition, _Mapping]]] = ..., count_s: _Optional[float] = ..., at_s: _Optional[float] = ..., length_s: _Optional[float] = ..., wanted: _Optional[float] = ..., measured: _Optional[float] = ..., ahead: _Optional[_Iterable[float]] = ..., largest: _Optional[float] = ..., speed: _Optional[float] = ..., attempts: _Optional[_Iterable[_Union[ExperimentAttempt, _Mapping]]] = ..., learned: _Optional[_Iterable[str]] = ..., commands: _Optional[_Iterable[str]] = ..., t_ns: _Optional[int] = ..., skipped: _Optional[int] = ..., prompter: _Optional[str] = ...) -> None: ...
 
 class ExperimentPrompt(_message.Message):
     __slots__ = ("t_ns", "phase", "drive", "text", "count", "wanted_deg", "measured_deg", "ahead_deg", "left_end_deg", "right_end_deg", "conditions")

@@ -250,7 +250,9 @@ def test_stop_and_skip_do_as_they_say() -> None:
     assert play.prompt.phase == LINING_UP
     play.take(Order(STOP))
     assert (play.prompt.phase, play.prompt.attempts) == (IDLE, ())
-    play.running().take(Order(STOP))
+    play.running().take(Order(SKIP))
+    assert play.prompt.phase == RUNNING and "stop it first" in play.prompt.said
+    play.take(Order(STOP))
     assert play.prompt.attempts[0].reason == "stopped by the driver"
     name = name_of(play.prompt, COURSE)
     play.take(Order(SKIP))

@@ -117,3 +117,29 @@ def test_poses_of_an_earlier_clock_and_of_another_run_are_followed(
         until(lambda why=why: why in runner.turn().text.lower())  # type: ignore[misc]
         until(well)
         assert (runner.prompt.now_s < now_s) == (why == JUMPED)
+
+
+def test_of_two_that_begin_at_once_one_gives_way(wires: PrompterWires, stage: Stage) -> None:
+    course = course_of(PLAN, TABLE_5_1)
+    with closing(PrompterWires(client(stage), BASE)) as other:
+        runners = [PlanRunner(one, course) for one in (wires, other)]
+        until(lambda: bool([r.turn() for r in runners]) and bool(wires.gives_way_to or other.gives_way_to))
+        for runner in runners * 20:
+            runner.turn()
+        assert sorted((wires.gives_way_to, other.gives_way_to)) == ["", "wired"]
+
+
+def test_nothing_is_armed_while_the_daemon_is_silent(
+    wires: PrompterWires, stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tilth.client.experiment.runner.UNHEARD_S", 2.5)  # as in five seconds
+    runner = PlanRunner(wires, course_of(PLAN, TABLE_5_1))
+    until(lambda: runner.turn().HasField("measured") and wires.silent_s > 0.0)  # both were heard
+    stage.order(silent=True)
+    until(lambda: "is it still running?" in runner.turn().text)
+    runner.order("arm")
+    assert runner.turn().phase == IDLE
+    stage.order(silent=False)
+    until(lambda: "is it still running?" not in runner.turn().text)
+    runner.order("arm")
+    assert runner.turn().phase != IDLE
