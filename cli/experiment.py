@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from numpy.random import default_rng
 
 from tilth.cli import WrongUse, duration
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
@@ -23,12 +24,14 @@ from tilth.client.experiment.wires import PrompterWires, prompts_already
 from tilth.client.link import ENDPOINT, living
 from tilth.client.received import Refused
 from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.models.planned_run import Scheduled, share_followed
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.invocation import command
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 MOST_TRIES = 999
+CUT = 0.75  # of the steering: a run of which less can be followed is told of
 _PROMPTS = "a driver is prompted through {} already, and two would mark one log; end that one first"
 _OF_A_PROPOSAL: dict[str, object] = {
     "speed": 4.5, "seconds": 20.0, "replicates": 3, "runs": 3, "kind": [], "seed": 1,
@@ -169,6 +172,8 @@ def _check(args: argparse.Namespace) -> int:
         raise WrongUse("--check needs --machine M.toml")
     if args.logs or args.out:
         raise WrongUse("--from and --out are for --propose")
+    if args.start_at != 1 or args.tries != 1 or args.corner is not None or args.connect != ENDPOINT:
+        raise WrongUse("--start-at, --try, --corner and --connect go with a plan to drive, not with --check")
     _refuse_proposing(args)
     plan, (machine, _) = _read(args.plan), read_machine(args.machine)
     if plan.machine != machine.name:
@@ -177,9 +182,23 @@ def _check(args: argparse.Namespace) -> int:
     runs = "1 run" if len(drives) == 1 else f"{len(drives)} runs"
     seconds = sum(one.seconds for one in drives)
     print(f"{args.plan}: {runs}, {seconds:.0f} s between their marks, fit the rig and the field.")
+    for text in dict.fromkeys(_cut(plan, one.scheduled) for one in drives):
+        if text:
+            print(text)
     if edited(plan):
         print(EDITED)
     return 0
+
+
+def _cut(plan: ExperimentPlan, one: Scheduled) -> str:
+    """What the limit of the wheel's rate takes from a run, in a sentence; "" where it is little."""
+    left = share_followed(one, plan.limits, default_rng((plan.seed, *one.key)))
+    if left > CUT:
+        return ""
+    return (
+        f"run[{one.number}], {one.run.kind}: limits.wheel_rate_degps = {plan.limits.wheel_rate_degps:g} "
+        f"leaves {left:.0%} of the steering; take a smaller angle, or steer more slowly"
+    )
 
 
 def _fitting(args: argparse.Namespace, plan: ExperimentPlan, rig: Rig) -> Course:

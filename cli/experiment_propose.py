@@ -3,17 +3,19 @@
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
 from tilth.analysis.experiment.predict import Known, from_log, from_machine
-from tilth.analysis.experiment.propose import SHORTEST_S, WantedPlan
+from tilth.analysis.experiment.propose import SHORTEST_S, Progress, WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse, check_folder
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import Steps, bars
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.invocation import command
@@ -37,9 +39,11 @@ def propose(args: argparse.Namespace) -> int:
     machine, text = read_machine(args.machine)
     try:
         wanted = _wanted(args)
-        with log_errors():
-            known = _known(args, machine, text)
-        found = best_plan(known, wanted, _say)
+        with ExitStack() as stack:
+            show = bars(stack)
+            with log_errors():
+                known = _known(args, machine, text, show)
+            found = best_plan(known, wanted, _searching(show))
     except PlanError as error:
         raise WrongUse(str(error)) from None
     except (CannotFit, ValueError) as error:
@@ -54,6 +58,13 @@ def propose(args: argparse.Namespace) -> int:
     count = sum(run.replicates for run in found.plan.run)
     print(f"{args.out} is written: {'1 run' if count == 1 else f'{count} runs'}.")
     return 0
+
+
+def _searching(show: Steps) -> Progress:
+    """A bar where somebody looks at one, else a line for each step."""
+    if sys.stderr.isatty():
+        return lambda text, done, of: show("searching a plan", done, of)
+    return lambda text, done, of: _say(text)
 
 
 def _wanted(args: argparse.Namespace) -> WantedPlan:
@@ -99,7 +110,7 @@ def _name(out: Path) -> str:
     return kept or "plan"
 
 
-def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
+def _known(args: argparse.Namespace, machine: Machine, text: str, show: Steps) -> Known:
     """Raises LogError, CannotFit, WrongUse."""
     if not args.logs:
         return from_machine(machine)
@@ -109,7 +120,7 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
     if not all(
         log.is_file() and is_mcap(log) for log in args.logs
     ):  # of other programs: no machine file in it
-        return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say))
+        return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), show)
     runs = open_runs(args.logs, say=_say)
     for run in runs:
         if run.machine.name != machine.name:
@@ -119,22 +130,34 @@ def _known(args: argparse.Namespace, machine: Machine, text: str) -> Known:
             )
     if all(_same_rig(run.machine, machine) for run in runs):
         # Texts that differ in buses alone would be of different rigs to a fit.
-        return _learned(args, machine, [replace(run, machine=machine, machine_text=text) for run in runs])
+        return _learned(
+            args, machine, [replace(run, machine=machine, machine_text=text) for run in runs], show
+        )
     own = {source: run.machine for run in runs for source in run.sources}
-    return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), own)
+    return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), show, own)
 
 
 def _learned(
-    args: argparse.Namespace, machine: Machine, runs: Sequence[Run], own: Mapping[Path, Machine] | None = None
-) -> Known:
+    args: argparse.Namespace, machine: Machine, runs: Sequence[Run], show: Steps,
+    own: Mapping[Path, Machine] | None = None,
+) -> Known:  # fmt: skip
     """own: the machine files that the logs hold, where they were replayed with another. Raises CannotFit."""
     for run in runs:
         if not run.poses.rows:
             _say(_no_poses(args, machine, run.sources[0], (own or {}).get(run.sources[0])))
     wanted = choose(runs)
+    for run in runs:
+        if run.poses.rows and not any(one.run is run for one in wanted):
+            _say(f"{run.sources[0]}: no driving with steering is in it; it counts for nothing")
     what = "1 stretch" if len(wanted) == 1 else f"{len(wanted)} stretches"
     _say(f"fitting {what} of driving in the log")
-    return from_log(machine, fit_all(wanted))
+    fitted = fit_all(wanted, progress=lambda done, of: show("fitting", done, of))
+    for k, one in enumerate(wanted):
+        if k not in fitted.told:
+            log, start, end = one.run.sources[0], one.segment.start_s, one.segment.end_s
+            why = command("fit", str(log))
+            _say(f"{log}: {start:.0f} to {end:.0f} s tell nothing; `{why}` says why")
+    return from_log(machine, fitted)
 
 
 def _no_poses(args: argparse.Namespace, machine: Machine, log: Path, own: Machine | None) -> str:

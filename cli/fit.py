@@ -3,13 +3,12 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table as RichTable
 
 from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
@@ -18,6 +17,7 @@ from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.runs.segments import KINDS
 from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import bars
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names
 from tilth.schemas.flow import PARAMETERS, Status
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     """1 where nothing could be fitted."""
     try:
         with log_errors(), ExitStack() as stack:
-            show = _progress(stack, args.json)
+            show = bars(stack, not args.json)
             machine = read_machine(args.machine) if args.machine else None
             buses = _buses(args.bus, machine)
             runs = open_runs(
@@ -134,20 +134,6 @@ def _buses(pairs: Sequence[str], machine: Any) -> dict[str, str]:
         return bus_names(pairs, machine[0] if machine else None)
     except ValueError as error:
         raise WrongUse(str(error)) from None
-
-
-def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, int, int], None]:
-    if not sys.stderr.isatty() or as_json:
-        return lambda what, done, of: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    tasks: dict[str, Any] = {}
-
-    def show(what: str, done: int, of: int) -> None:
-        if what not in tasks:
-            tasks[what] = bar.add_task(what, total=of)
-        bar.update(tasks[what], completed=done, total=of)
-
-    return show
 
 
 def _show(answer: dict[str, Any]) -> None:

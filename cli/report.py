@@ -2,24 +2,20 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import Steps, bars
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.invocation import command, installing
 from tilth.schemas.machine import Machine
-
-Steps = Callable[[str, int, int], None]  # what, done, of all
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -86,13 +82,11 @@ def run(args: argparse.Namespace) -> int:
     with log_errors(args.out, "nothing was written"):
         machine = read_machine(args.machine) if args.machine else None
         with ExitStack() as stack:
+            show = bars(stack, not args.json)
             runs = open_runs(
-                args.logs,
-                machine=machine,
-                buses=_buses(args, machine),
-                progress=_progress(stack, args),
-                say=_say,
-            )
+                args.logs, machine=machine, buses=_buses(args, machine), say=_say,
+                progress=lambda done, of: show("replay", done, of),
+            )  # fmt: skip
         driven = [one for one in runs if one.poses.rows]
         for one in runs:
             if not one.poses.rows:
@@ -101,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
             return 1
         segments = _given(driven, args)
         with ExitStack() as stack:
-            answers = _answers(driven, segments, args, _steps(stack, args))
+            answers = _answers(driven, segments, args, bars(stack, not args.json))
         return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
 
 
@@ -143,14 +137,6 @@ def _buses(args: argparse.Namespace, machine: tuple[Machine, str] | None) -> dic
         raise WrongUse(str(error)) from None
 
 
-def _progress(stack: ExitStack, args: argparse.Namespace) -> Callable[[int, int], None]:
-    if not sys.stderr.isatty() or args.json:
-        return lambda done, of: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    task = bar.add_task("replay", total=None)
-    return lambda done, of: bar.update(task, completed=done, total=of)
-
-
 def _no_poses(one: Run) -> str:
     path = one.sources[0]
     return (
@@ -175,19 +161,6 @@ def _answers(
     for note in found["notes"]:
         _say(note)
     return found
-
-
-def _steps(stack: ExitStack, args: argparse.Namespace) -> Steps:
-    if not sys.stderr.isatty() or args.json:
-        return lambda what, done, of: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    tasks: dict[str, TaskID] = {}
-
-    def show(what: str, done: int, of: int) -> None:
-        task = tasks.setdefault(what, bar.add_task(what, total=of)) if what not in tasks else tasks[what]
-        bar.update(task, completed=done, total=of)
-
-    return show
 
 
 def _write(

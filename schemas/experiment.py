@@ -6,6 +6,7 @@ module reads text; whether a rig and a field have room for it is in estimator/mo
 """
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
@@ -29,6 +30,14 @@ Hold = Annotated[float, Field(ge=0.2, le=30.0, description="s")]
 
 class _PlanSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _nothing_is_true_or_false(cls, raw: Any) -> Any:
+        for key, value in raw.items() if isinstance(raw, dict) else ():
+            if isinstance(value, bool):  # which counts as 1 or 0 otherwise
+                raise ValueError(f"{key} = {str(value).lower()}: give a number or a text")
+        return raw
 
 
 class DrivingLimits(_PlanSection):
@@ -90,6 +99,15 @@ class StepsRun(_RunBase):
 
     kind: Literal["steps"]
     hold_s: Hold = 3.0
+
+    @model_validator(mode="after")
+    def _to_both_sides(self) -> Self:
+        if self.hold_s >= self.seconds:
+            raise ValueError(
+                f"hold_s = {self.hold_s:g} leaves no second side in seconds = {self.seconds:g}; one angle "
+                'that is held is kind = "step"'
+            )
+        return self
 
 
 class _SweptRun(_RunBase):
@@ -209,10 +227,23 @@ def _written(value: Any) -> str:
 def parse_plan(text: str) -> ExperimentPlan:
     """Raises PlanError."""
     try:
-        raw = tomllib.loads(text)
+        raw = tomllib.loads(text.removeprefix("\ufeff"))  # as some editors begin a file
     except tomllib.TOMLDecodeError as error:
-        raise PlanError(f"not a TOML file: {str(error).lower()}") from None
+        raise PlanError(f"not a TOML file: {_toml_fault(text, str(error).lower())}") from None
+    if not raw:
+        raise PlanError("there is nothing in it; a plan needs name, machine, [field] and a [[run]]")
+    if "tractor" in raw and "run" not in raw:
+        raise PlanError("this is a machine file; a plan needs name, machine, [field] and a [[run]]")
     try:
         return ExperimentPlan.model_validate(raw)
     except ValidationError as error:
         raise PlanError(sentence(error, raw, ExperimentPlan)) from None
+
+
+def _toml_fault(text: str, said: str) -> str:
+    """What the reader of TOML says, and what it comes from where that is known."""
+    if "cannot overwrite" not in said:
+        return said
+    if re.search(r"^\s*\[run\]", text, re.MULTILINE):
+        return f"{said}: write [[run]], in two brackets, before each run"
+    return f"{said}: a key or a section stands there for the second time"

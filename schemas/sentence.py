@@ -1,6 +1,7 @@
 """Reports the first problem of a file that a person wrote, in one sentence."""
 
 import difflib
+import re
 import typing
 from typing import Any
 
@@ -23,7 +24,15 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
     if first["type"] == "missing":
         given = _keys_given(raw, where[:-1])
         near = difflib.get_close_matches(str(where[-1]), given, n=1, cutoff=0.6)
-        return f"{key}: missing" + (f' (there is "{near[0]}")' if near else "")
+        if near:
+            return f'{key}: missing (there is "{near[0]}")'
+        meaning = _meaning_at(model, where, raw)
+        return f"{key}: missing" + (f" ({meaning})" if meaning else "")
+    if first["type"] == "kind" and isinstance(first["input"], dict) and "kind" in first["input"]:
+        kind = first["input"]["kind"]
+        near = difflib.get_close_matches(str(kind), re.findall(r"\w+", first["msg"]), n=1, cutoff=0.5)
+        hint = f'did you mean "{near[0]}"? ' if near else ""
+        return f"{key}.kind = {kind!r}: {hint}{first['msg']}"
     message = _section(first["type"], key, where, model, raw) or _in_words(first)
     if first["type"] in _NUMBERS:
         meaning = _meaning_at(model, where, raw)
@@ -42,6 +51,7 @@ _PLAIN = {
 _OTHERS = {
     "string_type": "give a text in quotes", "bool_type": "give true or false",
     "bool_parsing": "give true or false", "literal_error": "give {expected}", "enum": "give {expected}",
+    "string_pattern_mismatch": "give letters, digits, dots, dashes and underscores, without spaces",
     "too_short": "give at least {min_length} of them", "too_long": "give at most {max_length} of them",
     "tuple_type": "give a list, in [ ]", "list_type": "give a list, in [ ]",
     "dict_type": "give a table, in {{ }}", "mapping_type": "give a table, in {{ }}",
@@ -100,9 +110,11 @@ def _keys_given(raw: Any, path: list[int | str]) -> list[str]:
 
 def _meaning_at(model: Any, where: list[int | str], raw: Any) -> str:
     """What the key at `where` means, with its unit; "" where nobody wrote it down."""
-    if not where or isinstance(where[-1], int):
+    while where and isinstance(where[-1], int):  # one of a list
+        where = where[:-1]
+    if not where:
         return ""
-    field = _fields_at(model, where[:-1], raw).get(where[-1])
+    field = _fields_at(model, where[:-1], raw).get(str(where[-1]))
     return (field.description or "") if field is not None else ""
 
 

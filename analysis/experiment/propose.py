@@ -110,22 +110,23 @@ class Compared(NamedTuple):
     reached: bool  # whether it gets there at all, by MOST_REPLICATES
 
 
-Progress = Callable[[str], None]
+Progress = Callable[[str, int, int], None]  # what is done now, steps that are over, of all
 
 
-def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: None) -> Proposal:
+def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text, done, of: None) -> Proposal:
     """Raises PlanError where the field or the limits leave no run of any use."""
     best: list[BestRun] = []
     refusals: list[str] = []
-    for kind in wanted.kinds:
-        progress(f"searching the best {kind}")
+    steps = len(wanted.kinds) + 2
+    for k, kind in enumerate(wanted.kinds):
+        progress(f"searching the best {kind}", k, steps)
         try:
             best.append(_best(known, wanted, kind))
         except PlanError as error:
             refusals.append(str(error))
     if not best:
         raise PlanError(refusals[0])
-    progress("choosing what is best together")
+    progress("choosing what is best together", steps - 2, steps)
     chosen = _together(known, best, wanted.count)
     alone = without_log(known)
     runs = [
@@ -147,7 +148,7 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text: 
         }
     )
     seconds = sum(run.seconds * run.replicates for run in plan.run)
-    progress("comparing it with held steps")
+    progress("comparing it with held steps", steps - 1, steps)
     worst = worst_of(known, sd)
     held = compared(known, wanted, worst, count, "step", {})
     swung = compared(known, wanted, worst, count, "steps", {"hold_s": 3.0})

@@ -78,12 +78,23 @@ def schedule(plan: ExperimentPlan, rng: Generator) -> tuple[Scheduled, ...]:
 def wheel_angle(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) -> Array:
     """Wheel angles to follow, rad, DT apart, (n,): straight for START_S, then the run's steering, as fast as
     the limits let it be. rng: for random levels."""
+    return rate_limited(_wanted(scheduled, rng), math.radians(limits.wheel_rate_degps) * DT)
+
+
+def share_followed(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) -> float:
+    """Of the steering of a run, how much the limit of the wheel's rate leaves: one deviation over the
+    other."""
+    wanted = _wanted(scheduled, rng)
+    return float(np.std(rate_limited(wanted, math.radians(limits.wheel_rate_degps) * DT)) / np.std(wanted))
+
+
+def _wanted(scheduled: Scheduled, rng: Generator) -> Array:
+    """rad, (n,), as if the wheels could be turned at once."""
     run = scheduled.run
     time: Array = np.arange(round((START_S + run.seconds) / DT) + 1, dtype=np.float64) * DT
     left = run.side == "left" or (run.side == "both" and scheduled.replicate % 2 == 0)
-    amplitude = math.radians(run.amplitude_deg)
-    wanted = _steering(run, time, amplitude, rng)
-    return rate_limited(-wanted if left else wanted, math.radians(limits.wheel_rate_degps) * DT)
+    wanted = _steering(run, time, math.radians(run.amplitude_deg), rng)
+    return -wanted if left else wanted
 
 
 def drives(
@@ -148,13 +159,13 @@ def check(plan: ExperimentPlan, rig: Rig, planned: Iterable[tuple[Scheduled, Arr
         need_long, need_wide = needed(run, found)
         field = plan.field
         usable = field.length - (0.0 if run.kind == "turn" else 2 * field.headland)
-        for what, need, has in (("long", need_long, usable), ("wide", need_wide, field.width)):
+        for what, need, has in (("length", need_long, usable), ("width", need_wide, field.width)):
             if need > has:
                 raise PlanError(
                     f"run[{scheduled.number}], {run.kind}: {run.seconds:g} s at {run.speed:g} m/s need "
-                    f"{need:.0f} m that are {what}, the field has {has:.0f} m"
-                    f"{' between its headlands' if what == 'long' and run.kind != 'turn' else ''}; make the "
-                    "run shorter or slower, or the field larger"
+                    f"{need:.0f} m of {what}, the field has {has:.0f} m"
+                    f"{' between its headlands' if what == 'length' and run.kind != 'turn' else ''}; make "
+                    "the run shorter or slower, or the field larger"
                 )
 
 

@@ -55,8 +55,9 @@ ROWS: list[tuple[list[str], str]] = [
     (["EXAMPLE", "--check"], "--check needs --machine M.toml"),
     (["EXAMPLE", "--check", "--machine", "none.toml"], "none.toml: the machine file cannot be read"),
     (["HARD", "--check", "--machine", "MACHINE"], "to the side, limits.lateral_acceleration allows 2.5"),
-    (["NARROW", "--check", "--machine", "MACHINE"], "m that are wide, the field has 12 m"),
+    (["NARROW", "--check", "--machine", "MACHINE"], "m of width, the field has 12 m"),
     (["OTHER", "--check", "--machine", "MACHINE"], 'OTHER is for machine = "fendt"; '),
+    (["EXAMPLE", "--check", "--machine", "MACHINE", "--try", "2"], "plan to drive, not with --check"),
     (["--check", "--machine", "MACHINE"], "--check needs the plan to look at"),
     ([*PROPOSE, "--check"], "--check goes with a plan that is there, not with --propose"),
     (["EXAMPLE", "--try", "0"], "--try 0: give a whole number from 1 to 999"),
@@ -115,6 +116,13 @@ def test_a_plan_is_checked_without_a_daemon(tmp_path: Path, capsys: pytest.Captu
     assert main(["experiment", str(EXAMPLE), *words]) == 0
     said = capsys.readouterr()
     assert "9 runs, 153 s between their marks, fit the rig and the field" in said.out and said.err == ""
+    fast = tmp_path / "fast.toml"
+    fast.write_text(
+        EXAMPLE.read_text(encoding="utf-8").replace("wheel_rate_degps = 15", "wheel_rate_degps = 8")
+    )
+    assert main(["experiment", str(fast), *words]) == 0
+    told = capsys.readouterr().out
+    assert "run[1], steps: limits.wheel_rate_degps = 8 leaves " in told and told.count("run[1]") == 1
     edited = tmp_path / "edited.toml"
     edited.write_text('predicted_for = "00000000"\n' + EXAMPLE.read_text(encoding="utf-8"))
     assert main(["experiment", str(edited), *words]) == 0

@@ -116,6 +116,17 @@ def test_of_a_log_that_tells_nothing_it_is_said_why_and_nothing_is_written(
     assert said.out == "" and not out.exists()
 
 
+def test_a_log_without_steering_is_named_beside_one_that_tells(
+    step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    straight = Scenario(other_traffic=False, speed=4.5, steering=((60.0, 0.0),))
+    log = write_candump(tmp_path / "straight.log", simulate(MACHINE, 3, SECONDS, straight))
+    assert proposed(tmp_path / "plan.toml", [step, log]) == 0
+    said = capsys.readouterr().err
+    assert "straight.log: no driving with steering is in it" in said
+    assert "fitting 1 stretch of driving in the log" in said
+
+
 NAMES = itertools.count(60)
 BY_SOURCE = re.sub(r'name = "[0-9A-F]{16}"', lambda found: f"source = {next(NAMES)}", MACHINE_TEXT)
 

@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from logs import MACHINE_TEXT
 from paths import ROOT
 
 from tilth.estimator.models.manoeuvres import MANOEUVRES
@@ -36,6 +37,15 @@ WRONG = [
     ('name = "three-kinds"', 'name = "three kinds"', ("name = 'three kinds'",)),
     ("[field]", "[feild]", ("feild", 'mean "field"')),
     ("seconds = 15", "seconds = 15\npredicted = { C_xx = 0.1 }", ("predicted.C_xx", "sigma_i")),
+    ("[[run]]", "[run]", ("not a TOML file", "write [[run]], in two brackets")),
+    ("width = 80", "width = 80\nwidth = 90", ("not a TOML file", "for the second time")),
+    ("width = 80", "width = 80\ncorner = [42.0]\nheading_deg = 0", ("field.corner[2]: missing (latitude,",)),
+    ("length = 400", "", ("field.length: missing (m, along",)),
+    ("replicates = 3", "replicates = true", ("run[1]: replicates = true: give a number",)),
+    ("amplitude_deg = 10", "amplitude_deg = true", ("amplitude_deg = true: give a number",)),
+    ("hold_s = 2.0", "hold_s = 25", ("run[1]: hold_s = 25 leaves no second side in seconds = 15",)),
+    ('kind = "chirp"', 'kind = "chrip"', ("run[2].kind = 'chrip': did you mean \"chirp\"?",)),
+    ('name = "three-kinds"', 'name = "three kinds"', ("give letters, digits, dots", "without spaces")),
     ("[[run]]", "[[run]", ("not a TOML file",)),
 ]
 
@@ -77,6 +87,18 @@ def test_a_plan_whose_steering_was_edited_is_told_from_one_that_was_not(
     assert not edited(parse_plan(told + TEXT)) and not edited(parse_plan(TEXT))
     assert old in TEXT
     assert edited(parse_plan(told + TEXT.replace(old, new, 1))) == other
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("", "nothing in it"), (MACHINE_TEXT, "this is a machine file; a plan needs")]
+)
+def test_what_is_another_file_is_told_as_that(text: str, words: str) -> None:
+    with pytest.raises(PlanError, match=words):
+        parse_plan(text)
+
+
+def test_a_file_may_begin_as_some_editors_write_it() -> None:
+    assert parse_plan("\ufeff" + TEXT) == parse_plan(TEXT)
 
 
 @given(st.text(max_size=200))

@@ -30,7 +30,7 @@ def wanted(**changes: object) -> WantedPlan:
 
 def test_a_proposal_can_be_driven_and_is_better_than_held_steps() -> None:
     said: list[str] = []
-    found = propose(KNOWN, wanted(), said.append)
+    found = propose(KNOWN, wanted(), lambda text, done, of: said.append(text))
     check(found.plan, rig_of(MACHINE), drives(found.plan, default_rng))
     assert {run.kind for run in found.plan.run} == {"chirp", "turn"}
     assert [run.speed for run in found.plan.run if run.kind == "turn"] == [2.0]

@@ -124,15 +124,15 @@ def test_the_room_is_that_to_the_nearest_edge() -> None:
         (plan_of("step", amplitude_deg=12, speed=8), ("run[1], step", "m/s^2", "allows 2.5", "at most")),
         (
             plan_of("chirp", seconds=60, speed=9, amplitude_deg=2),
-            ("run[1], chirp", "m that are long", "360 m"),
+            ("run[1], chirp", "m of length", "360 m"),
         ),
-        (plan_of("step", amplitude_deg=3), ("run[1], step", "m that are wide", "80 m", "shorter or slower")),
+        (plan_of("step", amplitude_deg=3), ("run[1], step", "m of width", "80 m", "shorter or slower")),
     ],
 )
 def test_what_has_no_room_or_is_too_hard_says_what_to_change(
     plan: ExperimentPlan, words: tuple[str, ...]
 ) -> None:
-    field = plan.field if "wide" not in words[1] else plan.field.model_copy(update={"width": 20.0})
+    field = plan.field if "width" not in words[1] else plan.field.model_copy(update={"width": 20.0})
     plan = plan.model_copy(update={"field": field})
     with pytest.raises(PlanError) as refused:
         check(plan, TABLE_5_1, drives(plan, default_rng))

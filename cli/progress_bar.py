@@ -1,0 +1,25 @@
+"""Bars for work that takes long, on a terminal."""
+
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
+
+Steps = Callable[[str, int, int], None]  # what, done, of all
+
+
+def bars(stack: ExitStack, wanted: bool = True) -> Steps:
+    """One bar for each thing that is told of, until the stack ends; none where nobody looks at one."""
+    if not sys.stderr.isatty() or not wanted:
+        return lambda what, done, of: None
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    tasks: dict[str, TaskID] = {}
+
+    def show(what: str, done: int, of: int) -> None:
+        if what not in tasks:
+            tasks[what] = bar.add_task(what, total=of)
+        bar.update(tasks[what], completed=done, total=of)
+
+    return show
