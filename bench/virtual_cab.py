@@ -59,6 +59,8 @@ def drive(plan: ExperimentPlan, path: Path, text: str, log: Path, arms: bool) ->
             stop=lambda: bool(stopping) or cab.over,
         )  # fmt: skip
         late = cab.stop()
+    if not stopping:
+        print(f"The tractor has driven for {SECONDS / 3600:g} hours, which is its longest: begin anew.")
     if late:
         print(f"This computer was too busy for real time: {late} steps of the tractor came late.")
     print(f"Log: {' '.join(map(str, summary.log_files))}")

@@ -35,7 +35,7 @@ def response_section(response: Mapping[str, Any] | None) -> ReportSection | None
     title = "Frequency response"
     if response.get("reason") or not response.get("hz"):
         reason = response.get("reason") or "no frequency is excited"
-        return ReportSection("response", title, (ReportText(f"Not measured: {reason}."),))
+        return ReportSection("response", title, (ReportText(f"Not measured: {reason.rstrip('.')}."),))
     data = drawn(response)
     parts: list[Part] = [ReportText(text) for text in response.get("notes") or ()]
     loop = response.get("loop") or {}
