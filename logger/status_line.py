@@ -193,13 +193,18 @@ def _age(receiver: pb.ReceiverStatus) -> str:
 
 
 def _soil(estimate: Estimate | None) -> Table:
-    table = _table("tyres", "stiffness")
+    table = _table("tyres", "kN/rad (95 %)")  # once: cells have to fit into 80 columns
     for name, one in _stiffnesses(estimate):
         style = {Status.ESTIMATED: "bold", Status.STALE: "yellow", Status.INVALID: "red"}.get(
             one.status, "dim"
         )
-        table.add_row(name, Text(stiffness_text(one), style=style))
+        table.add_row(name, Text(_short(stiffness_text(one)), style=style))
     return table
+
+
+def _short(text: str) -> str:
+    """Without what the head of the column says."""
+    return text.replace(" kN/rad (95 %)", "")
 
 
 def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate]]:
