@@ -75,9 +75,11 @@ def _jobs(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """1 where nothing could be fitted."""
+    if args.segment and (args.mark or args.kind):
+        raise WrongUse("--segment names all that is fitted; leave out --mark and --kind beside it")
     try:
         with log_errors(), ExitStack() as stack:
-            show = bars(stack, not args.json)
+            show = bars(stack)
             machine = read_machine(args.machine) if args.machine else None
             buses = _buses(args.bus, machine)
             runs = open_runs(

@@ -10,9 +10,10 @@ from rich.progress import Progress, TaskID
 Steps = Callable[[str, int, int], None]  # what, done, of all
 
 
-def bars(stack: ExitStack, wanted: bool = True) -> Steps:
-    """One bar for each thing that is told of, until the stack ends; none where nobody looks at one."""
-    if not sys.stderr.isatty() or not wanted:
+def bars(stack: ExitStack) -> Steps:
+    """One bar for each thing that is told of, until the stack ends; none where nobody looks at one. They go
+    to stderr, so JSON on stdout stays alone."""
+    if not sys.stderr.isatty():
         return lambda what, done, of: None
     bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
     tasks: dict[str, TaskID] = {}

@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -26,11 +26,12 @@ from tilth.replay.compare import Comparison
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.replay.offline import Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
-from tilth.replay.readers.log import EmptyLog
+from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
@@ -74,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
         _check_logs(args)
         machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
         say_unusual("replay", machine)
+        _say_other_files(args, machine)
         buses = _buses(args, machine)
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)
@@ -83,6 +85,18 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(summary, comparison)
     return 1 if summary.faults or (comparison is not None and comparison.difference) else 0
+
+
+def _say_other_files(args: argparse.Namespace, machine: Machine) -> None:
+    """Where a log holds another machine file than the one that is used. Raises LogError, MachineError."""
+    for path in args.logs if args.machine is None else ():
+        with suppress(LogError, MachineError):  # those without any take this one, which is said elsewhere
+            own, _ = machine_in([path])
+            if own != machine:
+                _say(
+                    f"{path}: its machine file differs in {differing(machine, own)}; that of {args.logs[0]} "
+                    "is used for all logs: replay them one by one, or give --machine"
+                )
 
 
 def _check_logs(args: argparse.Namespace) -> None:
@@ -120,7 +134,7 @@ def _outputs(
         sink = _zenoh(machine)
         stack.callback(sink.close)
         publish = sink.put
-    if sys.stderr.isatty() and not args.json:
+    if sys.stderr.isatty():
         progress = _progress(stack, args.logs)
     pace = None if args.rate is None else Pace(args.rate)
     return ReplayOutputs(writer, publish, comparison, pace, progress)

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     with log_errors(args.out, "nothing was written"):
         machine = read_machine(args.machine) if args.machine else None
         with ExitStack() as stack:
-            show = bars(stack, not args.json)
+            show = bars(stack)
             runs = open_runs(
                 args.logs, machine=machine, buses=_buses(args, machine), say=_say,
                 progress=lambda done, of: show("replay", done, of),
@@ -95,12 +95,14 @@ def run(args: argparse.Namespace) -> int:
             return 1
         segments = _given(driven, args)
         with ExitStack() as stack:
-            answers = _answers(driven, segments, args, bars(stack, not args.json))
+            answers = _answers(driven, segments, args, bars(stack))
         return max(_write(driven, segments, answers, args), 1 if len(driven) < len(runs) else 0)
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
     """Before a long replay. Raises WrongUse."""
+    if args.segment and args.mark:
+        raise WrongUse("--segment names all that is fitted; leave out --mark beside it")
     out: Path = args.out
     if out.suffix.lower() not in REPORT_SUFFIXES:
         raise WrongUse(f"--out {out}: give a name that ends in .html")

@@ -23,11 +23,13 @@ class Comparison:
     def __init__(self) -> None:
         self.compared = 0
         self.difference = ""
+        self._any_live = False  # whether a result was in the logs
         self._live: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
 
     def logged(self, row: Logged) -> None:
         """Take a result that was logged live."""
+        self._any_live = self._any_live or row.topic in IDENTICAL
         self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
 
     def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
@@ -41,6 +43,8 @@ class Comparison:
             live, again = self._live[topic], self._again[topic]
             if live and not self.difference:
                 self.difference = f"{topic}: logged at {_seconds(live[0][0])}, not computed again"
+            if again and not self.difference and not self._any_live:
+                self.difference = "these logs hold no results, so there is nothing to compare with"
             if again and not self.difference and not truncated:
                 self.difference = f"{topic}: computed for {_seconds(again[0][0])}, not in the log"
             live.clear()

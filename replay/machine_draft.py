@@ -160,7 +160,9 @@ def _ending(candidate: WheelCandidate) -> list[str]:
 def _doubt(candidate: WheelCandidate) -> str:
     if candidate.yaw_correlation is None:
         return "no turn was driven that would show whether it follows the yaw rate"
-    return f"follows the yaw rate by {abs(candidate.yaw_correlation):.0%} only; turn to both sides at one speed"
+    return (
+        f"follows the yaw rate by {abs(candidate.yaw_correlation):.0%} only; turn to both sides at one speed"
+    )
 
 
 def described(candidate: WheelCandidate) -> str:

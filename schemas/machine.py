@@ -45,8 +45,8 @@ Length = Annotated[Quantity, _quantity()]
 Inertia = Annotated[Quantity, _quantity(default_share=0.05)]
 """Nobody weighs an inertia: a number alone is taken to 5 %."""
 Taped = Annotated[Quantity, _quantity(0.02)]
-"""Between the CGs, the hitch and the implement's axle, as for where a receiver is: a number alone is taken to 2
-cm. In sharp turns 5 cm do what half of the implement tyres' stiffness does."""
+"""Between the CGs, the hitch and the implement's axle, as for where a receiver is: a number alone is taken to
+2 cm. In sharp turns 5 cm do what half of the implement tyres' stiffness does."""
 
 
 class _Section(BaseModel):

@@ -91,15 +91,20 @@ def choose(
         found = [one for log, run in enumerate(runs, 1) for one in _of_run(run, log, kinds, marks)]
     if not found:
         raise _nothing(runs, kinds, marks)
-    found.sort(key=lambda wanted: (wanted.log, wanted.segment.start_s))
-    for one, other in pairwise(found):
+    return in_order(found)
+
+
+def in_order(found: Sequence[Wanted]) -> tuple[Wanted, ...]:
+    """Segments in the order of their driving. Raises CannotFit where two hold the same driving."""
+    ordered = sorted(found, key=lambda wanted: (wanted.log, wanted.segment.start_s))
+    for one, other in pairwise(ordered):
         shared_s = one.segment.end_s - other.segment.start_s if one.run is other.run else 0.0
         if shared_s > segments.LEAD_S + segments.QUIET_S:  # of straight driving that both may have
             raise CannotFit(
                 f"the segments {one.segment.start_s:g}:{one.segment.end_s:g} and {other.segment.start_s:g}:"
                 f"{other.segment.end_s:g} overlap; what both hold would count twice"
             )
-    return tuple(found)
+    return tuple(ordered)
 
 
 def _given(runs: Sequence[Run], log: int, number: int, start_s: float, end_s: float) -> Wanted:

@@ -7,7 +7,7 @@ and `sentences` of the result say why.
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all
+from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all, in_order
 from tilth.analysis.fit.result import as_json as fit_json
 from tilth.analysis.report.document import plain
 from tilth.analysis.report.given import MOST_FITTED, of_a_plan
@@ -50,10 +50,12 @@ def _wanted(
     runs: Sequence[Run], given: Sequence[Sequence[DrivenSegment]], marks: Sequence[str]
 ) -> tuple[Wanted, ...]:
     if any(given):
-        return tuple(
-            Wanted(run, log, number, segment)
-            for log, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
-            for number, segment in enumerate(rows, 1)
+        return in_order(
+            [
+                Wanted(run, log, number, segment)
+                for log, (run, rows) in enumerate(zip(runs, given, strict=True), 1)
+                for number, segment in enumerate(rows, 1)
+            ]
         )
     return choose(runs, marks=marks)
 

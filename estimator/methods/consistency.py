@@ -270,7 +270,8 @@ def _update_findings(
         if finding.poses >= (LEAST_POSES_OPEN if opened else LEAST_POSES) and not finding.active:
             finding.active = True
             state.confirmed = False
-            events.append((CONTRADICTION, f"{text} Until this is over no number is given"))
+            stop = "" if text.endswith((".", "?", "!")) else "."
+            events.append((CONTRADICTION, f"{text}{stop} Until this is over no number is given"))
     for key, finding in list(state.findings.items()):
         finding.active_poses += finding.active
         if key in found:
