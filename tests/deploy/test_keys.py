@@ -192,7 +192,6 @@ def test_who_was_not_invited_gets_nothing_changes_nothing_and_is_told_why(
 
 
 def test_an_operator_may_prompt_a_driver_and_take_his_orders_and_a_reader_may_look(net: Net) -> None:
-    state = pb.ExperimentState(plan="keys").SerializeToString()
     wires = PrompterWires(zenoh.open(client_config(net.folder / "olga.json", [])), BASE)
     config = zenoh.Config.from_file(str(net.folder / "olga.json"))
     seen: SimpleQueue[bytes] = SimpleQueue()
@@ -205,7 +204,7 @@ def test_an_operator_may_prompt_a_driver_and_take_his_orders_and_a_reader_may_lo
             return seen.qsize() > 8
 
         until(shown, lambda: None)
-        assert {seen.get() for _ in range(8)} == {state}
+        assert {pb.ExperimentState.FromString(seen.get()).plan for _ in range(8)} == {"keys"}
         order = pb.ExperimentOrder(kind="arm").SerializeToString()
 
         def ordered() -> bool:

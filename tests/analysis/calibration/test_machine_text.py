@@ -28,7 +28,7 @@ def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
     )  # fmt: skip
     after = applied(MACHINE, changes)
     made = rewritten(text, MACHINE, after, SAME, "2026-05-04")
-    assert "c = 2.15 # calibrate 2026-05-04; was 2.1; to the pin, by tape" in made
+    assert "c = {value = 2.15, sd = 0.02} # calibrate 2026-05-04; was 2.1 (sd 0.02); to the pin" in made
     assert "# The dissertation's rig (Karkee 2009" in made
     again = parse_machine(made)
     assert again.tractor.c.value == pytest.approx(2.15)
@@ -49,7 +49,7 @@ def test_a_second_calibration_says_what_the_first_one_put_there() -> None:
     made = rewritten(text, MACHINE, once, SAME, "2026-05-04")
     twice = applied(once, Changes(hitch=np.array([-0.02, 0.0]), aside=np.array([0.1, 0.0])))
     again = rewritten(made, parse_machine(made), twice, SAME, "2026-05-06")
-    assert "c = 2.13 # calibrate 2026-05-06; was 2.15; to the pin, by tape" in again
+    assert "c = {value = 2.13, sd = 0.02} # calibrate 2026-05-06; was 2.15 (sd 0.02); to the pin" in again
     assert "2026-05-04" not in again and again.count("was [") == 2
 
 
