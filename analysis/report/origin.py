@@ -42,7 +42,7 @@ def _is_simulated(path: Path, hops: int = 2) -> bool:
             found = metadata(log)
     except (LogError, OSError):
         return False
-    if SIMULATED in found:
+    if SIMULATED in found or found.get("run", {}).get("note", "") == SIMULATED:
         return True
     before = found.get(REPLAY, {}).get("logs", "").splitlines()
     return hops > 0 and any(_is_simulated(Path(one), hops - 1) for one in before)

@@ -8,6 +8,7 @@ replayed first, and the replayed log is kept (kept.py).
 """
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -33,6 +34,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 MARK: Final = "mark"  # kind of the events that an operator makes
 RECOMMENDED: Final = "recommended"
+_UUID: Final = re.compile(r"[0-9a-f]{32}")  # by which the daemon tells its runs apart
 
 
 @dataclass(slots=True)
@@ -197,11 +199,17 @@ def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None)
     files.sort(key=lambda pair: _part(pair[1]))
     found = machine or machine_in([file.path for _, file in files])
     run = files[0][1].metadata.get("run", {})
-    own = files[0][0] == files[0][1].path
     return Run(
-        run.get("id", "") if own and run.get("id") else files[0][0].stem,
+        _name(*files[0], run.get("id", "")),
         tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""),
     )  # fmt: skip
+
+
+def _name(path: Path, file: LogFile, said: str) -> str:
+    """What a run is called: what its log says, if that is for people; else as its files are."""
+    if said and path == file.path and not _UUID.fullmatch(said):
+        return said
+    return path.stem.removesuffix(f"_{_part(file):03d}")
 
 
 def _part(file: LogFile) -> int:

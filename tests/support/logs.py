@@ -54,10 +54,12 @@ def write_mcap(
     chunk_kilobytes: int = 1,
     finish: bool = True,
     text: str = MACHINE_TEXT,
+    run: str = "run",
 ) -> Path:
-    """As the daemon does; where it does not finish, as a kill leaves it. text: of the machine file in it."""
+    """As the daemon does; where it does not finish, as a kill leaves it. text: of the machine file in it.
+    run: its id."""
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
-    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart("run", 1, START_NS))
+    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart(run, 1, START_NS))
     for row in rows:
         writer.frame(row)
     if finish:

@@ -23,6 +23,13 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return cache_folder()
 
 
+def test_a_run_that_the_daemon_numbered_is_called_as_its_files_are(tmp_path: Path, cache: Path) -> None:
+    for run, name in (("5" * 32, "rig_20261121T080000Z"), ("field 3", "field 3")):
+        path = write_mcap(tmp_path / f"{run[:5]}" / "rig_20261121T080000Z_001.mcap", some_frames(10), run=run)
+        (found,) = tilth.analysis.open([path])
+        assert found.id == name
+
+
 def test_a_run_has_all_that_was_recorded() -> None:
     (run,) = tilth.analysis.open(recorded(3).parts)
     assert run.id == "r" and len(run.files) == 3 and run.whole and run.machine == MACHINE
