@@ -67,6 +67,8 @@ def test_a_cut_log_is_fitted_as_far_as_it_is_whole(fit: Answer) -> None:
         (("--segment", "2:1:20"), 2, "there are 1 runs"),
         (("--segment", "2.5:5"), 1, ""),
         (("--kind", "chirp"), 1, "no driving with steering of the kinds chirp was found"),
+        (("--segment", "4:27", "--mark", "west*"), 2, "leave out --mark and --kind beside it"),
+        (("--mark", "north*"), 1, "no marks begin and end a run that is called north*"),
         (("--kind", "dance"), 2, "invalid choice: 'dance'"),
         (("--jobs", "0"), 2, "0: give a number of processes, from 1 up"),
         (("--bus", "a=can0"), 2, "--bus LOG=MACHINE needs --machine"),

@@ -151,6 +151,25 @@ def test_a_found_difference_is_exit_1(live: Live, answer: Answer, tmp_path: Path
     assert "tractor.heading" in json.loads(out)["verify"]["difference"]
 
 
+def test_a_log_without_results_has_nothing_to_compare_with(answer: Answer, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "frames.mcap", simulate(MACHINE, 1, 4.0))
+    status, out, _ = answer(path, "--verify", "--json")
+    assert status == 1
+    assert json.loads(out)["verify"]["difference"].startswith("these logs hold no results")
+
+
+def test_logs_of_two_machine_files_are_said_to_be_that(answer: Answer, tmp_path: Path) -> None:
+    texts = (MACHINE_TEXT, MACHINE_TEXT.replace("c = 2.1", "c = 2.4"))
+    logs = [
+        write_mcap(tmp_path / f"{k}.mcap", simulate(MACHINE, k, 3.0), text=text, run=f"r{k}")
+        for k, text in enumerate(texts)
+    ]
+    _, _, err = answer(*logs, "--json")
+    assert "1.mcap: its machine file differs in tractor.c; that of" in err
+    _, _, err = answer(*logs, "--machine", MACHINE_FILE, "--json")
+    assert "differs in" not in err
+
+
 def test_a_log_cut_to_five_bytes_is_exit_0(answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(b"\x89MCAP")

@@ -117,6 +117,11 @@ def test_a_contradiction_is_said_first(answer: Answer, tmp_path: Path) -> None:
     assert status == 0 and "contradict the machine file at tractor.c" in err
 
 
+def test_segments_that_overlap_are_not_fitted(answer: Answer, log: Path, tmp_path: Path) -> None:
+    status, _, err = answer(log, "--out", tmp_path / "a.html", "--segment", "5:30", "--segment", "10:35")
+    assert status == 0 and "Nothing was fitted: the segments 5:30 and 10:35 overlap" in err
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -132,6 +137,7 @@ def test_a_contradiction_is_said_first(answer: Answer, tmp_path: Path) -> None:
         (["LOG", "--out", "DIR/a.html", "--fit", "0"], "at least 1, or all"),
         (["LOG", "--out", "DIR/a.html", "--fit", "most"], "at least 1, or all"),
         (["LOG", "--out", "DIR/a.html", "--segment", "500:600"], "no poses between"),
+        (["LOG", "--out", "DIR/a.html", "--segment", "5:9", "--mark", "a"], "leave out --mark beside it"),
         (["DIR/none.mcap", "--out", "DIR/a.html"], "none.mcap"),
         (["DIR/there.html", "--out", "DIR/a.html"], "there.html"),
         (["LOG", "--out", "DIR/a.html", "--machine", "DIR/none.toml"], "none.toml"),
