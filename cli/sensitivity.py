@@ -93,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
     machine, text = read_machine(args.machine)
     say_unusual("sensitivity", machine)
     rig = rig_of(machine)
-    _say("computing; this may take some seconds")
+    if sys.stderr.isatty():
+        _say("computing; this may take some seconds")
     try:
         answer: dict[str, Any] = {"machine": machine.machine.name, **local_answer(rig, question)}
     except ValueError as error:

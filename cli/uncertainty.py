@@ -137,7 +137,8 @@ def run(args: argparse.Namespace) -> int:
             known = _known(args, of_machine(machine), (machine, text))
         if not known.names:
             raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
-        _say("computing; this may take a minute")
+        if sys.stderr.isatty():
+            _say("computing; this may take a minute")
         answer: dict[str, Any] = {
             "machine": machine.machine.name, **uncertainty_answer(known, _question(args))
         }  # fmt: skip
