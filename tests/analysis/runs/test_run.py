@@ -25,7 +25,9 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_run_that_the_daemon_numbered_is_called_as_its_files_are(tmp_path: Path, cache: Path) -> None:
     for run, name in (("5" * 32, "rig_20261121T080000Z"), ("field 3", "field 3")):
-        path = write_mcap(tmp_path / f"{run[:5]}" / "rig_20261121T080000Z_001.mcap", some_frames(10), run=run)
+        folder = tmp_path / run[:5]
+        folder.mkdir()
+        path = write_mcap(folder / "rig_20261121T080000Z_001.mcap", some_frames(10), run=run)
         (found,) = tilth.analysis.open([path])
         assert found.id == name
 
