@@ -10,6 +10,7 @@ from recorded import MARKS, SECONDS, cut, frames, marked, recorded
 
 import tilth.analysis
 from tilth.analysis.runs.kept import cache_folder
+from tilth.analysis.runs.run import LogFile, _name
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.schemas.flow import Frame
@@ -23,13 +24,13 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return cache_folder()
 
 
-def test_a_run_that_the_daemon_numbered_is_called_as_its_files_are(tmp_path: Path, cache: Path) -> None:
-    for run, name in (("5" * 32, "rig_20261121T080000Z"), ("field 3", "field 3")):
-        folder = tmp_path / run[:5]
-        folder.mkdir()
-        path = write_mcap(folder / "rig_20261121T080000Z_001.mcap", some_frames(10), run=run)
-        (found,) = tilth.analysis.open([path])
-        assert found.id == name
+@pytest.mark.parametrize(
+    ("said", "name"),
+    [("5" * 32, "rig_20261121T080000Z"), ("field 3", "field 3"), ("", "rig_20261121T080000Z")],
+)
+def test_a_run_that_the_daemon_numbered_is_called_as_its_files_are(said: str, name: str) -> None:
+    path = Path("rig_20261121T080000Z_002.mcap")
+    assert _name(path, LogFile(path, {"run": {"part": "2"}}, 0, 1, True), said) == name
 
 
 def test_a_run_has_all_that_was_recorded() -> None:
