@@ -96,7 +96,8 @@ def wide(machine: Machine, roll_zero_sd: Array) -> tuple[Array, Array]:
     """(mean, sd), each [n], about the machine file as it stands. roll_zero_sd: (4,), rad, of what roll.py has
     found.
 
-    The places of the CGs are held: they move levers, a, b, c, d and e alike, and only forces tell of them.
+    The places of the CGs are held: they move levers, a, b, c, d and e alike, and only forces tell of them. So
+    is e: driving tells how far it is from the hitch to the axle, and d takes what e has wrong.
     """
     mean, sd = unknowns.prior(machine)
     sd = sd.copy()
@@ -104,7 +105,8 @@ def wide(machine: Machine, roll_zero_sd: Array) -> tuple[Array, Array]:
         ("wheel_zero", ZERO_SD), ("wheel_gain", GAIN_SD), ("latency", LATENCY_SD), ("pair_t", PAIR_SD),
         ("pair_i", PAIR_SD), ("lever_t", LEVER_SD), ("lever_i", LEVER_SD),
         ("aside_i", LEVER_SD * math.sqrt(2.0)), ("c", HITCH_SD / machine.tractor.c.value),
-        ("d", HITCH_SD / machine.implement.d.value), ("cg_t", 0.0), ("cg_i", 0.0), ("parallel", ACKERMANN_SD),
+        ("d", HITCH_SD / machine.implement.d.value), ("e", 0.0), ("cg_t", 0.0), ("cg_i", 0.0),
+        ("parallel", ACKERMANN_SD),
     ):  # fmt: skip
         sd[AT[name]] = value
     known = np.isfinite(roll_zero_sd) & (sd[unknowns.AT_ROLL_ZERO : unknowns.AT_ROLL_ZERO + 4] > 0.0)
