@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from logs import with_exact_lengths
 from paths import ROOT
 from scipy.integrate import solve_ivp
 
@@ -12,7 +13,7 @@ from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import geometry_of, rig_of
 from tilth.estimator.pose.geometry import lever, to_plane
 from tilth.schemas.flow import PARAMETERS, FixType, Mount
-from tilth.schemas.machine import Machine, Quantity, parse_machine
+from tilth.schemas.machine import Machine, parse_machine
 from tilth.simulator import tractor
 from tilth.simulator.receivers import ORIGIN_DEG, Report, reports, wheel_readings
 from tilth.simulator.scenario import (
@@ -265,8 +266,7 @@ def test_survey_errors_are_within_what_the_scenario_says(machine: Machine) -> No
 
 def test_a_cg_that_is_elsewhere_moves_the_axles_and_the_receivers_with_it(machine: Machine) -> None:
     """The receivers stay where they are on the machine: the same distance from its axles."""
-    sure = machine.tractor.model_copy(update={"c": Quantity(value=machine.tractor.c.value)})
-    machine = machine.model_copy(update={"tractor": sure})
+    machine = with_exact_lengths(machine)
     off = drive(machine, 3, 2.0, Scenario(survey=SurveyErrors(cg_sd=0.05, lever_sd=0.0, pair_sd_deg=0.0)))
     shift = off.nuisances["cg_forward_tractor"]
     assert abs(shift) > 0.005

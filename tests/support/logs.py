@@ -19,6 +19,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged, OpenLog
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.simulate import Candump
 
@@ -46,6 +47,15 @@ def some_frames(count: int, seed: int = 7) -> list[Frame]:
         )
         for i in range(count)
     ]
+
+
+def with_exact_lengths(machine: Machine) -> Machine:
+    """The same, sure of hitch and drawbar: a simulation draws them no more."""
+    sure = {
+        body: part.model_copy(update={key: Quantity(value=getattr(part, key).value) for key in keys})
+        for body, part, keys in (("tractor", machine.tractor, "c"), ("implement", machine.implement, "de"))
+    }
+    return machine.model_copy(update=sure)
 
 
 def write_mcap(
