@@ -49,7 +49,7 @@ def worth(proposal: Proposal) -> str:
             "last run is. Harder limits, another speed or other kinds may tell more."
         )
     what += f" leave {name} known least, {left}"
-    if proposal.from_log:
+    if proposal.plan.predicted_with_log:
         alone = share(float(proposal.before[least]))
         what = f"With what the log has told, {what} where the last run is; there the log alone leaves {alone}"
     return (

@@ -97,7 +97,6 @@ class Proposal:
     seconds: float  # of steering
     sd: Array  # (6,) of the logarithms, after the plan and what was known before
     before: Array  # (6,) where the last run will be, without the plan
-    from_log: bool  # whether a log told something before
     told_already: bool  # by the log, nearly all that the plan could tell
     held: "Compared | None"  # with steps that are held
     swung: "Compared | None"  # with steps to either side, three seconds each, as in MANOEUVRES
@@ -154,7 +153,7 @@ def propose(known: Known, wanted: WantedPlan, progress: Progress = lambda text, 
     swung = compared(known, wanted, worst, count, "steps", {"hold_s": 3.0})
     before = sds(known, (), count)
     told_already = with_log and worst > TOLD_ALREADY * worst_of(known, before)
-    return Proposal(plan, seconds, sd, before, with_log, told_already, held, swung)
+    return Proposal(plan, seconds, sd, before, told_already, held, swung)
 
 
 def _named(sd: Array) -> dict[str, float]:

@@ -64,7 +64,7 @@ def test_after_a_log_no_plan_is_worse_than_none_and_no_way_to_drive_takes_less_t
 ) -> None:
     found = propose(driven(seconds), wanted(kinds=("chirp",), count=1, replicates=4))
     # Errors of the model differ from one way to drive to another, and are not averaged.
-    assert np.all(found.sd < 1.06 * found.before) and found.from_log
+    assert np.all(found.sd < 1.06 * found.before) and found.plan.predicted_with_log
     assert seconds > 100 or np.all(found.sd < found.before)
     for other in (found.held, found.swung):
         assert other is not None and other.seconds >= 0.0
