@@ -128,11 +128,9 @@ def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> 
     """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = implausible_stiffness(machine, estimate)
     limits = dict(zip(open_tracker.NAMES, NUISANCE_SDS * open_tracker.allowed(machine), strict=True))
-    for name, (value, _) in estimate.nuisances.items():
+    for name, (value, sd) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
-            found[KEYS[name]] = (
-                f"{estimate.method} needs {name} = {value:+.3g}, far from the file: {KEYS[name]}?"
-            )
+            found[KEYS[name]] = f"{estimate.method} finds {describe(name, value, sd)}: {KEYS[name]}?"
     state.methods[estimate.method] = found
 
 
@@ -232,7 +230,9 @@ def _open_tracker_findings(state: Consistency, machine: Machine) -> dict[str, st
     order = np.argsort(-misfit.by_name)
     names = [open_tracker.NAMES[k] for k in order if misfit.by_name[k] >= RIVAL_SHARE * best]
     others = "".join(f", or {KEYS[name]}" for name in names[1:3])
-    return {KEYS[names[0]]: f"{describe(machine, names[0], misfit)}: {KEYS[names[0]]}{others}?"}
+    k = order[0]
+    words = describe(names[0], float(misfit.off[k]), float(misfit.sd[k]))
+    return {KEYS[names[0]]: f"driving finds {words}: {KEYS[names[0]]}{others}?"}
 
 
 def _outliers(state: Consistency) -> dict[str, str]:

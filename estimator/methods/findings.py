@@ -8,8 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from tilth.estimator.methods import open_tracker
-from tilth.estimator.methods.open_tracker import Misfit
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import latency
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
@@ -81,20 +79,20 @@ def latencies(machine: Machine, aligner: Aligner) -> dict[str, str]:
     return {key: f"distances between the receivers fit no likely latency: {key}?"}
 
 
-def describe(machine: Machine, name: str, misfit: Misfit) -> str:
-    k = open_tracker.NAMES.index(name)
-    off, sd = float(misfit.off[k]), float(misfit.sd[k])
+def describe(name: str, off: float, sd: float) -> str:
+    """How far what was found of a number is from the file. name: of KEYS; off, sd: as in open_tracker.NAMES
+    (rad, s, m; else a logarithm)."""
     if name in ("wheel_zero", "pair_t", "pair_i"):
         what = "wheels' zero" if name == "wheel_zero" else f"pair on the {_BODY[name]}"
-        return f"driving finds the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
+        return f"the {what} off by {plus_minus(math.degrees(off), math.degrees(sd), '°')}"
     if name == "latency":
-        return f"driving finds a latency of {plus_minus(off, sd, 's')} beyond the file's"
+        return f"a latency of {plus_minus(off, sd, 's')} beyond the file's"
     if name in ("aside_i", "e"):
         what = "implement's receivers" if name == "aside_i" else "implement's axle"
-        return f"driving finds the {what} off by {plus_minus(off, sd, 'm')}"
+        return f"the {what} off by {plus_minus(off, sd, 'm')}"
     low, high = interval(math.exp(min(off, 5.0)), min(sd, 5.0))
     what = "reading of the wheels' angle" if name == "wheel_gain" else KEYS[name].partition(" or ")[0]
-    return f"driving finds {what} {low:.2f} to {high:.2f} times what the file says (95 %)"
+    return f"{what} {low:.2f} to {high:.2f} times what the file says (95 %)"
 
 
 def implausible_stiffness(machine: Machine, estimate: Estimate) -> dict[str, str]:

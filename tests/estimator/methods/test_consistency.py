@@ -15,6 +15,7 @@ from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import consistency, open_tracker
 from tilth.estimator.methods.consistency import CONTRADICTION
+from tilth.estimator.methods.findings import KEYS
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import motion_check, wheel_check
@@ -311,6 +312,28 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     is_tyre = COEFFICIENT[0] < coefficient < COEFFICIENT[1]
     assert all((p.value is not None) == is_tyre for p in checked.parameters)
     assert is_tyre or "no tyre" in checked.parameters[0].reason
+
+
+@pytest.mark.parametrize(
+    ("name", "off", "words"),
+    [
+        ("I_t", math.log(0.5), "tractor.yaw_inertia 0.48 to 0.52 times what the file says"),
+        ("wheel_gain", math.log(2.0), "reading of the wheels' angle 1.92 to 2.08 times"),
+        ("wheel_zero", math.radians(30.0), "the wheels' zero off by 30.0 ±"),
+        ("latency", 0.9, "a latency of 0.900 ± 0.039 s (95 %) beyond"),
+        ("e", -3.0, "the implement's axle off by -3.000 ± 0.039 m"),
+    ],
+)
+def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
+    name: str, off: float, words: str
+) -> None:
+    machine = demo_machine()
+    state = consistency.initial(machine)
+    loads = static_loads(rig_of(machine))
+    given = estimate_of((*(5.0 * load for load in loads), 1.0, 1.0, 1.0))
+    consistency.check_estimate(state, machine, replace(given, nuisances={name: (off, 0.02)}))
+    (text,) = state.methods["pem"].values()
+    assert f"pem finds {words}" in text and text.endswith(f"{KEYS[name]}?")
 
 
 @pytest.mark.parametrize("name", open_tracker.GROSS)
