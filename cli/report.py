@@ -190,7 +190,8 @@ def _write(
     _say(f"wrote {', '.join(map(str, shown))}" + (f", and figures in {args.figures}" if args.figures else ""))
     if args.json:
         print(json_text(content), end="")
-    return 1 if any(one["skipped"] or not one["origin"]["whole"] for one in facts) else 0
+    unknown = bool(args.mark) and "fit" not in answers  # no marks of that name
+    return 1 if unknown or any(one["skipped"] or not one["origin"]["whole"] for one in facts) else 0
 
 
 def _words(args: argparse.Namespace) -> list[str]:
@@ -204,6 +205,7 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--fit", "all" if args.fit == ALL else str(args.fit)]
     for log, start_s, end_s in args.segment:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
+    words += [word for name in args.mark for word in ("--mark", name)]
     return words + [word for name in args.bus for word in ("--bus", name)]
 
 

@@ -69,6 +69,7 @@ def replayed(
     kept = folder / f"{key_of(sha256_of(path), machine_sha256(machine, machine_text), names)}.mcap"
     if kept.exists():
         return kept
+    say(f"{path}: is replayed for its poses, once; they are kept")
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size

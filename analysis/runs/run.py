@@ -231,8 +231,6 @@ def _file_of(
     if log.form == MCAP and machine is None and holds_poses(path):
         return _read_file(path)
     rig = machine or machine_in([path])
-    if log.form == MCAP and not holds_poses(path):
-        say(f"{path}: no poses were recorded in it; it is replayed, once")
     return _read_file(replayed(path, *rig, buses, progress, say, cache))
 
 

@@ -122,6 +122,13 @@ def test_segments_that_overlap_are_not_fitted(answer: Answer, log: Path, tmp_pat
     assert status == 0 and "Nothing was fitted: the segments 5:30 and 10:35 overlap" in err
 
 
+def test_marks_that_are_not_there(answer: Answer, log: Path, tmp_path: Path) -> None:
+    """The report has all else, and the command with which it was made."""
+    status, _, err = answer(log, "--out", tmp_path / "a.html", "--mark", "no such")
+    assert status == 1 and "no marks begin and end a run that is called no such" in err
+    assert "--mark 'no such'" in (tmp_path / "a.html").read_text(encoding="utf-8").replace("&#x27;", "'")
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -65,7 +65,7 @@ def test_a_log_without_poses_is_replayed_once_and_kept(cache: Path) -> None:
     (run,) = tilth.analysis.open(marked(), say=said.append, progress=lambda *done: progress.append(done))
     assert run.sources == (marked(),) and run.files[0].path.parent == cache
     assert progress and all(0 <= done <= of for done, of in progress)
-    assert any("no poses were recorded" in text for text in said)
+    assert any("replayed for its poses, once" in text for text in said)
     assert [str(text) for text in run.marks["text"]] == [text for _, text in MARKS]
     assert run.marks.t_s == pytest.approx([at_s for at_s, _ in MARKS], abs=0.01)
     made = run.files[0].path.stat().st_mtime_ns
@@ -101,7 +101,7 @@ def test_a_cut_log_is_opened_as_far_as_it_is_whole() -> None:
     [
         ("empty.mcap", b"", "an empty file"),
         ("text.log", b"hello\nworld\n", "not a log of CAN frames"),
-        ("frames.mcap", None, "no pose"),
+        ("frames.mcap", None, "for its poses"),
     ],
 )
 def test_what_cannot_be_opened_is_said(
