@@ -200,7 +200,7 @@ def clock_stepped(state: Consistency) -> None:
 def _findings_at_pose(
     state: Consistency, machine: Machine, aligner: Aligner, checks: ReceiverChecks, pose: Pose
 ) -> dict[str, str]:
-    found = {**misplaced_receivers(pose), **parked_errors(aligner), **latencies(machine, aligner)}
+    found = {**misplaced_receivers(pose), **parked_errors(machine, aligner), **latencies(machine, aligner)}
     found |= {
         f"receiver.{flag.of}.roll_corrected": receiver_checks.describe(checks, flag)
         for flag in receiver_checks.flags(checks)

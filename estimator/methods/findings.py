@@ -11,13 +11,14 @@ import numpy as np
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import latency
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.estimator.pose.plausibility import SURVEY_SDS, pair_limits
 from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.spread import interval, plus_minus
 
 LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
-PARKED_LIMIT: Final = 0.2  # m, largest error of baselines and hitch while the rig stands or creeps
+PARKED_LIMIT: Final = 0.2  # m, largest error of the hitch while the rig stands or creeps, or SURVEY_SDS
 PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
 
 KEYS: Final = {
@@ -52,14 +53,16 @@ def misplaced_receivers(pose: Pose) -> dict[str, str]:
     return found
 
 
-def parked_errors(aligner: Aligner) -> dict[str, str]:
+def parked_errors(machine: Machine, aligner: Aligner) -> dict[str, str]:
     """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
     keys = ("receiver.position on the tractor", "receiver.position on the implement",
             "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
+    hitch = SURVEY_SDS * math.hypot(machine.tractor.c.sd, machine.implement.d.sd)
+    limits = (*pair_limits(machine), max(PARKED_LIMIT, hitch), PARKED_LIMIT)
     return {
         key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
-        for key, what, mean in zip(keys, _OFFSETS, aligner.long_term.parked, strict=True)
-        if mean.count >= PARKED_POSES and abs(mean.value) > PARKED_LIMIT
+        for key, what, limit, mean in zip(keys, _OFFSETS, limits, aligner.long_term.parked, strict=True)
+        if mean.count >= PARKED_POSES and abs(mean.value) > limit
     }
 
 

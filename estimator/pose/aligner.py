@@ -81,10 +81,11 @@ def use(state: Aligner, machine: Machine) -> None:
     """Another description of the same rig, from now on.
 
     Where its lengths are others, latencies were learned to explain the difference: they begin from the prior.
+    So do the means of what did not fit.
     """
     before, state.machine = state.machine, machine
     if (machine.receiver, machine.implement) != (before.receiver, before.implement):
-        state.latency = initial(machine).latency
+        state.latency, state.long_term = initial(machine).latency, plausibility.LongTermMeans()
 
 
 def leave_out(state: Aligner, mounts: Collection[str]) -> None:

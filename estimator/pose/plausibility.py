@@ -14,8 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
 
+from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.geometry import Vector, rotate
 from tilth.schemas.flow import Flag, FlagKind, Mount
+from tilth.schemas.machine import Machine
 
 MISFIT = 0.6  # m: largest score of a right assignment, at rest
 SMEAR = 3.0  # sds of the timing error of a point, as a distance, that are added to it
@@ -23,7 +25,10 @@ PERSISTENCE = 3  # poses in a row before a flag is raised
 MEMORY = 40.0  # poses (8 s) of the means
 POSES_TO_DECIDE = 60  # poses in a mean that is just above its limit before it counts; fewer if it is larger
 LEAST_POSES = 15  # but never fewer than these
-LARGEST_EXCESS = 0.15  # m: a larger mean is no error of a survey
+LARGEST_EXCESS = 0.15  # m: a larger mean is no error of a survey, unless the file allows one
+LEAST_LIMIT = 0.12  # m, of the error of a pair's length, or SURVEY_SDS
+SURVEY_SDS = 4.0  # of what the file says of survey and receivers
+PITCH = 0.1  # rad, by which a pair of unequal heights may be pitched
 LARGEST_CRAB_ANGLE = 0.07  # rad: on a slope of 5 degrees a body crabs by less
 
 PAIRS = ((Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR), (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR))
@@ -57,13 +62,13 @@ class LongTermMeans:
     """While the rig stands or creeps, m: both bodies' excess, and how far the hitch as seen from the tractor
     is ahead and to the right of the hitch as seen from the implement."""
 
-    def bodies(self, sd_timing: float) -> list[int]:
+    def bodies(self, machine: Machine, sd_timing: float) -> list[int]:
         """Indices of the bodies whose receivers are not where the survey says."""
-        limit = LARGEST_EXCESS + SMEAR * sd_timing
         return [
             i
-            for i in (0, 1)
-            if self.excess[i].exceeds(limit) or self.crab_angle[i].exceeds(LARGEST_CRAB_ANGLE)
+            for i, limit in enumerate(pair_limits(machine))
+            if self.excess[i].exceeds(max(LARGEST_EXCESS, limit) + SMEAR * sd_timing)
+            or self.crab_angle[i].exceeds(LARGEST_CRAB_ANGLE)
         ]
 
 
@@ -79,6 +84,19 @@ class Suspicion:
         self.streak = self.streak + 1 if found == self.verdict else 1
         self.verdict = found
         return found if self.streak >= PERSISTENCE else ()
+
+
+@once_for_a_machine
+def pair_limits(machine: Machine) -> tuple[float, float]:
+    """Largest error of the length of the tractor's and of the implement's pair that the file allows, m. Slow
+    errors of positions are half of their noise."""
+    limits = []
+    for body in ("tractor", "implement"):
+        pair = [r for r in machine.receiver if r.mount.body == body]
+        sd = math.hypot(*(math.hypot(r.survey_sd, 0.5 * r.position_sd) for r in pair))
+        heights = [r.position[2] for r in pair] or [0.0]
+        limits.append(max(LEAST_LIMIT, SURVEY_SDS * sd) + PITCH * (max(heights) - min(heights)))
+    return limits[0], limits[1]
 
 
 def misfit(points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: float, d: float) -> float:

@@ -162,7 +162,7 @@ def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[Flag]:
     _update_long_term_means(state, bodies)
     if not found:
         timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
-        wrong = [*state.long_term.bodies(timing), *_reversed_bodies(state, bodies)]
+        wrong = [*state.long_term.bodies(state.machine, timing), *_reversed_bodies(state, bodies)]
         found = tuple(Flag(FlagKind.MOVED, MOUNTS[i].value) for body in wrong for i in bodies[body].antennas)
     persistent = state.suspicion.judge(found)
     for flag in found:
