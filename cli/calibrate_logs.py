@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table as RichTable
 
 from tilth.analysis.calibration.machine_text import unfilled
@@ -17,6 +16,7 @@ from tilth.analysis.calibration.run import Calibrated, calibrate_logs
 from tilth.analysis.report.page import page
 from tilth.cli import WrongUse
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import stages
 from tilth.estimator.calibration import left_over
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_TOLD
@@ -155,9 +155,7 @@ def _progress(stack: ExitStack, as_json: bool) -> Callable[[str, float], None]:
         return lambda what, share: None
     if not sys.stderr.isatty():
         return _in_lines()
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    task = bar.add_task("reading", total=1.0)
-    return lambda what, share: bar.update(task, description=what, completed=share)
+    return stages(stack)
 
 
 def _in_lines() -> Callable[[str, float], None]:

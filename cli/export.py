@@ -7,10 +7,8 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import Progress
 
 from tilth.analysis.export.export import SPREADSHEET_ROWS, Exported, ExportPlan, check, export, folders_of
 from tilth.analysis.export.files import FORMATS, ExportError, check_installed
@@ -18,6 +16,7 @@ from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import bars
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
 
@@ -87,13 +86,14 @@ def run(args: argparse.Namespace) -> int:
         if args.out.exists() and not args.out.is_dir():
             raise ExportError(f"--out {args.out}: no folder; give one, or a new name")
         with log_errors(args.out, "nothing is left of it"), ExitStack() as stack:
-            shown = _progress(stack, args)
-            runs = _runs(args, shown("replay"))
+            steps = bars(stack)
+            runs = _runs(args, partial(steps, "replay"))
             folders = folders_of(runs, args.out)
             for one in runs:
                 check(one, plan)
             done = [
-                export(one, plan, folder, shown(one.id)) for one, folder in zip(runs, folders, strict=True)
+                export(one, plan, folder, partial(steps, one.id))
+                for one, folder in zip(runs, folders, strict=True)
             ]
     except ExportError as error:
         raise WrongUse(str(error)) from None
@@ -124,19 +124,6 @@ def _runs(args: argparse.Namespace, progress: Shown) -> tuple[Run, ...]:
         except ValueError as error:
             raise WrongUse(str(error)) from None
     return open_runs(args.logs, machine=machine, buses=buses, progress=progress, say=_say)
-
-
-def _progress(stack: ExitStack, args: argparse.Namespace) -> Callable[[str], Shown]:
-    """What makes a bar of a name, where somebody sees it."""
-    if not sys.stderr.isatty() or args.json:
-        return lambda name: lambda done, of: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-
-    def of(name: str) -> Shown:
-        task = bar.add_task(name, total=None, visible=False)
-        return lambda done, of: bar.update(task, completed=done, total=of, visible=True)
-
-    return of
 
 
 def _tell(done: list[Exported], args: argparse.Namespace) -> None:

@@ -4,16 +4,15 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import zenoh
-from rich.console import Console
-from rich.progress import Progress
 
 from tilth.cli import WrongUse
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import stages
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import free_endpoint, open_session, why
 from tilth.replay.catalogue import CatalogueRun, listing, run_files
@@ -57,13 +56,7 @@ def play(args: argparse.Namespace, stack: ExitStack) -> str:
 def _opened(opening: Opening, run: CatalogueRun) -> OpenedRun:
     """With a progress bar where there is somebody to see it. Raises LogError, OSError."""
     with ExitStack() as stack:
-        return opening.open(run, _bar(stack) if sys.stderr.isatty() else lambda text, share: None)
-
-
-def _bar(stack: ExitStack) -> Callable[[str, float], None]:
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    task = bar.add_task("", total=1.0)
-    return lambda text, share: bar.update(task, description=text, completed=share)
+        return opening.open(run, stages(stack))
 
 
 def _any_machine(opening: Opening, runs: list[CatalogueRun]) -> Machine:

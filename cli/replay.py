@@ -3,20 +3,20 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 
 import zenoh
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import SAYS
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.log_errors import log_errors
+from tilth.cli.progress_bar import bars
 from tilth.cli.unread import who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
@@ -126,7 +126,7 @@ def _outputs(
     stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str, comparison: Comparison | None
 ) -> ReplayOutputs:
     """Open what the results go to; the stack closes it."""
-    writer = publish = progress = None
+    writer = publish = None
     if args.out is not None:
         writer = _writer(args, machine, text)
         stack.callback(_close, writer)
@@ -134,10 +134,9 @@ def _outputs(
         sink = _zenoh(machine)
         stack.callback(sink.close)
         publish = sink.put
-    if sys.stderr.isatty():
-        progress = _progress(stack, args.logs)
+    steps, size = bars(stack), sum(path.stat().st_size for path in args.logs)
     pace = None if args.rate is None else Pace(args.rate)
-    return ReplayOutputs(writer, publish, comparison, pace, progress)
+    return ReplayOutputs(writer, publish, comparison, pace, lambda done: steps("replay", done, size))
 
 
 def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
@@ -178,12 +177,6 @@ def _zenoh(machine: Machine) -> ZenohSink:
         raise WrongUse(f"Zenoh cannot be started ({why(error)}); check [zenoh] in the machine file") from None
     _say(f"publishing under {sink.base}" + (f"; {sink.note}" if sink.note else ""))
     return sink
-
-
-def _progress(stack: ExitStack, logs: Sequence[Path]) -> Callable[[int], None]:
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    task = bar.add_task("replay", total=sum(path.stat().st_size for path in logs))
-    return lambda done: bar.update(task, completed=done)
 
 
 def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str, object]:

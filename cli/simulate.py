@@ -5,16 +5,15 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from tilth.cli import WrongUse, say_unusual
+from tilth.cli.progress_bar import bars
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
@@ -59,9 +58,9 @@ def run(args: argparse.Namespace) -> int:
     _check_out(args.out)
     say_unusual("simulate", source.machine)
     with ExitStack() as stack:
-        progress = _progress(stack, source.seconds) if sys.stderr.isatty() else lambda what, at_s: None
+        steps = bars(stack)
         try:
-            simulated = simulate_to(source, args.out, progress)
+            simulated = simulate_to(source, args.out, lambda what, at_s: steps(what, at_s, source.seconds))
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
         except OSError as error:
@@ -90,12 +89,12 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
                 "taken for its receivers. Give --send if it is a bus of your own on a bench"
             )
     with ExitStack() as stack:
-        progress = _progress(stack, source.seconds) if sys.stderr.isatty() else lambda what, at_s: None
+        steps = bars(stack)
         scenario = replace(source.scenario, clock_offset_s=0.0)
         try:
             truth = drive(
                 source.machine, source.seed, source.seconds, scenario,
-                progress=lambda seconds: progress("driving", seconds),
+                progress=lambda at_s: steps("driving", at_s, source.seconds),
             )  # fmt: skip
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
@@ -168,12 +167,6 @@ def _check_out(log: Path) -> None:
             raise WrongUse(f"{path}: exists; a log is never overwritten, give another name")
     if not log.parent.is_dir():
         raise WrongUse(f"--out {log}: there is no folder {log.parent}")
-
-
-def _progress(stack: ExitStack, seconds: float) -> Callable[[str, float], None]:
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
-    tasks = {what: bar.add_task(what, total=seconds) for what in ("driving", "frames")}
-    return lambda what, at_s: bar.update(tasks[what], completed=at_s)
 
 
 def _tell(source: SimulationInput, simulated: Simulated, as_json: bool) -> None:
