@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
-from tilth.cli.unread import tell_unread
+from tilth.cli.unread import rejection_words, tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
@@ -235,7 +235,7 @@ def _tell_end(log: OpenLog, rejected: Counter[str]) -> None:
 def _tell_counts(count: Counter[str], rejected: Counter[str]) -> None:
     _say(f"{count['frames']} frames, {count['messages']} messages")
     for reason, number in sorted(rejected.items()):
-        _say(f"rejected {reason}: {number}")
+        _say(f"rejected {rejection_words(reason)}: {number}")
 
 
 def _say(text: str) -> None:

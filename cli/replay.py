@@ -17,7 +17,7 @@ from tilth.analysis.report.wording import SAYS
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
-from tilth.cli.unread import who
+from tilth.cli.unread import rejection_words, who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import why
@@ -222,7 +222,7 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
         f"{summary.measurements} measurements, {summary.poses} poses"
     )
     for reason, count in sorted(summary.rejected.items()):
-        console.print(f"rejected: {count} {reason}")
+        console.print(f"rejected: {count} {rejection_words(reason)}")
         for origin, messages in summary.unknown.items() if reason == "unknown_source" else ():
             console.print(f"    {messages} of {who(origin)}")
     for flag, flagged in sorted(summary.flags.items()):

@@ -1,9 +1,9 @@
-"""What `tilth decode` says of the frames that it did not decode: by PGN with its name, and by source."""
+"""What is said of frames that were not decoded, by PGN with its name and by source, or that were rejected."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from tilth.schemas.decode import Decoder, Unread
+from tilth.schemas.decode import REASONS, Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Origin
 from tilth.schemas.pgn_titles import is_proprietary, title_of
@@ -52,3 +52,8 @@ def who(origin: Origin) -> str:
         return f"{origin.bus} by identifiers of 11 bits"
     place = f"{origin.bus} address {origin.source}"
     return place if origin.name is None else f"{place}, {origin.name:016X} ({device(origin.name)})"
+
+
+def rejection_words(reason: str) -> str:
+    """A reason of `Decoder.rejected` with what it means; those of readers of logs speak for themselves."""
+    return f"{reason}: {REASONS[reason]}" if reason in REASONS else reason

@@ -96,7 +96,7 @@ def test_lines_have_the_fixed_keys(answer: Answer, tmp_path: Path) -> None:
     )
     lines = err.splitlines()
     assert lines[0] == f"tilth decode: 13 frames, {len(rows)} messages"
-    assert "tilth decode: rejected not_available: 1" in lines
+    assert "tilth decode: rejected not_available: the message says that it has no value: 1" in lines
 
 
 def test_numbers_keep_their_full_precision(answer: Answer, tmp_path: Path) -> None:
