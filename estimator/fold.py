@@ -30,7 +30,7 @@ from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch, wheel_speed
 from tilth.estimator.watch.accepted import acceptance, corrected
-from tilth.estimator.watch.watch import WatchState
+from tilth.estimator.watch.watch import Moved, WatchState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -135,6 +135,15 @@ def resume(
     state.consistency.confirmed = bool(state.previous_run)  # it was saved only because the file was confirmed
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
+
+
+def carry(state: State, moved: Sequence[Moved]) -> None:
+    """Before the first frame, after `resume`: what has been found moved before, and neither accepted nor put
+    back."""
+    state.watch.moved = [watch.carried(state.machine, one) for one in moved]
+    if left_out := watch.left_out(state.watch):
+        aligner.leave_out(state.aligner, left_out)
+        state.consistency.pairs_known = state.consistency.confirmed
 
 
 def _reset_estimators(state: State, t_ns: int) -> None:
@@ -399,6 +408,7 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     stays."""
     state.clock_steps += 1
     state.aligner = aligner.initial(state.machine)
+    aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
     receiver_checks.clock_stepped(state.checks)
     record_builder.clock_stepped(state.record)

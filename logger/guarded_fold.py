@@ -11,6 +11,7 @@ from tilth.estimator.fold import (
     State,
     accept,
     adopt,
+    carry,
     decide,
     finish,
     initial,
@@ -20,11 +21,13 @@ from tilth.estimator.fold import (
     save_learned,
     step,
 )
+from tilth.estimator.methods import consistency
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
+from tilth.estimator.watch.watch import Moved
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -237,22 +240,34 @@ class GuardedFold:
         """Method -> what it has learned, for the next run."""
         return save_learned(self.state, t_ns)
 
+    @property
+    def unsettled(self) -> list[Moved]:
+        """What has been found moved and neither accepted nor put back, for the next run."""
+        return list(self.state.watch.moved)
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the data contradict the machine file now."""
+        return bool(consistency.contradicted(self.state.consistency))
+
     def warm(
         self,
         learned: Mapping[str, SavedPosterior],
         elapsed_s: float,
         t_ns: int,
         accepted: Sequence[Accepted] = (),
+        moved: Sequence[Moved] = (),
     ) -> dict[str, str]:
         """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or "".
 
-        accepted: by the operator in earlier runs."""
+        accepted: by the operator in earlier runs. moved: found by them, and not accepted."""
         try:
             if accepted:
                 ready, self.state = self.state.ready, initial(self._machine, accepted)
                 self.state.ready = ready
                 self._fitter.use(self.state.machine)
             refusals = resume(self.state, learned, elapsed_s, t_ns)
+            carry(self.state, moved)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
             return dict.fromkeys(learned, f"{type(error).__name__}: {error}")
@@ -282,6 +297,7 @@ class GuardedFold:
     def _initial(self) -> State:
         state = initial(self._machine, self.state.accepted)
         state.ready = self.state.ready
+        carry(state, self.state.watch.moved)
         return state
 
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:

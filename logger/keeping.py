@@ -21,18 +21,32 @@ class Keeping:
         self._fold = fold
         self._report = report
         self._next_ns = clock.t_ns() + EVERY_NS
+        self._written = self._standing()
 
     def take_up(self, t_ns: int) -> bool:
         """Before the first frame: go on from what earlier runs have learned. Whether there was anything."""
-        return warm_start_file.take_up(self._path, self._machine, t_ns, self._fold.warm, self._report)
+        taken_up = warm_start_file.take_up(self._path, self._machine, t_ns, self._fold.warm, self._report)
+        self._written = self._standing()
+        return taken_up
 
     def is_due(self, t_ns: int) -> bool:
-        return t_ns >= self._next_ns
+        """At once where a value was accepted, or the file came into doubt: the power may go at any time."""
+        return t_ns >= self._next_ns or self._standing() != self._written
 
     def keep(self, t_ns: int, recording: Recording) -> None:
-        """Write it in the thread that waits for the disk."""
+        """Write it in the thread that waits for the disk.
+
+        While the file is not confirmed, what is there stays; while it is contradicted, nothing that was
+        learned with it may be used again.
+        """
         self._next_ns = t_ns + EVERY_NS
-        learned, accepted = self._fold.keep(t_ns), self._fold.accepted
-        if learned or accepted:
-            text = warm_start_file.text_of(self._machine, learned, t_ns, accepted)
+        learned, accepted, moved = self._fold.keep(t_ns), self._fold.accepted, self._fold.unsettled
+        standing, before, self._written = self._standing(), self._written, self._standing()
+        if learned or moved or standing != before:
+            text = warm_start_file.text_of(self._machine, learned, t_ns, accepted, moved)
             recording.on_disk_thread(lambda: warm_start_file.write(self._path, text))
+
+    def _standing(self) -> tuple[int, tuple[str, ...], bool]:
+        """What the next run has to know at once: values accepted, what has been moved, a contradiction."""
+        moved = tuple(name for one in self._fold.unsettled for name in one.names)
+        return len(self._fold.accepted), moved, self._fold.contradicted

@@ -13,6 +13,8 @@ from typing import Any, Final, NamedTuple
 
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.estimator.watch import watch
+from tilth.estimator.watch.watch import Moved
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
@@ -20,7 +22,9 @@ FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
-Warm = Callable[[Mapping[str, SavedPosterior], float, int, Sequence[Accepted]], dict[str, str]]
+Warm = Callable[
+    [Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved]], dict[str, str]
+]
 """GuardedFold.warm."""
 Report = Callable[[str, str], None]  # kind and text of an event
 
@@ -31,6 +35,7 @@ class KeptRun(NamedTuple):
     learned: dict[str, SavedPosterior]  # by method
     elapsed_s: float  # since then
     accepted: list[Accepted]  # in place of values of the machine file
+    moved: list[Moved]  # found, and neither accepted nor put back
 
 
 class NotUsable(Exception):
@@ -43,8 +48,9 @@ def path_of(folder: Path, machine: Machine) -> Path:
 
 
 def text_of(
-    machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int, accepted: Sequence[Accepted] = ()
-) -> str:
+    machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int, accepted: Sequence[Accepted] = (),
+    moved: Sequence[Moved] = (),
+) -> str:  # fmt: skip
     """What is to be written. machine: as its file describes it, without what has been accepted."""
     plain = {
         "format": FORMAT,
@@ -53,6 +59,7 @@ def text_of(
         "sections": _digests(machine),
         "methods": to_json_data(learned),
         "accepted": to_json_data(list(accepted)),
+        "moved": to_json_data(list(moved)),
     }
     return json.dumps(plain, indent=1)
 
@@ -83,12 +90,13 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
+        moved = from_json_data(list[Moved], plain.get("moved", []))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted)
+    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved)
 
 
 def _digests(machine: Machine) -> dict[str, str]:
@@ -111,7 +119,7 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         return False
     if found is None:
         return False
-    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted)
+    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted, found.moved)
     used = [method for method, refusal in refusals.items() if not refusal]
     for method, refusal in refusals.items():
         if refusal:
@@ -123,4 +131,6 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         report(
             "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"
         )
-    return bool(used or found.accepted)
+    for moved in found.moved:
+        report(watch.EVENT, f"an earlier run found: {watch.describe(moved)}. {watch.wanted(moved)}")
+    return bool(used or found.accepted or found.moved)

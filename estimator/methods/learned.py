@@ -3,15 +3,21 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods.pem import PemState, drifted
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
+from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
+
+LARGEST_SHARE: Final = 0.95  # of a sd, that errors of the model make of it
+_MODEL_SDS: Final = tuple(f"model_sd_{name}" for name in PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +31,10 @@ class Learned:
 
 def of_steady_state(state: SteadyState) -> Learned:
     """What this method has learned, from its state."""
-    counts = {"steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s)}
+    counts = {
+        "steady_s": float(state.steady_s), "sideslip_s": float(state.sideslip_s),
+        "largest_angle": float(state.largest_angle),
+    }  # fmt: skip
     return Learned(state.x.copy(), state.P.copy(), counts)
 
 
@@ -34,6 +43,7 @@ def into_steady_state(state: SteadyState, learned: Learned) -> None:
     state.x, state.P = learned.mean, learned.covariance
     state.steady_s = _counted(learned, "steady_s")
     state.sideslip_s = _counted(learned, "sideslip_s")
+    state.largest_angle = _counted(learned, "largest_angle")  # errors of the model in sharp turns stay
 
 
 def of_tracker(state: TrackerState) -> Learned:
@@ -56,6 +66,7 @@ def into_tracker(state: TrackerState, learned: Learned) -> None:
 def of_pem(state: PemState) -> Learned:
     """What this method has learned, from its state."""
     counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
+    counts |= dict(zip(_MODEL_SDS, state.model_sd.tolist(), strict=True))
     return Learned(state.mean.copy(), drifted(state), counts)
 
 
@@ -64,6 +75,9 @@ def into_pem(state: PemState, learned: Learned) -> None:
     state.mean, state.covariance = learned.mean, learned.covariance
     state.fits = int(_counted(learned, "fits"))
     state.window_s = _counted(learned, "window_s")
+    # The covariance has them in it; taken for noise, they would average out in the windows to come.
+    model_sd = np.array([max(_counted(learned, name), 0.0) for name in _MODEL_SDS])
+    state.model_sd = np.minimum(model_sd, LARGEST_SHARE * np.sqrt(np.diag(learned.covariance)[SIX]))
 
 
 def _counted(learned: Learned, name: str) -> float:

@@ -6,7 +6,7 @@ A suspect that explains the difference far better than chance, by an amount that
 row, has been moved. From then on it is compared with how it is now, so that being put back is found too.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -68,6 +68,7 @@ class Moved:
     before: Evidence  # all samples before that
     after: Evidence  # those since then
     followed: bool = True  # `after` grows, since nothing else has been moved meanwhile
+    now: Evidence | None = None  # of an earlier run's: the samples of this one, by which it may be back
 
 
 @dataclass(slots=True)
@@ -177,7 +178,12 @@ def _look(state: WatchState, machine: Machine) -> list[Found]:
 def _follow(state: WatchState, machine: Machine) -> list[Found]:
     """How far what has been moved is moved by all samples since; returns what is known by name now."""
     told = []
-    for moved in state.moved:
+    for moved in list(state.moved):
+        if moved.now is not None:
+            if _is_back(machine, moved, moved.now, state.blocks[-1]):
+                state.moved.remove(moved)
+                told.append(Found(moved, back=True))
+            continue
         if moved.followed:
             moved.after = _sum([moved.after, state.blocks[-1]])
         explanations = judge(machine, *posterior(moved.before), moved.after)
@@ -188,6 +194,28 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
                 told.append(Found(moved))
         _set(moved, next(explanation for explanation in explanations if explanation.name == moved.names[0]))
     return told
+
+
+def _is_back(machine: Machine, moved: Moved, now: Evidence, block: Evidence) -> bool:
+    """Whether the samples of this run contradict what an earlier one had found, and find it in its place."""
+    moved.now = _sum([now, block])
+    explanations = judge(machine, *posterior(moved.before), moved.now)
+    here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
+    apart = here.amounts - moved.amounts
+    chi_square = apart @ np.linalg.solve(here.covariance + moved.covariance, apart)
+    return float(chi_square) > SURE and not _matters(here)
+
+
+def carried(machine: Machine, moved: Moved) -> Moved:
+    """What an earlier run has found, in a new one: nobody has accepted it, and it may have been put back.
+
+    Raises ValueError for what is of another version.
+    """
+    size = directions_of(machine, moved.names[0]).shape[1]
+    arrays = (moved.before.information, moved.after.information, moved.covariance)
+    if [array.shape for array in arrays] != [(N, N), (N, N), (size, size)]:
+        raise ValueError(f"what was found of {' or '.join(moved.names)} is of another version")
+    return replace(moved, followed=False, now=Evidence())
 
 
 def _set(moved: Moved, explanation: Explanation) -> None:
@@ -226,7 +254,7 @@ def _suspect(state: WatchState, machine: Machine, since: int, explanations: list
         found = Moved(names, first.amounts, first.covariance, after.since_ns, before, after)
         state.moved.append(found)
         return [Found(found)]
-    known.after, known.followed = after, True
+    known.after, known.followed, known.now = after, True, None
     again = judge(machine, *posterior(known.before), after)
     _set(known, next(explanation for explanation in again if explanation.name == known.names[0]))
     if _matters(Explanation(known.names[0], 0.0, known.amounts, known.covariance)):
@@ -259,8 +287,12 @@ def message(found: Found, t_ns: int) -> str:
     if found.back:
         return f"{what} is where it was before, and is used again"
     minutes = max(t_ns - moved.since_ns, 0) * 1e-9 / 60.0
-    accept = f"accept it as it is now ({' or '.join(moved.names)}), or put it back"
-    return f"{describe(moved)}; {minutes:.0f} min ago. It is not used: {accept}"
+    return f"{describe(moved)}; {minutes:.0f} min ago. {wanted(moved)}"
+
+
+def wanted(moved: Moved) -> str:
+    """What the operator is asked for."""
+    return f"It is not used: accept it as it is now ({' or '.join(moved.names)}), or put it back"
 
 
 def found_now(state: WatchState) -> list[tuple[list[str], str]]:
@@ -310,8 +342,8 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
         wheel_speed.accept(state.wheel_speed)
         return
     shift = directions_of(machine, accepted.what) @ np.array(accepted.amounts)
-    held = [evidence for moved in state.moved for evidence in (moved.before, moved.after)]
-    for evidence in (state.old, *state.blocks, state.block, *held):
+    held = [evidence for moved in state.moved for evidence in (moved.before, moved.after, moved.now)]
+    for evidence in (state.old, *state.blocks, state.block, *filter(None, held)):
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]

@@ -1,7 +1,7 @@
 """What one run has learned, in the next: older, of the same rig, and in the log before it is used."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,13 @@ from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
+from tilth.estimator.methods.consistency import Finding
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
+from tilth.estimator.watch.evidence import Evidence
+from tilth.estimator.watch.suspects import WHEEL
+from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
@@ -27,7 +31,7 @@ from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
-from tilth.schemas.flow import Event, Frame, Status
+from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.simulator.traffic import simulate
@@ -52,7 +56,9 @@ def teach(state: fold.State, informed_ns: int) -> None:
     state.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
+    state.estimators[pem.METHOD].model_sd = np.array([0.02, 0.02, 0.03, 0.05, 0.05, 0.05]) / 10.0
     state.estimators[steady_state.METHOD].steady_s = 12.0
+    state.estimators[steady_state.METHOD].largest_angle = 0.5
 
 
 def taught() -> fold.State:
@@ -176,7 +182,7 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
     found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
-    retained, elapsed_s, _ = found
+    retained, elapsed_s, _, _ = found
     assert elapsed_s == 7.0
     for method, wanted in save_learned(taught(), NOW).items():
         assert retained[method].mean.tobytes() == wanted.mean.tobytes()
@@ -218,6 +224,7 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
         lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
         lambda plain: {**plain, "methods": []},
         lambda plain: {**plain, "utc_ns": "soon"},
+        lambda plain: {**plain, "moved": [{"names": ["wheel_angle"]}]},
         lambda plain: [],
     ],
 )
@@ -288,6 +295,106 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
+
+
+def slipped() -> Moved:
+    """The wheels' sensor, by a degree."""
+    return Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, Evidence(), Evidence())
+
+
+def displaced() -> Moved:
+    return Moved(["tractor_rear"], np.array([0.1, 0.0]), 1e-4 * np.eye(2), NOW, Evidence(), Evidence())
+
+
+def on_the_disk(folder: Path) -> dict[str, Any]:
+    (path,) = folder.glob("*.warm.json")
+    found: dict[str, Any] = json.loads(path.read_text())
+    return found
+
+
+def a_second_later(daemon: Daemon) -> bool:
+    """Whether something was kept at once."""
+    keeping, t_ns = daemon._keeping, Clock().t_ns() + SECOND
+    assert keeping is not None
+    due = keeping.is_due(t_ns)
+    if due:
+        keeping.keep(t_ns, daemon.parts.outlets.recording)
+    return due
+
+
+@pytest.mark.parametrize(
+    ("what", "at_once", "methods"),
+    [
+        ("nothing", False, True),
+        ("doubt", False, True),  # what was learned before it stays
+        ("contradiction", True, False),  # nobody knows since when it has been wrong
+        ("slipped", True, False),
+        ("displaced", True, True),  # learned without that receiver
+        ("accepted", True, False),  # it fits the value before
+        ("doubt after accepted", True, False),
+    ],
+)
+def test_what_the_next_run_has_to_know_is_kept_at_once(
+    tmp_path: Path, talker: can.BusABC, what: str, at_once: bool, methods: bool
+) -> None:
+    first, _ = a_run(tmp_path, keep=True)
+    teach(first.parts.estimation.fold.state, Clock().t_ns())
+    first.close()
+    daemon, _ = a_run(tmp_path, keep=True)
+    state = daemon.parts.estimation.fold.state
+    assert state.consistency.confirmed and not a_second_later(daemon)
+    if what == "contradiction":
+        finding = Finding("tractor.a", "driving finds tractor.a twice as long: tractor.a?", active=True)
+        state.consistency.findings["tractor.a"] = finding
+    elif what in ("slipped", "displaced"):
+        state.watch.moved = [slipped() if what == "slipped" else displaced()]
+    elif "accepted" in what:
+        daemon.parts.estimation.fold.accept(Accepted(NOW, WHEEL, (0.0175,), (0.001,)))
+    state.consistency.confirmed = what in ("nothing", "displaced")
+    assert a_second_later(daemon) == at_once and not a_second_later(daemon)
+    if what == "doubt after accepted":
+        teach(state, Clock().t_ns())
+        daemon._keeping.keep(Clock().t_ns(), daemon.parts.outlets.recording)  # type: ignore[union-attr]
+        state.consistency.confirmed, methods = False, True
+    daemon.close()
+    kept = on_the_disk(tmp_path)
+    assert bool(kept["methods"]) == methods
+    assert len(kept["accepted"]) == ("accepted" in what)
+    assert [moved["names"] for moved in kept["moved"]] == (
+        [[WHEEL]] if what == "slipped" else [["tractor_rear"]] if what == "displaced" else []
+    )
+
+
+@pytest.mark.parametrize(("found", "says"), [(slipped, "the wheels"), (displaced, "tractor_rear")])
+def test_what_was_found_moved_stays_so_after_a_restart(
+    tmp_path: Path, talker: can.BusABC, found: Callable[[], Moved], says: str
+) -> None:
+    """A driver who switches it off and on again has not put anything back."""
+    first, _ = a_run(tmp_path, keep=True)
+    state = first.parts.estimation.fold.state
+    teach(state, Clock().t_ns())
+    state.watch.moved = [found()]
+    state.consistency.confirmed = found is displaced
+    first.close()
+    second_rig = rig(tmp_path, VIRTUAL)
+    second, told = a_run(tmp_path, second_rig, keep=True)
+    (event,) = [event.text for event in told.events if event.kind == "moved"]
+    assert says in event and "accept it as it is now" in event
+    for frame in now(list(simulate(MACHINE, 3, 4.0))):
+        second.take(frame)
+    fold_now = second.parts.estimation.fold
+    assert [names for names, _ in fold_now.moved] == [found().names]
+    given = fold_now.estimates["recommended"].parameters
+    if found is displaced:
+        assert fold_now.state.aligner.tracks["tractor_rear"].left_out
+        assert all(p.value is not None for p in given)
+    else:
+        assert all(p.value is None and p.status is Status.INVALID for p in given)
+        assert "wheel_angle.zero" in given[0].reason
+    logs = second.close().log_files
+    comparison = Comparison()
+    replay(logs, *second_rig, outputs=ReplayOutputs(comparison=comparison))
+    assert comparison.difference == "" and comparison.compared > 500
 
 
 def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: can.BusABC) -> None:

@@ -127,6 +127,44 @@ def test_what_is_put_back_is_over() -> None:
     assert over.back and drive.state.moved == [] and watch.left_out(drive.state) == frozenset()
 
 
+def in_a_new_run(before: Drive, back: bool) -> Drive:
+    """What has been found moved goes on in another run, in which it may be back in its place."""
+    after = Drive(seed=2)
+    after.constants = before.constants
+    after.state.moved = [watch.carried(MACHINE, moved) for moved in before.state.moved]
+    if back:
+        for moved in before.state.moved:
+            after.move(moved.names[0], tuple(-np.array(AMOUNTS[moved.names[0]])))
+    return after
+
+
+@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize("name", ["tractor_rear", WHEEL])
+def test_what_an_earlier_run_found_stands_until_it_is_seen_in_its_place(name: str, back: bool) -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move(name, AMOUNTS[name])
+    drive.drive(AFTER)
+    assert [moved.names for moved in drive.state.moved] == [[name]]
+    again = in_a_new_run(drive, back)
+    told = again.drive(AFTER)
+    assert [found.back for found in told] == ([True] if back else [])
+    assert [moved.names for moved in again.state.moved] == ([] if back else [[name]])
+    if not back:
+        now = watch.proposal(again.state, MACHINE, name, START_NS)
+        assert now is not None and now.amounts == pytest.approx(AMOUNTS[name], abs=0.03)
+
+
+def test_what_another_version_found_is_not_taken() -> None:
+    drive = Drive()
+    drive.drive(BEFORE)
+    drive.move(WHEEL, AMOUNTS[WHEEL])
+    drive.drive(AFTER)
+    (moved,) = drive.state.moved
+    with pytest.raises(ValueError, match="wheel_angle is of another version"):
+        watch.carried(MACHINE, replace(moved, covariance=np.eye(2)))
+
+
 def test_two_things_moved_one_after_the_other_are_both_named() -> None:
     drive = Drive()
     drive.drive(BEFORE)
