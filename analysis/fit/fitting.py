@@ -29,6 +29,7 @@ from tilth.analysis.runs.kept import cache_folder, key_of
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.estimator.methods import pem
+from tilth.estimator.pose.geometry import to_degrees
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.schemas.machine import Machine
 
@@ -224,16 +225,27 @@ def driven_of(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
 
 def _distance(one: Wanted, other: Wanted) -> float:
     """m from the end of one segment to the end of the other: driven, or, between runs, as the crow flies."""
-    a, b = one.run.poses, other.run.poses
     if one.run is other.run:
-        way = a.between(one.segment.end_s, other.segment.end_s)
+        way = one.run.poses.between(one.segment.end_s, other.segment.end_s)
         steps = np.diff(way.t_s, prepend=way.t_s[:1])
         speed = np.nan_to_num(np.abs(way["tractor_forward_velocity_mps"]))
         return float(np.sum(speed * np.minimum(steps, segments.LONGEST_GAP_S)))
-    from_deg = np.radians([a["origin_latitude_deg"][-1], a["origin_longitude_deg"][-1]])
-    to_deg = np.radians([b["origin_latitude_deg"][-1], b["origin_longitude_deg"][-1]])
-    north, east = to_deg - from_deg
-    return EARTH_M * float(np.hypot(north, east * np.cos(from_deg[0])))
+    start, end = np.radians(_end_deg(one)), np.radians(_end_deg(other))
+    north, east = end - start
+    return EARTH_M * float(np.hypot(north, east * np.cos(start[0])))
+
+
+def _end_deg(one: Wanted) -> tuple[float, float]:
+    """Latitude and longitude of the tractor's CG at the end of a segment."""
+    poses = one.run.poses
+    last = max(int(np.searchsorted(poses.t_s, one.segment.end_s, "right")) - 1, 0)
+    names = ("origin_latitude_deg", "origin_longitude_deg", "tractor_x_m", "tractor_y_m")
+    rows = np.column_stack([poses[name][: last + 1] for name in names])
+    known = rows[np.all(np.isfinite(rows), axis=1)]
+    if not len(known):
+        return 0.0, 0.0
+    latitude, longitude, x, y = known[-1].tolist()
+    return to_degrees((latitude, longitude), x, y)
 
 
 def _name(one: Wanted, methods: Sequence[str]) -> str:

@@ -193,13 +193,14 @@ def _stretch(t: Array, u: Array, at: Array, y: Array) -> list[_Stretch]:
     if len(at) < 2:
         return []
     begins = max(float(at[0]) + BEGINS_S, float(t[0]) + MOST_LATE_S)
-    near = np.abs(at - begins) <= BEGINS_S
     used = (at >= begins) & (at <= float(t[-1]) - MOST_EARLY_S)
-    if not near.any() or np.count_nonzero(used) < 2:
+    if np.count_nonzero(used) < 2:
         return []
+    near = np.abs(at - begins) <= BEGINS_S
+    y0 = float(np.mean(y[near])) if near.any() else float(np.interp(begins, at, y))  # of a slow sensor none is
     at_used, y_used = at[used] - begins, y[used]
     step = max(round(APART_S / max(float(np.median(np.diff(at_used))), 1e-6)), 1)
-    one = _Stretch(t - begins, u, at_used[::step], y_used[::step], float(np.mean(y[near])))
+    one = _Stretch(t - begins, u, at_used[::step], y_used[::step], y0)
     return [one] if _seconds(one) >= SHORTEST_S else []
 
 

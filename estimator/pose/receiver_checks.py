@@ -226,7 +226,8 @@ def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None
     for index in (2 * body, 2 * body + 1):
         track = aligner.tracks.get(MOUNTS[index].value)
         at_ns = t_ns + aligner.latency.excess_ns(index)
-        found = sample_at(track.rolls, at_ns, SLOW_HOLD_NS) if track is not None else None
+        used = track is not None and not track.left_out
+        found = sample_at(track.rolls, at_ns, SLOW_HOLD_NS) if track is not None and used else None
         if found is not None:
             found_rolls.append(found)
     if not found_rolls:

@@ -18,12 +18,13 @@ class RollPitch:
 
 
 def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
-    """Roll and pitch of a body (0 tractor, 1 implement) at t_ns: the means over its receivers."""
+    """Roll and pitch of a body (0 tractor, 1 implement) at t_ns: the means over its receivers
+    but those that are left out."""
     rolls: list[tuple[float, float]] = []
     pitches: list[float] = []
     for index in (2 * body, 2 * body + 1):
         track = aligner.tracks.get(MOUNTS[index].value)
-        if track is None:
+        if track is None or track.left_out:
             continue
         at_ns = t_ns + aligner.latency.excess_ns(index)
         before = sample_at(track.rolls, at_ns - HALF_NS, SLOW_HOLD_NS)

@@ -20,6 +20,7 @@ from tilth.analysis.report.gather import facts_of
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.run import Run
+from tilth.analysis.runs.table import Table
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import PARAMETERS
 
@@ -85,6 +86,24 @@ def test_segments_have_the_numbers_of_the_report(monkeypatch: pytest.MonkeyPatch
     assert (row["number"], row["kind"]) == (1, "row")
     assert (shown["number"], shown["start_s"]) == (wanted.number, pytest.approx(wanted.segment.start_s))
     assert wanted.id == "1.2"
+
+
+@pytest.mark.parametrize(("north_m", "east_m"), [(0.0, 0.0), (4000.0, 0.0), (-300.0, 1200.0)])
+def test_runs_that_began_at_one_yard_are_as_far_apart_as_where_they_ended(
+    north_m: float, east_m: float
+) -> None:
+    (one,) = choose([replayed()], [(1, 10.0, 20.0)])
+    moved = {"tractor_x_m": north_m, "tractor_y_m": east_m}
+    there = {
+        name: values + moved.get(name, 0.0)
+        for name, values in one.run.poses.columns.items()
+        if name != "flags"
+    }
+    other = replace(one.run)
+    other.__dict__["poses"] = Table(there)
+    assert fitting._distance(one, replace(one, run=other)) == pytest.approx(
+        math.hypot(north_m, east_m), rel=0.01, abs=0.01
+    )
 
 
 def test_marks_come_before_what_is_found() -> None:

@@ -161,6 +161,21 @@ def test_dead_time_time_constant_and_rate_are_found(one: Steered) -> None:
     assert ("opposite signs" in told.words) == (one.gain < 0.0)
 
 
+@pytest.mark.parametrize(("hz", "phase_s"), [(5.0, 0.0), (5.0, 0.1), (2.5, 0.0), (2.5, 0.13)])
+def test_a_slow_wheel_sensor_tells_as_well(hz: float, phase_s: float) -> None:
+    one = Steered()
+    t, u = orders_at(one, np.random.default_rng(one.seed))
+    truth = wheels(one, t, u)
+    commands = SteeringCommands()
+    for frame in frames_of_drive(one, truth, t, u):
+        commands.take(frame)
+    at = np.arange(phase_s, (len(truth) - 1) * FINE, 1.0 / hz)
+    noise = np.random.default_rng(2).normal(0.0, math.radians(0.05), len(at))
+    wheel = np.radians(np.interp(at, np.arange(len(truth)) * FINE, truth)) + noise
+    told = respond(commands.orders(WHEELBASE, START_NS), at + DELAY, wheel, DELAY)
+    assert isinstance(told, SteeringResponse), told
+
+
 NOTHING = {
     "no commands": (Steered(seconds=40.0, by_rudder=True, on_s=0.0), reasons.NO_COMMANDS),
     "never steers": (Steered(on_s=0.0), reasons.NEVER_STEERED),

@@ -10,7 +10,19 @@ from tilth.estimator.pose import aligner
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.geometry import to_plane, wrap
 from tilth.estimator.pose.pose import poses
-from tilth.schemas.flow import Fix, FixType, Flag, FlagKind, Measurement, Mount, Pose, Position, VehicleSpeed
+from tilth.estimator.pose.roll_pitch import roll_pitch_at
+from tilth.schemas.flow import (
+    Attitude,
+    Fix,
+    FixType,
+    Flag,
+    FlagKind,
+    Measurement,
+    Mount,
+    Pose,
+    Position,
+    VehicleSpeed,
+)
 
 ALL = tuple(Mount)
 LATE = {ALL[0]: 0.05, ALL[1]: 0.15, ALL[2]: 0.12, ALL[3]: 0.07}  # s; the machine file says 0.10 for each
@@ -231,6 +243,21 @@ def test_repeated_positions_are_no_news_while_moving_and_hold_at_standstill() ->
             measurements.append(m)
         pose = feed(state, measurements)[-1]
         assert (Flag.parse(flag) in pose.flags) if flag else pose.flags == ()
+
+
+def test_a_receiver_that_is_left_out_leans_no_body() -> None:
+    """A branch has tilted it; the other on the body tells its roll."""
+    circle = Circle()
+    state = aligner.initial(demo_machine())
+    for measurement in circle.measurements(4.0):
+        if isinstance(measurement, Attitude) and measurement.origin.mount is Mount.TRACTOR_REAR:
+            measurement = replace(measurement, roll=math.radians(5.0), pitch=math.radians(5.0))
+        aligner.take(state, measurement)
+    t_ns = START_NS + 3_000_000_000
+    tilted = roll_pitch_at(state, 0, t_ns)
+    aligner.leave_out(state, {Mount.TRACTOR_REAR.value})
+    told = roll_pitch_at(state, 0, t_ns)
+    assert abs(told.roll) < math.radians(0.5) < abs(tilted.roll - told.roll)
 
 
 def test_standstill_and_reverse_are_recognised() -> None:

@@ -94,6 +94,15 @@ def test_the_old_tyres_again_are_said_to_be_back(change: float) -> None:
     assert [one.back for one in found] == [True] and drive.state.change is None
 
 
+def test_less_slip_from_field_to_field_is_no_larger_tyre() -> None:
+    """What is known is the lightest driving before the last stand, not before the first one."""
+    drive = SlippingDrive(3, row=200.0)
+    for slip in (0.030, 0.015, 0.005):
+        drive.factor = FACTOR * (1.0 + slip)  # as slip all over a field looks
+        assert drive.drive(20.0) == []
+        drive.stand()
+
+
 def test_larger_tyres_need_no_standstill_and_smaller_ones_do() -> None:
     """More slip all over looks like smaller tyres; no slip looks like larger ones."""
     for factor, expected in ((0.96, [False]), (1.04, [])):
