@@ -210,10 +210,7 @@ def _watch(live: LiveCalibration) -> bool:
     with Screen(panel, line, KEYS, without_seconds) as screen, suppress(KeyboardInterrupt):
         while True:
             began_s = time.monotonic()
-            try:
-                state = live.turn()
-            except LogError as error:
-                raise WrongUse(str(error)) from None
+            state = _turn(live)
             orders = [screen.show(state), *live.wires.orders()]
             if COMPUTE in orders:
                 live.estimates.ask()
@@ -223,8 +220,16 @@ def _watch(live: LiveCalibration) -> bool:
             time.sleep(max(TURN_S - (time.monotonic() - began_s), 0.0))
     if finished:
         live.phase = FINISHING
-        live.turn()
+        _turn(live)
     return finished
+
+
+def _turn(live: LiveCalibration) -> pb.CalibrationState:
+    """Raises WrongUse."""
+    try:
+        return live.turn()
+    except LogError as error:
+        raise WrongUse(str(error)) from None
 
 
 def _first_log(wires: CalibrationWires) -> Path:

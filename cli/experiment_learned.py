@@ -2,9 +2,12 @@
 
 import json
 import math
+import os
+import signal
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,7 +44,7 @@ class FitOfRuns:
         else:
             self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
             self._process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._said
+                words, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._said, start_new_session=True
             )
             self._lines = ("Fitting what was driven; this may take a minute or two …",)
 
@@ -59,8 +62,10 @@ class FitOfRuns:
     def close(self) -> None:
         """Ends it."""
         if self._process is not None:
-            self._process.terminate()
-            self._process.wait(10.0)
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGTERM)  # it fits in processes of its own
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(10.0)
         if hasattr(self, "_out"):
             self._out.close()
             self._said.close()

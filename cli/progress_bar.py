@@ -1,6 +1,7 @@
 """Bars for work that takes long, on a terminal."""
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 
@@ -8,6 +9,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 Steps = Callable[[str, float, float], None]  # what, done, of all
+EACH_S = 0.1  # from one drawing to the next
 
 
 def bars(stack: ExitStack) -> Steps:
@@ -15,13 +17,14 @@ def bars(stack: ExitStack) -> Steps:
     to stderr, so JSON on stdout stays alone."""
     if not sys.stderr.isatty():
         return lambda what, done, of: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    bar, draw = _bar(stack)
     tasks: dict[str, TaskID] = {}
 
     def show(what: str, done: float, of: float) -> None:
         if what not in tasks:
             tasks[what] = bar.add_task(what, total=of)
         bar.update(tasks[what], completed=done, total=of)
+        draw()
 
     return show
 
@@ -30,6 +33,26 @@ def stages(stack: ExitStack) -> Callable[[str, float], None]:
     """One bar whose words are what is done now, with its share, until the stack ends; as `bars`."""
     if not sys.stderr.isatty():
         return lambda what, share: None
-    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True))
+    bar, draw = _bar(stack)
     task = bar.add_task("", total=1.0)
-    return lambda what, share: bar.update(task, description=what, completed=share)
+
+    def show(what: str, share: float) -> None:
+        bar.update(task, description=what, completed=share)
+        draw()
+
+    return show
+
+
+def _bar(stack: ExitStack) -> tuple[Progress, Callable[[], None]]:
+    """Drawn by who tells of a step, not by a thread: a process that is forked for a fit would inherit its
+    locks."""
+    bar = stack.enter_context(Progress(console=Console(stderr=True), transient=True, auto_refresh=False))
+    drawn_s = 0.0
+
+    def draw() -> None:
+        nonlocal drawn_s
+        if time.monotonic() - drawn_s > EACH_S:
+            drawn_s = time.monotonic()
+            bar.refresh()
+
+    return bar, draw

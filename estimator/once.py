@@ -12,14 +12,16 @@ V = TypeVar("V")
 def once_for_a_machine(function: Callable[[Machine], V]) -> Callable[[Machine], V]:
     """`function` of a machine file, which keeps its value for the file that it was last called with.
 
-    Who calls it changes nothing of the value.
+    Who calls it changes nothing of the value, nor do two threads that call it for different files.
     """
-    known: list[tuple[Machine, V]] = []
+    last: tuple[Machine, V] | None = None
 
     @wraps(function)
     def remembering(machine: Machine) -> V:
-        if not known or known[0][0] is not machine:
-            known[:] = [(machine, function(machine))]
-        return known[0][1]
+        nonlocal last
+        known = last
+        if known is None or known[0] is not machine:
+            last = known = (machine, function(machine))
+        return known[1]
 
     return remembering

@@ -86,10 +86,14 @@ def between(poses: Table, start_s: float, end_s: float, kind: str = GIVEN, name:
 
 
 def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
-    """Segments between operator marks "… start" and "… end" (or "stop"), of one name or without any."""
+    """Segments between operator marks "… start" and "… end" (or "stop"), of one name or without any.
+
+    A run of an experiment that was disturbed, which a mark after it says, was driven again.
+    """
     begun: dict[str, float] = {}
-    found = []
+    found: list[DrivenSegment] = []
     for t_s, text in zip(marks.t_s.tolist(), marks["text"], strict=True):
+        found = [one for one in found if not (one.name and str(text).startswith(_spoilt(one.name)))]
         words = str(text).split()
         last = words[-1].lower() if words else ""
         name = " ".join(words[:-1])
@@ -101,6 +105,11 @@ def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
             except ValueError:
                 continue
     return tuple(found)
+
+
+def _spoilt(name: str) -> tuple[str, ...]:
+    """How marks begin that say so of a run of that name."""
+    return f"{name} disturbed (", f"{name} aborted ("
 
 
 def all_segments(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:

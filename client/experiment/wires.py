@@ -4,7 +4,7 @@ import math
 import queue
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Final
@@ -31,7 +31,7 @@ class PrompterWires:
 
     def __init__(self, session: zenoh.Session, base: str) -> None:
         self._session, self._base, self._link = session, base, Link(session)
-        self._poses: queue.Queue[tuple[float, Seen]] = queue.Queue(WAITING)
+        self._poses: deque[tuple[float, Seen]] = deque(maxlen=WAITING)  # one thread adds, another takes
         self._orders = OrderQueue(pb.ExperimentOrder, ORDERS)
         self._marked: queue.Queue[Marked] = queue.Queue()
         self._refused: Counter[str] = Counter()
@@ -81,8 +81,8 @@ class PrompterWires:
     def poses(self) -> list[tuple[float, Seen]]:
         """(when it came, s of time.monotonic; the pose), of those since the last call."""
         found = []
-        while not self._poses.empty():
-            found.append(self._poses.get())
+        while self._poses:
+            found.append(self._poses.popleft())
         return found
 
     def orders(self) -> list[Order]:
@@ -120,9 +120,7 @@ class PrompterWires:
         except Refused as error:
             self._refused[str(error)] += 1
             return
-        if self._poses.full():
-            self._poses.get()
-        self._poses.put((time.monotonic(), seen))
+        self._poses.append((time.monotonic(), seen))
 
     def _take_state(self, sample: zenoh.Sample) -> None:
         with suppress(Refused):

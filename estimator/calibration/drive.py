@@ -32,6 +32,7 @@ Rows = list[tuple[float, ...]]
 MOUNTS: Final = tuple(Mount)
 STEP_S: Final = 0.2  # of the grid
 LONGEST_GAP_S: Final = 1.1  # that is interpolated
+SILENT_S: Final = 2.0  # of the better of a receiver's two messages of positions, after which the other counts
 MEAN_S: Final = 0.2  # over which wheel angle, turn rates, rolls and pitches are averaged
 
 
@@ -83,8 +84,8 @@ def take(heard: MeasuredLists, measurement: Measurement) -> None:
 
 
 def _take_position(heard: MeasuredLists, k: int, t: float, position: Position) -> None:
-    known = heard.position_pgns[k]
-    if position.repeat or (known and position.pgn > known):
+    known, rows = heard.position_pgns[k], heard.positions[k]
+    if position.repeat or (known and position.pgn > known and t - rows[-1][0] < SILENT_S):
         return  # a receiver may send each position in two messages
     heard.position_pgns[k] = position.pgn
     here = (position.latitude_deg, position.longitude_deg)

@@ -196,8 +196,8 @@ def _stretch(t: Array, u: Array, at: Array, y: Array) -> list[_Stretch]:
     used = (at >= begins) & (at <= float(t[-1]) - MOST_EARLY_S)
     if np.count_nonzero(used) < 2:
         return []
-    near = np.abs(at - begins) <= BEGINS_S
-    y0 = float(np.mean(y[near])) if near.any() else float(np.interp(begins, at, y))  # of a slow sensor none is
+    near = np.abs(at - begins) <= BEGINS_S  # of a slow sensor none may be
+    y0 = float(np.mean(y[near])) if near.any() else float(np.interp(begins, at, y))
     at_used, y_used = at[used] - begins, y[used]
     step = max(round(APART_S / max(float(np.median(np.diff(at_used))), 1e-6)), 1)
     one = _Stretch(t - begins, u, at_used[::step], y_used[::step], y0)

@@ -264,7 +264,7 @@ def _update_findings(
             finding.text = text
         opened = key in KEYS.values() and key not in by_method
         may_diverge = not state.open_restarted or open_tracker.is_rough(state.open)
-        if opened and finding.poses == LEAST_POSES_OPEN and may_diverge:
+        if opened and not finding.active and finding.poses == LEAST_POSES_OPEN and may_diverge:
             _restart_open_tracker(state, machine, key)
             continue
         if finding.poses >= (LEAST_POSES_OPEN if opened else LEAST_POSES) and not finding.active:

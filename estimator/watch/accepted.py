@@ -110,11 +110,15 @@ def line_of(machine: Machine, what: str) -> str:
     if what == WHEEL_SPEED and factor is not None:
         return f"[tractor] wheel_speed_factor = {{ value = {factor.value:.4f}, sd = {factor.sd:.4f} }}"
     if what == DRAWBAR:
-        return f"[implement] d = {machine.implement.d.value:.3f}"
+        d = machine.implement.d
+        return f"[implement] d = {{ value = {d.value:.3f}, sd = {d.sd:.3f} }}"
     mounts = _pair(machine, PAIRS.index(what)) if what in PAIRS else [_one(machine, what)]
-    return "; ".join(
-        f"{r.mount.value} position = [{', '.join(f'{x:.3f}' for x in r.position)}]" for r in mounts
-    )
+    return "; ".join(map(_receiver_line, mounts))
+
+
+def _receiver_line(receiver: Receiver) -> str:
+    position = ", ".join(f"{x:.3f}" for x in receiver.position)
+    return f"{receiver.mount.value} position = [{position}], survey_sd = {receiver.survey_sd:.3f}"
 
 
 def acceptance(machine: Machine, accepted: Accepted) -> str:

@@ -118,6 +118,31 @@ def test_marks_name_a_segment() -> None:
     assert (found.start_s, found.end_s) == pytest.approx([at_s for at_s, _ in MARKS], abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("after", "found"),
+    [
+        ("", True),
+        ("wet hollow", True),
+        ("NAME 2 disturbed (of another try)", True),
+        ("NAME disturbed (the end is not in the log)", False),
+        ("NAME aborted (stopped by the driver)", False),
+    ],
+)
+def test_a_run_that_a_later_mark_calls_spoilt_is_not_found(after: str, found: bool) -> None:
+    """Its end mark may come late, after the driver has been told to drive it again."""
+    name = "experiment p run 1 step replicate 1 of 1 try 1"
+    texts = [
+        f"{name} start",
+        f"{name} end",
+        after.replace("NAME", name),
+        f"{name[:-1]}2 start",
+        f"{name[:-1]}2 end",
+    ]
+    marks = Table({"t_s": np.array([2.0, 10.0, 11.0, 20.0, 30.0]), "text": np.array(texts, object)})
+    names = [one.name for one in segments.marked(poses(np.zeros(200)), marks)]
+    assert names == ([name] if found else []) + [f"{name[:-1]}2"]
+
+
 def test_given_times_outside_of_the_run() -> None:
     table = poses(np.zeros(100))
     assert segments.between(table, 2.0, 8.0).seconds == 6.0

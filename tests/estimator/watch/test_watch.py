@@ -275,7 +275,7 @@ def test_a_value_in_place_of_the_machine_files(name: str) -> None:
         case _:
             assert changed == {name: pytest.approx(amounts)}
     assert demo_machine() == MACHINE  # the old one is as it was
-    assert key_of(name) and line_of(new, name) and in_words(name, amounts, one.sds)
+    assert key_of(name) and "sd = " in line_of(new, name) and in_words(name, amounts, one.sds)
 
 
 def test_what_is_not_known_is_not_accepted() -> None:
