@@ -25,12 +25,11 @@ TOLD: Final = 0.5  # of the prior sd: a larger sd says that the drive tells noth
 
 DEG: Final = math.degrees(1.0)
 CURVED: Final = DEG * math.radians(30.0) ** 2  # ° at 30° per 1/rad
-ROW, CIRCLE, FOLD, WEAVE, PARK = (
+ROW, CIRCLE, FOLD, WEAVE = (
     "drive straight there and back on one line, 150 m each way",
     "drive slow circles to both sides, at three angles of the wheels",
     "drive turns in which the implement folds by 20° and more, to both sides",
     "weave with the wheels, slowly and quickly, for a minute each",
-    "stand for 20 s",
 )
 
 
