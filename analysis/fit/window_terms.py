@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from tilth.analysis.fit.segment_fit import FittedWindow
 from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
-from tilth.estimator.filters.likelihood import Search
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.schemas.machine import Machine
@@ -54,7 +53,7 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     here = point.copy()
     here[NOISE] = window.noise
     search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
-    _leave_out_outliers(search, here)
+    scoring.leave_out_outliers(search, here)
     at = likelihood.evaluate(search, here, driven=likelihood.response_to_steering(search, here))
     known, information = likelihood.apart_from_ground(search, at)
     scores = likelihood.scores_at(search, known)
@@ -67,11 +66,6 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
         fit_covariance.whiteness(search.record.rows, search.scored, at.e, at.S),
         fit_covariance.model_sd_of(window.record, here),
     )
-
-
-def _leave_out_outliers(search: Search, here: Array) -> None:
-    made = likelihood.innovations(search.record, search.setup, search.start, here, used=search.used)
-    search.used = np.where(np.abs(made.e) > scoring.OUTLIER * np.sqrt(made.S), 0.0, search.used)
 
 
 def newton(machine: Machine, terms: Sequence[Terms], point: Array, share: float = 1.0) -> tuple[Array, float]:

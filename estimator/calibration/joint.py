@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.left_over import LeftOver, left_over, squares_of
-from tilth.estimator.filters import fit_covariance, likelihood, unknowns
+from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
 from tilth.estimator.filters.likelihood import Iterate, Search
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
@@ -26,7 +26,6 @@ Progress = Callable[[int, float], None]  # steps done, largest step in sds
 
 MOST_STEPS: Final = 10  # at most, with these held
 SETTLED: Final = 0.15  # sds: a step this small ends a search
-OUTLIER: Final = 5.0  # sds
 LONGEST: Final = 1.0  # prior sds, of one step
 MOST_DAMPING: Final = 1e6
 
@@ -105,7 +104,8 @@ def fit(
             free[NOISE], about[NOISE] = 0.0, point[NOISE]
         searches = [likelihood.search_of(record, setup, about, np.diag(free**2)) for record in records]
         if held:
-            _leave_out_outliers(searches, point)
+            for search in searches:
+                scoring.leave_out_outliers(search, point)
         point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
         made = _result(searches, now, point, about, free, steps, size < SETTLED)
     assert made is not None
@@ -178,12 +178,6 @@ def _without_prior(search: Search, at: Iterate, gradient: Array, information: Ar
 def _with_prior(each: Sequence[tuple[Array, Array]], prior: Array, away: Array) -> tuple[Array, Array]:
     gradient = np.asarray(sum((one for one, _ in each), prior @ away), np.float64)
     return gradient, np.asarray(sum((one for _, one in each), prior), np.float64)
-
-
-def _leave_out_outliers(searches: Sequence[Search], point: Array) -> None:
-    for search in searches:
-        made = likelihood.innovations(search.record, search.setup, search.start, point, used=search.used)
-        search.used = np.where(np.abs(made.e) > OUTLIER * np.sqrt(made.S), 0.0, search.used)
 
 
 def _result(

@@ -16,6 +16,7 @@ from tilth.estimator.filters.likelihood import (
     apart_from_ground,
     evaluate,
     gradient_and_information,
+    innovations,
     inverse,
     likelihood_at,
     response_to_steering,
@@ -119,6 +120,16 @@ def maximise_posterior(
     )  # fmt: skip
 
 
+def leave_out_outliers(search: Search, point: Array) -> None:
+    """Rows that are outliers at a point, (n,), count no more."""
+    made = innovations(search.record, search.setup, search.start, point, used=search.used)
+    _leave_out(search, made.e, made.S)
+
+
+def _leave_out(search: Search, e: Array, S: Array) -> None:
+    search.used = np.where(np.abs(e) > OUTLIER * np.sqrt(S), 0.0, search.used)
+
+
 def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
     """The minimum of the cost, from a starting point. exact: derivatives have in them what the gains do."""
     of_six, damping, limit = search.active < 6, 1e-3, ROUGHLY_FLAT if search.setup.scale == 1.0 else FLAT_COST
@@ -135,7 +146,7 @@ def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
             return Minimum(at, k, float(np.max(np.abs(newton) / _sds(information))), promised)
         damping = max(damping * 0.2, LEAST_DAMPING) if tried == 1 else damping * MORE ** (tried - 1)
         if k == 2 and not exact:  # outliers are chosen once in a fit, at this point
-            search.used = np.where(np.abs(then.e) > OUTLIER * np.sqrt(then.S), 0.0, search.used)
+            _leave_out(search, then.e, then.S)
             then = evaluate(search, then.point, then)
         flat, at = abs(then.cost - at.cost) < limit, then
         # Only the six must be settled: a noise level that has no effect may go to and fro.
