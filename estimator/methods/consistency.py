@@ -182,10 +182,16 @@ def discard_findings(state: Consistency, machine: Machine, confirmed: bool = Fal
 
 
 def left_out(state: Consistency, machine: Machine) -> None:
-    """Something was moved and is not used from here on: all else of the file is as it was confirmed."""
+    """Something was moved and is not used from here on: all else of the file is as it was confirmed. That a
+    receiver is not in its place was found of just that, perhaps sooner."""
+    state.findings = {k: f for k, f in state.findings.items() if not _of_a_place(f.key)}
     state.pairs_known = state.was_confirmed and not contradicted(state)
     discard_findings(state, machine, state.pairs_known)
     state.agreed = 0
+
+
+def _of_a_place(key: str) -> bool:
+    return key.startswith("receiver.") and "position" in key
 
 
 def clock_stepped(state: Consistency) -> None:

@@ -14,7 +14,7 @@ from estimation_study import STEPS
 from tilth.estimator import fold
 from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import consistency, open_tracker
-from tilth.estimator.methods.consistency import CONTRADICTION
+from tilth.estimator.methods.consistency import CONTRADICTION, Finding
 from tilth.estimator.methods.findings import KEYS
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models.parameters import rig_of, static_loads
@@ -312,6 +312,25 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     is_tyre = COEFFICIENT[0] < coefficient < COEFFICIENT[1]
     assert all((p.value is not None) == is_tyre for p in checked.parameters)
     assert is_tyre or "no tyre" in checked.parameters[0].reason
+
+
+@pytest.mark.parametrize(
+    ("key", "known"),
+    [
+        ("receiver.position on the tractor", True),  # by standing, before the watch knows which one
+        ("receiver.tractor_front.position", True),
+        ("receiver.tractor_front.roll_corrected", False),
+        ("wheel_angle.scale or gain", False),
+    ],
+)
+def test_a_receiver_that_is_left_out_takes_along_what_was_found_of_its_place(key: str, known: bool) -> None:
+    machine = demo_machine()
+    state = consistency.initial(machine)
+    state.was_confirmed = True
+    state.findings[key] = Finding(key, f"{key}?", active=True)
+    consistency.left_out(state, machine)
+    assert (state.confirmed, state.pairs_known) == (known, known)
+    assert not known or consistency.contradicted(state) == ""
 
 
 @pytest.mark.parametrize(
