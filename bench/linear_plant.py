@@ -36,17 +36,6 @@ LATERAL_STATES: Final = (0, 1, 2, 3, 4, 5, 7, 8)  # of relaxation.STATES: all bu
 STATES: Final = 11  # these and three pushes
 OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: both yaw rates and both headings
 UNSEEN: Final = ("s_velocity", "uneven", "s_roll")  # noise levels of what the record does not have
-ABSENT: Final = (
-    "rolling",
-    "curvature",
-    "rate_late_t",
-    "rate_late_i",
-    "two_track",
-    "parallel",
-    "shrink",
-    "camber",
-    "sway",
-)  # effects that are usual, and that this plant does not have
 UNKNOWN: Final = tuple(n for n in (*PARAMETERS, "wheel_zero", *NOISES) if n not in UNSEEN)
 NUDGE: Final = 1e-4  # of the central differences
 NO_SCATTER: Final = 1e-10  # variance of the first state
@@ -93,7 +82,8 @@ def prior(machine: Machine) -> tuple[Array, Array]:
     """(mean [n], covariance [n, n]) of unknowns.NAMES where only UNKNOWN is not known."""
     mean, sd = unknowns.prior(machine)
     sd = np.where([name in UNKNOWN for name in NAMES], sd, 0.0)
-    mean[[AT[name] for name in ABSENT]] = 0.0
+    # What is usual on a tractor, such as late turn rates, is not in this plant.
+    mean = np.where([name in (*UNKNOWN, *UNSEEN) for name in NAMES], mean, 0.0)
     return mean, np.diag(sd**2)
 
 

@@ -41,8 +41,9 @@ class Keeping:
         """
         self._next_ns = t_ns + EVERY_NS
         learned, accepted, moved = self._fold.keep(t_ns), self._fold.accepted, self._fold.unsettled
-        standing, before, self._written = self._standing(), self._written, self._standing()
-        if learned or moved or standing != before:
+        standing, before = self._standing(), self._written
+        self._written = standing
+        if learned or standing != before or (moved and self._fold.contradicted):
             text = warm_start_file.text_of(self._machine, learned, t_ns, accepted, moved)
             recording.on_disk_thread(lambda: warm_start_file.write(self._path, text))
 

@@ -90,7 +90,7 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
         elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
-        moved = from_json_data(list[Moved], plain.get("moved", []))
+        moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise NotUsable(f"{path} is damaged ({error!r})") from None
     if changed:

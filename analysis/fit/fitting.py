@@ -5,6 +5,7 @@ fitted again, nor are the same segments joined again: an interrupted fit goes on
 """
 
 import contextlib
+import math
 import multiprocessing
 import os
 import pickle
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,11 +30,10 @@ from tilth.analysis.runs.kept import cache_folder, key_of
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.estimator.methods import pem
-from tilth.estimator.pose.geometry import to_degrees
+from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.schemas.machine import Machine
 
-EARTH_M: Final = 6_371_000.0  # radius, for distances between runs
 Kept = TypeVar("Kept", SegmentFit, Linearised)
 Progress = Callable[[int, int], None]  # segments done, of all
 
@@ -230,9 +230,7 @@ def _distance(one: Wanted, other: Wanted) -> float:
         steps = np.diff(way.t_s, prepend=way.t_s[:1])
         speed = np.nan_to_num(np.abs(way["tractor_forward_velocity_mps"]))
         return float(np.sum(speed * np.minimum(steps, segments.LONGEST_GAP_S)))
-    start, end = np.radians(_end_deg(one)), np.radians(_end_deg(other))
-    north, east = end - start
-    return EARTH_M * float(np.hypot(north, east * np.cos(start[0])))
+    return math.hypot(*to_plane(_end_deg(one), *_end_deg(other)))
 
 
 def _end_deg(one: Wanted) -> tuple[float, float]:

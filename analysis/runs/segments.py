@@ -93,7 +93,6 @@ def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
     begun: dict[str, float] = {}
     found: list[DrivenSegment] = []
     for t_s, text in zip(marks.t_s.tolist(), marks["text"], strict=True):
-        found = [one for one in found if not (one.name and str(text).startswith(_spoilt(one.name)))]
         words = str(text).split()
         last = words[-1].lower() if words else ""
         name = " ".join(words[:-1])
@@ -104,7 +103,8 @@ def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
                 found.append(between(poses, begun.pop(name), t_s, MARKED, name))
             except ValueError:
                 continue
-    return tuple(found)
+    texts = [str(text) for text in marks["text"]]
+    return tuple(one for one in found if not any(text.startswith(_spoilt(one.name)) for text in texts))
 
 
 def _spoilt(name: str) -> tuple[str, ...]:

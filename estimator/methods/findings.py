@@ -57,8 +57,9 @@ def parked_errors(machine: Machine, aligner: Aligner) -> dict[str, str]:
     """Findings from distances while the rig stands or creeps, when latency has no effect on them."""
     keys = ("receiver.position on the tractor", "receiver.position on the implement",
             "tractor.c or implement.d", "receiver.position (right)")  # fmt: skip
-    hitch = SURVEY_SDS * math.hypot(machine.tractor.c.sd, machine.implement.d.sd)
-    limits = (*pair_limits(machine), max(PARKED_LIMIT, hitch), PARKED_LIMIT)
+    sds = (machine.tractor.c.sd, machine.implement.d.sd, *(r.survey_sd for r in machine.receiver))
+    hitch = max(PARKED_LIMIT, SURVEY_SDS * math.hypot(*sds))
+    limits = (*pair_limits(machine), hitch, hitch)
     return {
         key: f"{what} is off by {mean.value:+.2f} m where the rig stands still: {key}?"
         for key, what, limit, mean in zip(keys, _OFFSETS, limits, aligner.long_term.parked, strict=True)

@@ -180,7 +180,8 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
     told = []
     for moved in list(state.moved):
         if moved.now is not None:
-            if _is_back(machine, moved, moved.now, state.blocks[-1]):
+            moved.now = _sum([moved.now, state.blocks[-1]])
+            if _is_back(machine, moved, moved.now):
                 state.moved.remove(moved)
                 told.append(Found(moved, back=True))
             continue
@@ -196,10 +197,9 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
     return told
 
 
-def _is_back(machine: Machine, moved: Moved, now: Evidence, block: Evidence) -> bool:
+def _is_back(machine: Machine, moved: Moved, now: Evidence) -> bool:
     """Whether the samples of this run contradict what an earlier one had found, and find it in its place."""
-    moved.now = _sum([now, block])
-    explanations = judge(machine, *posterior(moved.before), moved.now)
+    explanations = judge(machine, *posterior(moved.before), now)
     here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
     apart = here.amounts - moved.amounts
     chi_square = apart @ np.linalg.solve(here.covariance + moved.covariance, apart)
@@ -211,7 +211,8 @@ def carried(machine: Machine, moved: Moved) -> Moved:
 
     Raises ValueError for what is of another version.
     """
-    size = directions_of(machine, moved.names[0]).shape[1]
+    sizes = {suspect.name: suspect.directions.shape[1] for suspect in suspects(machine)}
+    size = sizes.get(moved.names[0]) if moved.names else None
     arrays = (moved.before.information, moved.after.information, moved.covariance)
     if [array.shape for array in arrays] != [(N, N), (N, N), (size, size)]:
         raise ValueError(f"what was found of {' or '.join(moved.names)} is of another version")

@@ -129,7 +129,7 @@ def _stand(state: WheelSpeedState, now: Instant) -> None:
         return
     if state.since_ns == 0 or now.t_ns - state.moving_ns > STAND_NS:
         if state.floor is not None and state.change is None:
-            state.learned = min(state.floor, state.floor if state.learned is None else state.learned)
+            state.learned = state.floor if state.learned is None else min(state.floor, state.learned)
         state.lows, state.lowest, state.floor, state.since_ns = [], math.inf, None, now.t_ns
         _begin_stretch(state)
         _begin_average(state)

@@ -397,6 +397,18 @@ def test_what_was_found_moved_stays_so_after_a_restart(
     assert comparison.difference == "" and comparison.compared > 500
 
 
+def test_what_is_left_out_stays_so_when_the_clock_of_the_log_steps_back() -> None:
+    state = fold.initial(MACHINE)
+    fold.carry(state, [displaced()])
+    frames = list(simulate(MACHINE, 1, 2.0))
+    back_ns = 60 * SECOND
+    again = [replace(f, t_ns=f.t_ns - back_ns, rx_ns=f.rx_ns - back_ns) for f in frames]
+    for frame in (*frames, *again):
+        fold.step(state, frame)
+    assert state.clock_steps == 1
+    assert [mount for mount, track in state.aligner.tracks.items() if track.left_out] == ["tractor_rear"]
+
+
 def test_a_fresh_run_and_one_of_another_rig_begin_anew(tmp_path: Path, talker: can.BusABC) -> None:
     first, _ = a_run(tmp_path, keep=True)
     teach(first.parts.estimation.fold.state, Clock().t_ns())

@@ -17,7 +17,7 @@ from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.verdict import _not_driven
 from tilth.estimator.calibration.who import standing
-from tilth.schemas.flow import FixType, Measurement, WheelAngle
+from tilth.schemas.flow import FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 
 
@@ -31,6 +31,17 @@ def _drive(machine: Machine, made: list[Measurement]) -> drives.DriveGrid:
     for measurement in made:
         drives.take(found, measurement)
     return drives.drive_of(found, machine)
+
+
+def test_where_the_better_of_two_messages_falls_silent_the_other_counts(heard: list[Measurement]) -> None:
+    made = [m for m in heard if isinstance(m, Position) and m.origin.mount is Mount.TRACTOR_FRONT][:100]
+    found = drives.MeasuredLists()
+    for k, position in enumerate(made):
+        if k < 40 or k >= 80:  # and comes back
+            drives.take(found, replace(position, pgn=129025))
+        drives.take(found, replace(position, pgn=129029))
+    times = np.array([row[0] for row in found.positions[0]])
+    assert np.max(np.diff(times)) < drives.SILENT_S + 0.5 and np.min(np.diff(times)) > 0.0
 
 
 def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.RigFault]]:
