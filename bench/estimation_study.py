@@ -328,7 +328,13 @@ def followed(run: Driven) -> Followed:
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, value.text))
     tables = {method: np.array(rows) for method, rows in series.items()}
-    return Followed(run.logs, tables, events, run.truth.wheel_angle, dict(state.record.refused))
+    return Followed(
+        run.logs,
+        tables,
+        events,
+        run.truth.wheel_angle,
+        {code.value: n for code, n in state.record.refused.items()},
+    )
 
 
 def fitted_at_once(state: fold.State, t_ns: int) -> list[Publication]:

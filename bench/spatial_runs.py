@@ -95,7 +95,10 @@ class Heard:
         self._request(state, t_ns)
         for publication in last + fitted_at_once(state, t_ns + END_NS):
             self._take(publication)
-        self.refused, self.learned = dict(state.record.refused), state.estimators
+        self.refused, self.learned = (
+            {code.value: n for code, n in state.record.refused.items()},
+            state.estimators,
+        )
 
     def _request(self, state: fold.State, t_ns: int) -> None:
         before = {id(job) for _, job, _ in fold.pending(state)}

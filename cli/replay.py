@@ -32,6 +32,7 @@ from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
+from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import of_logarithm
 
 REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
@@ -241,7 +242,7 @@ def _table(title: str, estimate: Estimate) -> Table:
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
         unit = "N/rad" if name.startswith("C_") else "m"
         value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
-        table.add_row(name, value_text, p.status.name.lower(), p.reason)
+        table.add_row(name, value_text, p.status.name.lower(), sentence(p.reason))
     for name, (value, sd) in estimate.nuisances.items():
         table.add_row(f"{WORDS[name].words} ({name})", nuisance_text(name, value, sd) + SAYS, "nuisance", "")
     return table

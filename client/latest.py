@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
+from tilth.schemas.sentences import sentence
 
 Array = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ def judge(estimate: Estimate | None, age_s: float, rule: Staleness) -> Latest:
 def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> str:
     parameter = estimate.parameters[i]
     if parameter.status is not Status.ESTIMATED:
-        return f"{parameter.status.name.lower()}: {parameter.reason}"
+        return f"{parameter.status.name.lower()}: {sentence(parameter.reason)}"
     if parameter.age_s is None:
         return "" if math.isinf(rule.data_s) else "it does not say when data last informed it"
     data_s = parameter.age_s + age_s

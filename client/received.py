@@ -24,6 +24,8 @@ from tilth.schemas.flow import (
     known_flags,
 )
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
+from tilth.schemas.sentences import advice_sentence, sentence
 
 LARGEST: Final = 64 * 1024  # bytes of a payload; an estimate has one or two thousand
 LONGEST: Final = 500  # characters of a text that is passed on
@@ -98,10 +100,10 @@ def estimate_of(data: bytes, encoding: str) -> Estimate:
         condition=message.condition if message.HasField("condition") else None,
         excitation={text(e.name): e.value for e in message.excitation},
         window_s=message.window_s,
-        rule=text(message.rule),
-        determined=tuple(map(text, message.determined)),
+        rule=_reason(message.chosen, message.rule),
+        determined=tuple(Combination(tuple(one.exponents), one.log_sd) for one in message.combinations),
         bound=tuple(message.bound),
-        advice=text(message.advice),
+        advice=_advice(message.advised),
     )
 
 
@@ -110,25 +112,55 @@ def _parameter(row: pb.Parameter, i: int, covariance: Sequence[float], wrong: st
     sd = row.sd if row.HasField("sd") else None
     age_s = row.age_s if row.HasField("age_s") else None
     if int(row.status) not in set(map(int, Status)):
-        return ParameterEstimate(None, None, Status.INVALID, f"status {row.status} is not known here")
+        return _invalid(f"status {row.status} is not known here")
     status = Status(row.status)
-    reason = text(row.reason)
+    reason = _reason(row.why, row.reason)
     if status is Status.ESTIMATED:
         low, high = _RANGE[row.name]
         if value is None or not low <= value <= high:  # not a number is in no range
-            reason = f"its value is {value}; a rig has {low:g} to {high:g}"
+            wrong_with_it = f"its value is {value}; a rig has {low:g} to {high:g}"
         elif sd is None or not (math.isfinite(sd) and sd > 0):
-            reason = f"its standard deviation is {sd}"
+            wrong_with_it = f"its standard deviation is {sd}"
         elif wrong:
-            reason = wrong
+            wrong_with_it = wrong
         elif covariance[i * _N + i] <= 0:
-            reason = "it has no variance"
+            wrong_with_it = "it has no variance"
         elif age_s is not None and not age_s >= 0:
-            reason = f"its age is {age_s}"
+            wrong_with_it = f"its age is {age_s}"
         else:
             return ParameterEstimate(value, sd, status, reason, age_s)
-        return ParameterEstimate(None, None, Status.INVALID, reason)
-    return ParameterEstimate(value, sd, status, reason or "no reason is given", age_s)
+        return _invalid(wrong_with_it)
+    return ParameterEstimate(value, sd, status, reason or text_reason("no reason is given"), age_s)
+
+
+def _invalid(why: str) -> ParameterEstimate:
+    return ParameterEstimate(None, None, Status.INVALID, text_reason(why))
+
+
+def _reason(coded: pb.Reason, words: str) -> Reason | None:
+    """By its code where this version knows it and all that it needs; else in the sender's words."""
+    try:
+        because = tuple(filter(None, (_reason(one, "") for one in coded.because)))
+        found = Reason(Code(coded.code), tuple(map(text, coded.of)), tuple(coded.numbers), because)
+        sentence(found)
+    except (ValueError, IndexError, RecursionError):
+        return text_reason(text(words))
+    return found
+
+
+def _advice(sent: pb.Advice) -> Advice | None:
+    """None where there is none, or one that this version has no words for."""
+    if not set(sent.parameters) <= set(PARAMETERS) or sent.kind not in set(AdviceKind):
+        return None
+    advice = Advice(
+        AdviceKind(sent.kind), tuple(sent.parameters), tuple(sent.log_sds), sent.determined, sent.speed,
+        sent.manoeuvre, sent.seconds, sent.degrees, tuple(sent.after), text(sent.turn_tells), sent.turn_after,
+    )  # fmt: skip
+    try:
+        advice_sentence(advice)
+    except LookupError:
+        return None
+    return advice
 
 
 def _wrong_covariance(covariance: Sequence[float]) -> str:

@@ -46,6 +46,8 @@ from tilth.schemas.flow import (
     Publication,
 )
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
+from tilth.schemas.sentences import sentence
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
 
@@ -228,7 +230,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         return
     doubtful = _check_consistency(state, t_ns, pose, segment, out)
     if doubtful and segment is not None:
-        segment = replace(segment, follows=False, reason=consistency.REFUSED)
+        segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
     estimates = []
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
@@ -349,7 +351,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
-        _publish_event(state, t_ns, "disagreement", found, out)
+        _publish_event(state, t_ns, "disagreement", sentence(found), out)
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))

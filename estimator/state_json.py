@@ -123,7 +123,10 @@ def _build(kind: Any, data: Any, skipped: dict[str, Any]) -> Any:
         inner = arguments[:1] * len(data) if arguments[-1] is Ellipsis else arguments
         return tuple(_build(a, item, skipped) for a, item in zip(inner, data, strict=True))
     if origin is dict:
-        return {key: _build(arguments[1], item, skipped) for key, item in data.items()}
+        return {
+            _build(arguments[0], key, skipped): _build(arguments[1], item, skipped)
+            for key, item in data.items()
+        }
     if isinstance(kind, type) and is_dataclass(kind):
         return _build_dataclass(kind, data, skipped)
     if isinstance(kind, type) and issubclass(kind, Enum):

@@ -43,6 +43,7 @@ from tilth.schemas.flow import (
     Status,
 )
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import text_reason
 
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
@@ -304,7 +305,7 @@ class GuardedFold:
         self._give_up()
         self._resume_ns = t_ns + PAUSE_NS
         reason = f"the estimators failed ({type(error).__name__}: {error}) and start again; frames are logged"
-        none = tuple(ParameterEstimate(None, None, Status.INVALID, reason) for _ in PARAMETERS)
+        none = tuple(ParameterEstimate(None, None, Status.INVALID, text_reason(reason)) for _ in PARAMETERS)
         publications = [Publication(t_ns, "/event", Event(t_ns, "fault", reason))]
         for topic, method in _METHOD_OF.items():
             if method in self.estimates:

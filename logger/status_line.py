@@ -208,7 +208,7 @@ def _short(text: str) -> str:
 
 
 def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate]]:
-    none = ParameterEstimate(None, None, Status.UNESTIMATED, "")
+    none = ParameterEstimate(None, None, Status.UNESTIMATED, None)
     rows = estimate.parameters[:3] if estimate is not None else (none,) * 3
     return list(zip(STIFFNESSES, rows, strict=True))
 

@@ -4,13 +4,13 @@ Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages
 """
 
 import math
-import re
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any, Final
 
-from tilth.monitor.advice_text import AdviceKind, parse_advice
 from tilth.schemas.flow import PARAMETERS, Status
+from tilth.schemas.reasons import AdviceKind
+from tilth.schemas.sentences import MANOEUVRES
 from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
@@ -22,8 +22,6 @@ FIRM: Final = 1.1  # firm where all of it is above
 USUAL: Final = (2 / 3, 3 / 2)  # as usual where none of both, and all of it is in here; else not known
 WIDEST: Final = 50.0  # sd of a logarithm that is still a number about anything
 LARGEST: Final = 1.0  # 95 % of a logarithm: beyond, a share says nothing
-_NUMBER: Final = r"(\d+(?:\.\d+)?)"
-_SHARE: Final = re.compile(rf"±\s?{_NUMBER} %")
 
 
 class GroundWord(StrEnum):
@@ -47,13 +45,13 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
         "value": values,
         "within": within,
         "status": statuses,
-        "why": [at_95(one["reason"]) for one in estimate["parameters"]],
+        "why": [one["reason"] for one in estimate["parameters"]],
         "known": [_share(sd) for sd in estimate["bound"]],
-        "determined": [at_95(text) for text in estimate["determined"]],
+        "determined": estimate["determined"],
         "ground": [
             ground(values[i], within[i], statuses[i], priors.get(PARAMETERS[i])) for i in range(len(GROUPS))
         ],
-        "advised": "" if Status.INVALID in statuses else advised(estimate["advice"]),
+        "advised": "" if Status.INVALID in statuses else advised(estimate.get("advised")),
         "withdrawn": withdrawn(statuses, [one["reason"] for one in estimate["parameters"]]),
     }
 
@@ -103,24 +101,26 @@ def ground(value: float | None, within: float | None, status: int, usual: float 
     return {"word": GroundWord.USUAL if inside else GroundWord.NOT_KNOWN_YET, "text": text}
 
 
-def advised(text: str) -> str:
-    """An estimate's advice as a sentence for a driver; "" where there is none to give."""
-    advice = parse_advice(text)
-    match advice.kind:
+def advised(advice: Fields | None) -> str:
+    """An estimate's advice (tilth.Advice) as a sentence for a driver; "" where there is none to give."""
+    advice = advice or {"kind": ""}
+    turn = advice.get("turn_tells", "")
+    match advice["kind"]:
         case AdviceKind.TOO_SLOW:
-            return f"Drive faster than {3.6 * advice.speed:.1f} km/h: below, nothing can be learned."
+            return f"Drive faster than {3.6 * advice['speed']:.1f} km/h: below, nothing can be learned."
         case AdviceKind.NOT_AT_THIS_SPEED:
             return "At this speed there is no gentle steering that would tell more."
         case AdviceKind.NOTHING_HELPS:
-            if advice.turn_tells:
-                return f"Drive on: the next headland turn tells more of the {_tyres(advice.turn_tells)}."
+            if turn:
+                return f"Drive on: the next headland turn tells more of the {_tyres(turn)}."
             return "Drive on: no steering at this speed would tell much more."
-    if advice.manoeuvre is None:
+    if advice.get("manoeuvre") not in MANOEUVRES:
         return ""
-    what = advice.manoeuvre.driven.format(seconds=advice.seconds, degrees=advice.degrees)
-    told = f"Where there is room, {what}: it would tell more of the {_tyres(*advice.parameters)}."
-    if advice.turn_tells:
-        told += f" The next headland turn tells more of the {_tyres(advice.turn_tells)} by itself."
+    seconds, degrees = advice["seconds"], advice["degrees"]
+    what = MANOEUVRES[advice["manoeuvre"]].driven.format(seconds=seconds, degrees=degrees)
+    told = f"Where there is room, {what}: it would tell more of the {_tyres(*advice['parameters'])}."
+    if turn:
+        told += f" The next headland turn tells more of the {_tyres(turn)} by itself."
     return told
 
 
@@ -139,13 +139,6 @@ def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:
 
 def _which(names: Sequence[str]) -> str:
     return "" if len(names) == len(PARAMETERS) else f" ({', '.join(names)})"
-
-
-def at_95(text: str) -> str:
-    """Texts of a daemon of before say shares as one standard deviation: the same text with 95 %."""
-    if "95 %" in text:
-        return text
-    return _SHARE.sub(lambda found: even(WITHIN * float(found[1])), text)
 
 
 def short(number: float) -> float:

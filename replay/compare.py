@@ -6,7 +6,7 @@ from typing import Any
 from google.protobuf.message import Message as ProtoMessage
 
 from tilth.replay.readers.log import Logged
-from tilth.schemas.channels import CHANNEL, CHANNELS
+from tilth.schemas.channels import CHANNEL, CHANNELS, without_wording
 
 IDENTICAL = frozenset(channel.topic for channel in CHANNELS if channel.identical)
 
@@ -71,11 +71,14 @@ class Comparison:
 
 
 def _difference(topic: str, live: _Row, again: _Row) -> str:
+    """In a sentence; "" where only words for people differ."""
     if live[0] != again[0]:
         return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
     message = CHANNEL[topic].message
-    found = _first_field(message.FromString(live[1]), message.FromString(again[1]))
-    return f"{topic} at {_seconds(live[0])}: {found or 'same values in other bytes'}"
+    one, other = (without_wording(message.FromString(data)) for _, data in (live, again))
+    if one.SerializeToString() == other.SerializeToString():
+        return ""
+    return f"{topic} at {_seconds(live[0])}: {_first_field(one, other) or 'same values in other bytes'}"
 
 
 def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from tilth.schemas.flow import PARAMETERS, Estimate
+from tilth.schemas.sentences import sentence
 
 
 def estimates_and_nuisances(estimates: Mapping[str, Estimate]) -> dict[str, object]:
@@ -18,6 +19,6 @@ def estimates_and_nuisances(estimates: Mapping[str, Estimate]) -> dict[str, obje
 
 def _parameters(estimate: Estimate) -> dict[str, object]:
     return {
-        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": p.reason}
+        name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": sentence(p.reason)}
         for name, p in zip(PARAMETERS, estimate.parameters, strict=True)
     }

@@ -5,7 +5,7 @@ all come from it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -19,6 +19,8 @@ from tilth.schemas import flow
 from tilth.schemas.drawing import encode_drawing, encode_frames
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import advice_sentence, combination_words, sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +92,11 @@ def _encode_pose(pose: flow.Pose) -> bytes:
     return message.SerializeToString()
 
 
+def _reason(reason: Reason) -> pb.Reason:
+    because = [_reason(one) for one in reason.because]
+    return pb.Reason(code=reason.code, of=reason.of, numbers=reason.numbers, because=because)
+
+
 def _encode_estimate(estimate: flow.Estimate) -> bytes:
     message = pb.SoilTireEstimate(
         t_ns=estimate.t_ns,
@@ -98,16 +105,26 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         log_covariance=estimate.log_covariance,
         rank=estimate.rank,
         window_s=estimate.window_s,
-        rule=estimate.rule,
-        determined=estimate.determined,
+        rule=sentence(estimate.rule),
+        determined=map(combination_words, estimate.determined),
         bound=estimate.bound,
-        advice=estimate.advice,
+        advice=advice_sentence(estimate.advice),
     )
+    if estimate.rule is not None:
+        message.chosen.CopyFrom(_reason(estimate.rule))
+    for one in estimate.determined:
+        message.combinations.add(exponents=one.exponents, log_sd=one.log_sd)
+    if estimate.advice is not None:
+        message.advised.CopyFrom(pb.Advice(**asdict(estimate.advice)))
     if estimate.condition is not None:
         message.condition = estimate.condition
     per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
     for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
-        row = message.parameters.add(name=name, status=int(parameter.status), reason=parameter.reason)
+        row = message.parameters.add(
+            name=name, status=int(parameter.status), reason=sentence(parameter.reason)
+        )
+        if parameter.reason is not None:
+            row.why.CopyFrom(_reason(parameter.reason))
         _set_present(row, parameter, ("value", "sd", "age_s"))
         if ratio is not None:
             row.per_mass = ratio
@@ -260,7 +277,29 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
     "Nuisance": {"value": 1e-7, "sd": 1e-7},
     "Excitation": {"value": 1e-6},
+    "Reason": {"numbers": 1e-3},
+    "Advice": {
+        "log_sds": 1e-4, "speed": 1e-6, "seconds": 1e-6, "degrees": 1e-6, "after": 1e-4, "turn_after": 1e-4,
+    },
+    "Combination": {"exponents": 1e-6, "log_sd": 1e-4},
 }  # fmt: skip
+
+WORDING: dict[str, tuple[str, ...]] = {
+    "Parameter": ("reason",), "SoilTireEstimate": ("rule", "determined", "advice"),
+}  # fmt: skip
+"""Message -> its fields that are words for people, made of codes beside them: no part of identity."""
+
+
+def without_wording(message: ProtoMessage) -> ProtoMessage:
+    """The message with the fields of WORDING cleared, in place, also in the messages within it."""
+    for name in WORDING.get(message.DESCRIPTOR.name, ()):
+        message.ClearField(name)
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for inner in value if field.is_repeated else (value,):
+                without_wording(inner)
+    return message
+
 
 CHANNEL: dict[str, Channel] = {channel.topic: channel for channel in CHANNELS}
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final
 
+from tilth.schemas.reasons import Advice, Combination, Reason
+
 Word = float | int | str
 
 
@@ -345,7 +347,7 @@ class ParameterEstimate:
     value: float | None
     sd: float | None
     status: Status
-    reason: str
+    reason: Reason | None  # why there is no number, or why it must not be used
     age_s: float | None = None  # since data last informed it
 
 
@@ -364,10 +366,10 @@ class Estimate:
     condition: float | None = None
     excitation: Mapping[str, float] = field(default_factory=dict)
     window_s: float = 0.0  # data used, s
-    rule: str = ""  # of the recommended one: why this method
-    determined: tuple[str, ...] = ()  # parameters, or combinations, that the data determine
+    rule: Reason | None = None  # of the recommended one: why this method
+    determined: tuple[Combination, ...] = ()  # parameters, or combinations, that data and prior determine
     bound: tuple[float, ...] = ()  # sd of each logarithm by the data alone, infinite where open; or empty
-    advice: str = ""  # which manoeuvre would help, and by how much
+    advice: Advice | None = None  # which manoeuvre would help, and by how much
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import interval
 from tilth.simulator.scenario import Ground, RollSensor, Scenario, Soil, as_json
 from tilth.simulator.simulate import PACKAGED
@@ -328,7 +329,7 @@ def reasons(demo: Demo) -> list[str]:
     names: dict[str, list[str]] = {}
     estimate = demo.summary.estimates.get("recommended")
     for row in compare(demo.truth, estimate):
-        reason = "no estimator has spoken" if row.estimate is None else row.estimate.reason
+        reason = "no estimator has spoken" if row.estimate is None else sentence(row.estimate.reason)
         if reason:
             names.setdefault(reason, []).append(row.name)
     return [f"{', '.join(of)}: {reason}" for reason, of in names.items()]

@@ -12,6 +12,8 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import plus_minus
 
 
@@ -119,7 +121,8 @@ def _residuals(found: Calibrated) -> ReportSection:
         tuple((ReportCell(name), ReportCell(text, value)) for name, text, value in rows),
     )  # fmt: skip
     refused = [
-        ReportText(f"Not used: {count * 0.2:.0f} s, {why}.") for why, count in found.found.refused.items()
+        ReportText(f"Not used: {count * 0.2:.0f} s, {sentence(Reason(why))}.")
+        for why, count in found.found.refused.items()
     ]
     return ReportSection("residuals", "Residuals", (table, _by_kind(found), *refused))
 

@@ -32,6 +32,8 @@ from tilth.replay.readers.rig import Say
 from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import plus_minus
 
 Progress = Callable[[str, float], None]
@@ -117,7 +119,7 @@ class Calibrated:
                     for one in self.found.fit.left
                 ],
             },
-            "not_used": self.found.refused,
+            "not_used": {sentence(Reason(why)): count for why, count in self.found.refused.items()},
             "receivers": [one._asdict() for one in self.receivers],
             "steering": None if isinstance(self.steering, str) else asdict(self.steering),
             "steering_words": self.steering_words,

@@ -18,7 +18,8 @@ from tilth.estimator.methods import pem
 from tilth.estimator.results.reporting import is_supported, nuisance_sd
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Status
-from tilth.schemas.spread import share
+from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import combination_words, sentence
 
 Array = NDArray[np.float64]
 
@@ -56,11 +57,11 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
         "fitted_s": fit.seconds,
         "parameters": estimates[pem.METHOD],
         "log_covariance": _square(best.log_covariance),
-        "determined": list(best.determined),
+        "determined": [combination_words(one) for one in best.determined],
         "nuisances": nuisances[pem.METHOD],
         "filter": estimates[METHODS[1]],
         "steady_state": estimates[METHODS[2]],
-        "refused": fit.refused,
+        "refused": {sentence(Reason(code)): count for code, count in fit.refused.items()},
     }
     if TWO_STEP in estimates:
         answer["two_step"] = estimates[TWO_STEP]
@@ -95,7 +96,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
 def _parameter(log: float, sd: float, prior_sd: float) -> dict[str, Any]:
     """As of an estimate: without a number where the data leave too much."""
     if not is_supported(False, sd, prior_sd):
-        reason = f"the data leave {share(sd)}: more steering is needed"
+        reason = sentence(Reason(Code.WIDE, numbers=(sd,)))
         return {"value": None, "sd": None, "status": Status.UNESTIMATED.name.lower(), "reason": reason}
     value = math.exp(log)
     return {"value": value, "sd": value * sd, "status": Status.ESTIMATED.name.lower(), "reason": ""}

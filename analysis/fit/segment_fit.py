@@ -17,6 +17,7 @@ from tilth.estimator.methods.estimators import ROW, Estimator
 from tilth.estimator.record.record import Record
 from tilth.schemas.flow import Estimate
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ class SegmentFit:
     covariance: Array  # [n, n]
     windows: tuple[FittedWindow, ...]
     metres: float  # driven since the last window
-    refused: dict[str, int]  # reason -> windows or stretches of 0.2 s of which pem learned nothing
+    refused: dict[Code, int]  # reason -> windows or stretches of 0.2 s of which pem learned nothing
     whiteness: float  # of the last fit: autocorrelation of its innovations
 
     @property

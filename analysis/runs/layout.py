@@ -50,6 +50,7 @@ SD_UNITS: Final = {"position": "m", "velocity": "m/s", "heading": "rad", "yaw_ra
 """Of the sd of each kind of measurement that has one."""
 LENGTHS: Final = {"log_covariance": 36, "bound": 6}  # of lists of doubles
 _WHOLE: Final = {FieldDescriptor.TYPE_SINT32: wire.ZIGZAG, FieldDescriptor.TYPE_SINT64: wire.ZIGZAG}
+_IN_WORDS: Final = ("Reason", "Advice")  # messages whose words stand in a field beside them
 _NAME: Final = "name"  # of a device, 64 bits: no number to reckon with
 _OF_ALL: Final = ("t_ns", "rx_ns", "bus", "source", _NAME, "mount", "pgn", "sid")
 _KIND: Final = {TOPIC_OF[kind]: kind for _, kind in KINDS}
@@ -181,8 +182,8 @@ def _fields(descriptor: Any) -> list[FieldDescriptor]:
 
 def _has_columns(field: FieldDescriptor) -> bool:
     if field.message_type is not None:
-        ours = field.message_type.file.package == "tilth"
-        return ours and (not field.is_repeated or field.message_type.name == "Parameter")
+        name, ours = field.message_type.name, field.message_type.file.package == "tilth"
+        return ours and name not in _IN_WORDS and (not field.is_repeated or name == "Parameter")
     return not field.is_repeated or _is_text(field) or field.name in LENGTHS
 
 

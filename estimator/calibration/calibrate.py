@@ -44,6 +44,7 @@ from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
 from tilth.schemas.flow import Measurement
 from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]  # what is done, share of all
@@ -73,7 +74,7 @@ class Calibration:
     moved: dict[str, float]  # name of a number -> SI, by how much the file was moved
     driven: Straightness
     records_s: float
-    refused: dict[str, int]
+    refused: dict[Code, int]
     hitch_gap: float  # m, sd of the distance between the hitch as seen from either body
     curve_sd: float  # 1/rad, of wheel_angle.curve
 

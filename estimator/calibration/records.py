@@ -12,6 +12,7 @@ from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.schemas.flow import Flag, Measurement, Position
 from tilth.schemas.machine import Machine, Quantity
+from tilth.schemas.reasons import Code
 
 LONGEST: Final = 150  # segments of 0.2 s in one record
 SHORTEST: Final = 40
@@ -26,7 +27,7 @@ class FollowedRecords:
     """Records, in the order of driving, and why there are not more."""
 
     records: tuple[Record, ...]
-    refused: dict[str, int]  # reason -> segments
+    refused: dict[Code, int]  # reason -> segments
     flags: Counter[Flag]  # of how many poses
     poses: int
 

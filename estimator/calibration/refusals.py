@@ -15,6 +15,8 @@ from tilth.estimator.calibration.first_look import Straightness
 from tilth.estimator.calibration.records import FollowedRecords
 from tilth.schemas.flow import FixType
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import sentence
 
 LEAST_RECORDS_S: Final = 40.0
 LEAST_TURNED_S: Final = 10.0
@@ -79,7 +81,8 @@ def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None
     if seconds >= LEAST_RECORDS_S:
         return
     said = [fault.text for fault in faults]
-    most = max(followed.refused.items(), key=lambda item: item[1], default=("nothing was driven", 0))[0]
+    refused = followed.refused
+    most = sentence(Reason(max(refused, key=refused.__getitem__))) if refused else "nothing was driven"
     raise CannotCalibrate(
         f"only {seconds:.0f} s of the drive can be learned from; most of it is refused: {most}"
         + (f". Found meanwhile: {'; '.join(said)}" if said else ""),

@@ -24,6 +24,7 @@ from tilth.estimator.models.relaxation import input_matrix, system_matrix
 from tilth.estimator.models.steady_turn import steady_turn
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record
 from tilth.schemas.plausible import GRAVITY
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
@@ -75,7 +76,7 @@ class TwoStep:
     zero: float  # rad, subtracted from the wheel angle
     straight_s: float  # duration of the straight driving from which the zero was found
     steady_s: float  # duration of the steady turning
-    reason: str  # why something was not found, or ""
+    reason: Code | None  # why something was not found
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,18 +113,18 @@ def identify(window: Window) -> TwoStep:
     outputs = _outputs(window)
     start = window.start
     if outputs is None:
-        return _not_found(start, 0.0, 0.0, "yaw rates or headings of both bodies are not measured")
+        return _not_found(start, 0.0, 0.0, Code.OUTPUTS_NOT_MEASURED)
     straight = np.abs(outputs.y[:, 0]) < STRAIGHT
     zero = float(outputs.wheel[outputs.at[straight]].mean()) if straight.any() else 0.0
     outputs.wheel[:] -= zero
     straight_s = float(straight.sum() * EVERY * DT)
     steady = _steady_indices(outputs, window.geometry)
     if len(steady) < LEAST_SAMPLES:
-        return _not_found(start, zero, straight_s, "no steady turn in this run")
+        return _not_found(start, zero, straight_s, Code.NO_STEADY_TURN)
     stiffness, sd_stiffness, rank, within = _stiffnesses(outputs, steady, window)
     theta = np.concatenate([stiffness, start[3:]])
     lengths, sd_lengths, also_within = _relaxation_lengths(outputs, window.geometry, theta)
-    reason = "" if within and also_within else "a parameter went to the end of where it is sought"
+    reason = None if within and also_within else Code.END_OF_SEARCH
     return TwoStep(
         values=np.concatenate([stiffness, lengths]),
         sds=np.concatenate([sd_stiffness, sd_lengths]),
@@ -136,7 +137,7 @@ def identify(window: Window) -> TwoStep:
     )
 
 
-def _not_found(start: Array, zero: float, straight_s: float, reason: str) -> TwoStep:
+def _not_found(start: Array, zero: float, straight_s: float, reason: Code) -> TwoStep:
     return TwoStep(start.copy(), np.zeros(6), (False, False), 0, zero, straight_s, 0.0, reason)
 
 

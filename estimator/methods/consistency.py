@@ -24,7 +24,7 @@ from tilth.estimator.methods.findings import (
     parked_errors,
 )
 from tilth.estimator.methods.open_tracker import Misfit
-from tilth.estimator.methods.tracker import HELD, TrackerState
+from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
@@ -33,11 +33,11 @@ from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 
 CONTRADICTION: Final = FlagKind.CONTRADICTION
-REFUSED: Final = "the data contradict the machine file"
 BEGINS: Final = 22.0  # chi-square of one open number, with all others within what the file allows
 BEGINS_TOTAL: Final = 90.0  # chi-square of all open numbers
 ENDS: Final = 0.4  # factor on these limits for the end of a contradiction
@@ -51,7 +51,7 @@ RIVAL_SHARE: Final = 0.6  # an explanation with this share of the best one's chi
 OUTLIER_SHARE: Final = 0.25  # largest share of outliers among the rows of the last OUTLIER_SEGMENTS
 OUTLIER_SEGMENTS: Final = 100
 LEAST_SEGMENTS: Final = 40  # segments (8 s) from which the open tracker has learned before it is used
-STEER: Final = "steer to and fro at working speed"  # what tells most; headland turns may not be enough
+NOT_DRIVEN: Final = Reason(Code.NOT_DRIVEN)
 NUISANCE_SDS: Final = 6.0  # sds by which a nuisance of a method may differ from a right file
 
 _ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
@@ -83,7 +83,7 @@ class Consistency:
     pairs_known: bool = (
         False  # it was, and since then a receiver is left out: one alone shows no yaw of a pair
     )
-    missing: str = "nothing has been driven yet"  # why the file is not confirmed
+    missing: Reason = NOT_DRIVEN  # why the file is not confirmed
     agreed: int = 0  # poses in a row in which the open tracker agrees with the file; below 0: does not agree
     rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
     rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
@@ -113,7 +113,7 @@ def observe(
     if segment is not None:
         learned = open_tracker.take(state.open, machine, segment)
         state.learned += learned
-        if learned or state.open.reason == HELD:
+        if learned or state.open.reason is Code.HELD:
             state.rows = [*state.rows, open_tracker.rejected_rows(state.open)][-OUTLIER_SEGMENTS:]
     state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
@@ -134,9 +134,9 @@ def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> 
     state.methods[estimate.method] = found
 
 
-def contradicted(state: Consistency) -> str:
-    """Why no estimate may be published, with the keys; "" without a contradiction."""
-    return "; ".join(finding.text for finding in state.findings.values() if finding.active)
+def contradicted(state: Consistency) -> list[str]:
+    """Why no estimate may be published, with the keys; none without a contradiction."""
+    return [finding.text for finding in state.findings.values() if finding.active]
 
 
 def stops_learning(state: Consistency) -> bool:
@@ -151,15 +151,15 @@ def flags(state: Consistency) -> list[Flag]:
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
-    text = contradicted(state) or "; ".join(state.methods.get(estimate.method, {}).values())
-    if text:
-        return _without_numbers(estimate, Status.INVALID, f"{REFUSED}: {text}")
+    if why := contradicted(state) or list(state.methods.get(estimate.method, {}).values()):
+        reason = Reason(Code.CONTRADICTED, because=tuple(Reason(Code.TEXT, (text,)) for text in why))
+        return _without_numbers(estimate, Status.INVALID, reason)
     if not state.confirmed:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
     return estimate
 
 
-def _without_numbers(estimate: Estimate, status: Status, reason: str) -> Estimate:
+def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
     usable = (Status.ESTIMATED, Status.STALE)
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
         return estimate  # it has no numbers, and its own reasons
@@ -328,13 +328,11 @@ def _update_confirmation(state: Consistency, machine: Machine) -> None:
     if not unconfirmed_names and not fits:
         state.missing = _doubt_reason(misfit)
         return
-    keys = ", ".join(KEYS[name] for name in unconfirmed_names[:2])
+    keys = tuple(KEYS[name] for name in unconfirmed_names[:2])
     if not keys and not decided:
-        keys = "turn rates and rolls"
-    which = f" ({keys})" if keys else ""
-    state.missing = f"driving has not shown yet that the machine file is right{which}: {STEER}"
+        keys = ("turn rates and rolls",)
+    state.missing = Reason(Code.NOT_CONFIRMED, keys)
 
 
-def _doubt_reason(misfit: Misfit) -> str:
-    key = KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]]
-    return f"driving does not agree well with the machine file ({key}?): drive on, {STEER}"
+def _doubt_reason(misfit: Misfit) -> Reason:
+    return Reason(Code.DOUBTED, (KEYS[open_tracker.NAMES[int(np.argmax(misfit.by_name))]],))

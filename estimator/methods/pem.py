@@ -25,7 +25,7 @@ from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX, Matrix, Vector
 from tilth.estimator.record.record import Record, Segment, U
 from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
-from tilth.estimator.record.windows import OPEN, close_window, collect, describe_late, refuse
+from tilth.estimator.record.windows import OPEN, close_window, collect, late_reason, refuse
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.reporting import (
@@ -38,6 +38,8 @@ from tilth.estimator.results.reporting import (
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import sentence
 
 Array = NDArray[np.float64]
 
@@ -60,7 +62,6 @@ for a contradiction. If it removed next to nothing, the search's residual error 
 contradiction."""
 OF_MASSES = ((AT["C_af"], AT["C_ar"]), (AT["C_ai"],))
 """Stiffnesses that are learned over each of unknowns.MASSES."""
-NOTHING = "no driving with steering has been fitted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,7 @@ class Fit:
     iterations: int
     rows: int
     changed: bool  # the window contradicted what was known
-    refused: str  # why it must not be used, or ""
+    refused: Code | None  # why it must not be used
 
 
 @dataclass(slots=True)
@@ -115,11 +116,11 @@ class PemState:
     fits: int = 0
     late: int = 0
     changes: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
+    refused: dict[Code, int] = field(default_factory=dict)
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     last: Fit | None = None
     advisor: Advisor = field(default_factory=Advisor)
-    reason: str = ""
+    reason: Code | None = None
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
 
@@ -134,7 +135,7 @@ def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None)
     seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
     state.last_pose_ns = pose.t_ns
     state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
-    if segment is not None and segment.reason in WAYS_OF_DRIVING and not _stale(state, pose.t_ns):
+    if segment is not None and segment.reason in WAYS_OF_DRIVING and _stale(state, pose.t_ns) is None:
         state.sound_ns = pose.t_ns
     if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING, _wheel_zero(state)):
         return None
@@ -158,9 +159,9 @@ def _wheel_zero(state: PemState) -> float:
     return float(state.mean[AT["wheel_zero"]])
 
 
-def _stale(state: PemState, t_ns: int) -> str:
-    """Why numbers are stale, or ""."""
-    return stale_reason("no sound data", age_s(max(state.informed_ns, state.sound_ns), t_ns))
+def _stale(state: PemState, t_ns: int) -> Reason | None:
+    """Why numbers are stale."""
+    return stale_reason(Code.NO_SOUND_DATA_FOR, age_s(max(state.informed_ns, state.sound_ns), t_ns))
 
 
 def request_fit(state: PemState, t_ns: int) -> Job | None:
@@ -274,14 +275,14 @@ def rehearse(machine: Machine) -> None:
     fit(machine, Job(0, 0, Record(0, ticks, rows), mean, np.diag(sd**2)))
 
 
-def _refusal(found: scoring.Posterior, prior_mean: Array, prior_sd: Array) -> str:
+def _refusal(found: scoring.Posterior, prior_mean: Array, prior_sd: Array) -> Code | None:
     if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
-        return "fit is not a number"
+        return Code.RESULT_NOT_FINITE
     if not found.converged:
-        return "fit did not converge"
+        return Code.NOT_CONVERGED
     if np.any(np.abs(found.mean - prior_mean)[SIX] > LARGEST_DEVIATION * prior_sd[SIX]):
-        return "fit is beyond what tyres can be"
-    return ""
+        return Code.BEYOND_TYRES
+    return None
 
 
 def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Estimate:
@@ -289,15 +290,15 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
-        state.events.append(("fit", describe_late(state.late_ns, False)))
+        state.events.append(("fit", sentence(late_reason(state.late_ns, False))))
         return estimate(state, machine, t_ns)
     if state.late_ns:
         state.late += 1
-        state.events.append(("fit", describe_late(state.late_ns, True)))
+        state.events.append(("fit", sentence(late_reason(state.late_ns, True))))
     state.last = made
     if made.refused:
         refuse(state, made.refused)
-        state.events.append(("fit", made.refused))
+        state.events.append(("fit", sentence(Reason(made.refused))))
         return estimate(state, machine, t_ns)
     if made.changed:
         state.changes += 1
@@ -357,8 +358,8 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
     return six_parameter_estimate(
-        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], NOTHING, excitation,
-        state.advisor.text, _stale(state, t_ns),
+        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], Code.NOTHING_FITTED, excitation,
+        state.advisor.advice, _stale(state, t_ns),
     )  # fmt: skip
 
 

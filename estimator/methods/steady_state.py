@@ -40,15 +40,16 @@ from tilth.estimator.results.reporting import (
     PUBLISH_NS,
     WITHDRAWN,
     age_s,
+    nothing_yet,
     nuisance_sd,
     parameter,
     per_mass,
-    reason_without_data,
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 
@@ -86,9 +87,7 @@ GROUND_MEMORY = (10.0, 100.0)  # samples (s) over which it is averaged, at first
 NEWTON_STEPS = 50
 LONGEST_STEP = 0.5  # of a logarithm
 
-_RELAXATION = ParameterEstimate(
-    None, None, Status.UNESTIMATED, "steady driving carries no relaxation-length information"
-)
+_RELAXATION = ParameterEstimate(None, None, Status.UNESTIMATED, Reason(Code.NO_RELAXATION))
 
 
 @dataclass(slots=True)
@@ -114,8 +113,8 @@ class SteadyState:
     largest_angle: float = 0.0  # of the wheels, that stiffnesses were learned at, rad
     mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
     forgotten: int = 0  # times that the stiffnesses were reset
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> poses
-    reason: str = ""  # why the latest pose was refused
+    refused: dict[Code, int] = field(default_factory=dict)  # reason -> poses
+    reason: Code | None = None  # why the latest pose was refused
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
 
@@ -187,7 +186,7 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     zero = float(state.x[AT["wheel_zero"]])
     informative = abs(sample.wheel_angle - zero) > LEAST_ANGLE
     if largest_slip(sample, zero, machine) > LARGEST_SLIP:
-        return _refuse(state, "slip beyond the tyre model")
+        return _refuse(state, Code.SLIP_BEYOND_MODEL)
     try:
         off, slope, noise = _innovation(state, machine, sample, informative)
         if not informative and sample.v is not None:
@@ -196,7 +195,7 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
             before, _, noise_before = _innovation(state, machine, state.previous, informative)
             _learn_ground(state, (off - before) / math.sqrt(2.0), (noise + noise_before) / 2.0)
     except np.linalg.LinAlgError:
-        return _refuse(state, "no steady turn exists at these stiffnesses")
+        return _refuse(state, Code.NO_STEADY_TURN_EXISTS)
     state.previous = sample if informative and sample.v is not None else None
     noise = noise + state.ground
     rows = [0, 1] if sample.v is None else [0, 1, 2]
@@ -204,12 +203,12 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     S = slope @ state.P @ slope.T + noise
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
-        return _refuse(state, "not a number")
+        return _refuse(state, Code.RESULT_NOT_FINITE)
     state.mean_nis += (min(distance / len(rows), LARGEST_NIS) - state.mean_nis) / NIS_MEMORY
     if state.mean_nis > NIS_LIMIT:
         _reset_stiffness(state)
     if distance > GATE[len(rows)]:
-        return _refuse(state, "outlier")
+        return _refuse(state, Code.OUTLIER)
     state.x, state.P = kalman_update(state.x, state.P, innovation, slope, noise)
     _find_posterior(state)
     if informative:
@@ -251,7 +250,7 @@ def kalman_update(x: Array, P: Array, innovation: Array, H: Array, R: Array) -> 
     return x + gain @ innovation, (covariance + covariance.T) / 2
 
 
-def _refuse(state: SteadyState, reason: str) -> bool:
+def _refuse(state: SteadyState, reason: Code) -> bool:
     state.reason = reason
     state.refused[reason] = state.refused.get(reason, 0) + 1
     return False
@@ -413,9 +412,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         condition=condition,
         excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
-        determined=advice.determined(information, state.prior_sd[:3], PARAMETERS[:3])
-        if age is not None
-        else (),
+        determined=advice.determined(information, state.prior_sd[:3]) if age is not None else (),
         bound=(*(math.inf if sd is None else sd for sd in bounds), *[math.inf] * 3)
         if age is not None
         else (),
@@ -424,16 +421,15 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 
 def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
     """One stiffness, with a number only if the data support it."""
-    missing = reason_without_data("no steady turn", state.reason) if age is None else _missing(state, rank)
-    stale = stale_reason("no steady driving", age)
+    missing = nothing_yet(Code.NO_STEADY_TURN_YET, state.reason) if age is None else _missing(state, rank)
+    stale = stale_reason(Code.NO_STEADY_DRIVING_FOR, age)
     sd_log = math.sqrt(state.log_covariance[k, k])
     return parameter(state.logs[k], sd_log, state.supported[k], age, missing, stale)
 
 
-def _missing(state: SteadyState, rank: int) -> str:
-    if rank < 3 and state.sideslip_s == 0:
-        return f"rank {rank} of 3: without sideslip three stiffnesses cannot be told apart"
-    return f"rank {rank} of 3: more steady turns to both sides are needed"
+def _missing(state: SteadyState, rank: int) -> Reason:
+    without_sideslip = rank < 3 and state.sideslip_s == 0
+    return Reason(Code.RANK_WITHOUT_SIDESLIP if without_sideslip else Code.RANK, numbers=(float(rank),))
 
 
 assert PARAMETERS[:3] == STATES[:3]

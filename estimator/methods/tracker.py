@@ -44,11 +44,18 @@ from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segm
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
-from tilth.estimator.results.reporting import LARGEST_DEVIATION, PUBLISH_NS, six_parameter_estimate
+from tilth.estimator.results.reporting import (
+    LARGEST_DEVIATION,
+    PUBLISH_NS,
+    age_s,
+    six_parameter_estimate,
+    stale_reason,
+)
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import GRAVITY
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 MotionVector = Annotated[Array, Shape((N_STATES,))]
@@ -72,7 +79,6 @@ information comes mostly from the ground's forces."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 HELD_WITHIN: Final = math.radians(1.5)  # wheels that stay within so much of an angle are held
 LONGEST_HELD: Final = 25  # segments, 5 s
-HELD: Final = "wheels held at one angle"
 FIRST_LOOK_S: Final = 10.0
 FIRST_LOOK_SD: Final = 0.3
 """Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
@@ -144,10 +150,10 @@ class TrackerState:
     changed_ns: int = 0
     changes: int = 0
     restarts: int = 0
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
+    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    reason: str = ""  # why soil and tyres were not learned from the latest segment
+    reason: Code | None = None  # why soil and tyres were not learned from the latest segment
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
     considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
     needs_steering: list[int] = field(
@@ -191,7 +197,7 @@ def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | N
 
 def take_segment(state: TrackerState, machine: Machine, segment: Segment) -> None:
     """Store a segment and process the one before it."""
-    state.reason = ""
+    state.reason = None
     if state.pending is not None:
         _learn(state, machine, state.pending, segment.record.ticks if segment.follows else None)
         state.ticks_before = np.concatenate([state.ticks_before, state.pending.ticks])[
@@ -207,7 +213,7 @@ def take_segment(state: TrackerState, machine: Machine, segment: Segment) -> Non
         state.pending = segment.record
 
 
-def _refuse(state: TrackerState, reason: str) -> None:
+def _refuse(state: TrackerState, reason: Code) -> None:
     state.refused[reason] = state.refused.get(reason, 0) + 1
     state.reason = reason
 
@@ -215,7 +221,7 @@ def _refuse(state: TrackerState, reason: str) -> None:
 def _learn(state: TrackerState, machine: Machine, record: Record, after: Array | None) -> None:
     """Run the filter over one segment. after: the ticks that follow it, shape (n, 8), if there are any."""
     if not np.isfinite(record.ticks).all():
-        _refuse(state, "inputs are no numbers")
+        _refuse(state, Code.INPUTS_NOT_FINITE)
         state.running = False
         return
     setup = rig_setup(machine)
@@ -246,12 +252,12 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     if not _is_sound(state):
         state.mean, state.covariance = prior_estimate
         state.running = False
-        _refuse(state, "filter left its bounds")
+        _refuse(state, Code.FILTER_OUT_OF_BOUNDS)
         return
     _adapt_noise(state, tally.sums)
     if tally.counts[GATED] + tally.counts[BAD] > tally.counts[USED]:
         state.running = False
-        _refuse(state, "most samples are beyond belief")
+        _refuse(state, Code.MOST_SAMPLES_REJECTED)
     if learnable:
         tight = is_tight(state, record)
         if tight:  # there errors of the model look like another soil
@@ -288,11 +294,11 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     state.segments_since_start += 1
     _note_held(state, float(record.ticks[:, WHEEL_ANGLE].mean()))
     if state.segments_since_start <= SETTLES:
-        _refuse(state, "filter settling")
+        _refuse(state, Code.FILTER_SETTLING)
     elif state.steering < STEERING**2:
-        _refuse(state, "too little steering")
+        _refuse(state, Code.TOO_LITTLE_STEERING)
     elif state.held > LONGEST_HELD and not state.by_steering:  # all that moves the rig is the ground
-        _refuse(state, HELD)
+        _refuse(state, Code.HELD)
     return not state.reason
 
 
@@ -426,8 +432,9 @@ def reported_covariance(state: TrackerState) -> Array:
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns."""
     return six_parameter_estimate(
-        state, machine, t_ns, METHOD, reported_covariance(state), "nothing has been learned",
-        _excitation(state, t_ns), state.advisor.text,
+        state, machine, t_ns, METHOD, reported_covariance(state), Code.NOTHING_LEARNED,
+        _excitation(state, t_ns), state.advisor.advice,
+        stale_reason(Code.NOT_LEARNED_FOR, age_s(state.informed_ns, t_ns)),
     )  # fmt: skip
 
 

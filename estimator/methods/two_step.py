@@ -19,6 +19,7 @@ from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 OfSix = Annotated[Array, Shape((6,))]
@@ -26,10 +27,6 @@ OfSix = Annotated[Array, Shape((6,))]
 METHOD: Final = "pem_two_step"
 PUBLISH_NS: Final = 10_000_000_000
 LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the worker computes pem's fit first
-_REASONS: Final = (
-    "rank {rank} of 3: yaw rate and articulation do not tell three stiffnesses apart",
-    "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +55,9 @@ class TwoStepState:
     informed_ns: int = 0
     published_ns: int = 0
     late: int = 0  # fits that came too late
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments, or windows
-    reason: str = ""  # why nothing is collected now
-    failure: str = ""  # why the last window gave no result
+    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments, or windows
+    reason: Code | None = None  # why nothing is collected now
+    failure: Code | None = None  # why the last window gave no result
     events: list[tuple[str, str]] = field(default_factory=list)  # none so far
 
 
@@ -149,10 +146,9 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
 
 def _parameter(state: TwoStepState, k: int, age: float | None) -> ParameterEstimate:
     if not state.runs[k]:
-        return ParameterEstimate(
-            None, None, Status.UNESTIMATED, state.failure or "no window has been fitted yet"
-        )
-    reason = _REASONS[k // 3].format(rank=state.rank)
+        return ParameterEstimate(None, None, Status.UNESTIMATED, Reason(state.failure or Code.NO_WINDOW_YET))
+    of_stiffness = Reason(Code.RANK_OF_TWO_OUTPUTS, numbers=(float(state.rank),))
+    reason = of_stiffness if k < 3 else Reason(Code.ON_UNIDENTIFIABLE)
     return ParameterEstimate(float(state.values[k]), float(state.sds[k]), Status.INVALID, reason, age)
 
 

@@ -14,17 +14,11 @@ FADE_S = 1.0  # in which a multisine rises
 
 
 class Manoeuvre(NamedTuple):
-    """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0.
-
-    Only for manoeuvres that can be advised: called, its name with a place for the amplitude in degrees;
-    driven, the instruction to a driver, with places for seconds and degrees.
-    """
+    """`wheel_angle(time, amplitude, rng)`: rad, within ± amplitude, at each time (n,), s, from 0."""
 
     name: str
     meaning: str
     wheel_angle: Callable[[Array, float, Generator], Array]
-    called: str = ""
-    driven: str = ""
 
 
 def step(time: Array, amplitude: float, rng: Generator) -> Array:
@@ -91,29 +85,14 @@ def row_following(time: Array, amplitude: float, rng: Generator) -> Array:
 
 
 MANOEUVRES = (
-    Manoeuvre(
-        "step", "the wheels turned at once and held", step,
-        "a turn held at {:g}°", "hold a turn for {seconds} s, wheels to about {degrees}°",
-    ),
-    Manoeuvre(
-        "steps", "to one side and the other, three seconds each", steps,
-        "turns of {:g}° to one side and the other",
-        "turn to one side and the other, three seconds each, for {seconds} s, wheels to about {degrees}°",
-    ),
-    Manoeuvre(
-        "chirp", "swinging from 0.05 to 1 Hz", chirp,
-        "a chirp of {:g}°",
-        "weave the steering gently left and right, slow then quick, for {seconds} s, "
-        "wheels to about {degrees}°",
-    ),
-    Manoeuvre(
-        "turn", "the wheels turned within two seconds, as into a headland turn, and held", turn,
-        "a headland turn at {:g}° or more", "turn at the headland with the wheels at {degrees}° or more",
-    ),
+    Manoeuvre("step", "the wheels turned at once and held", step),
+    Manoeuvre("steps", "to one side and the other, three seconds each", steps),
+    Manoeuvre("chirp", "swinging from 0.05 to 1 Hz", chirp),
+    Manoeuvre("turn", "the wheels turned within two seconds, as into a headland turn, and held", turn),
     Manoeuvre("random", "random levels, held for 0.3 to 2 s", random_levels),
     Manoeuvre("multisine", "many frequencies at once, with a low peak", multisine),
     Manoeuvre("row", "small corrections on a straight row", row_following),
-)  # fmt: skip
+)
 
 
 def manoeuvre_named(name: str) -> Manoeuvre:

@@ -11,6 +11,7 @@ from tilth.estimator.pose.roll_pitch import RollPitch
 from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
+from tilth.schemas.reasons import Code
 
 SLACK_NS = 2_000_000  # a new latency may move a sample this far before its segment: it does not count as late
 _POSITION, _VELOCITY, _YAW_RATE, _HEADING, _ROLL = range(5)  # columns of UsedSamples.newest_ns
@@ -25,7 +26,7 @@ class Knot:
 
     t_ns: int
     origin_deg: tuple[float, float]
-    reason: str  # why nothing may be learned from the segments next to it, or ""
+    reason: Code | None  # why nothing may be learned from the segments next to it
     repeating: tuple[int, ...]  # receivers that repeat old positions, as in flow.Mount
     values: tuple[float, ...]  # u, psi_t, psi_i, r_t, r_i; () if incomplete
     roll_pitch: tuple[RollPitch, RollPitch]  # of tractor and implement

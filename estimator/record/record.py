@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.schemas.reasons import Code
+
 Array = NDArray[np.float64]
 
 TICK_NS = 20_000_000
@@ -55,7 +57,7 @@ class Segment:
 
     record: Record
     follows: bool  # begins at the end of the segment before, and both may be learned from
-    reason: str  # why nothing may be learned from it, or ""
+    reason: Code | None  # why nothing may be learned from it
 
 
 def concatenate(segments: Sequence[Segment]) -> Record:

@@ -19,6 +19,7 @@ from tilth.estimator.record.measured_rows import Knot, Row, UsedSamples, rows_be
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 TICKS = POSE_NS // TICK_NS  # of a segment
 SLOWEST = 1.0  # m/s
@@ -26,18 +27,18 @@ LARGEST_WHEEL_ANGLE = math.radians(37.0)
 LARGEST_ARTICULATION = math.radians(62.0)
 """Full lock of a tractor's wheels, and what a headland turn at full lock folds the rig to, with a margin. Up
 to there the motion model is exact; beyond, a wheel angle is more likely wrong, and a hitch near its stop."""
-BEYOND_WHEEL_ANGLE = "wheels turned beyond 37°"
-BEYOND_ARTICULATION = "articulation beyond 62°"
 ROUGHEST_HEADING = math.radians(2.0)  # largest sd of a heading to linearise about
-WAYS_OF_DRIVING = ("", "settling", "reverse", "too slow", BEYOND_WHEEL_ANGLE, BEYOND_ARTICULATION)
-"""Reasons of segments in which nothing is wrong with the data; "" where something may be learned."""
+WAYS_OF_DRIVING = (
+    None, Code.SETTLING, Code.REVERSE, Code.TOO_SLOW, Code.BEYOND_WHEEL_ANGLE, Code.BEYOND_ARTICULATION,
+)  # fmt: skip
+"""Reasons of segments in which nothing is wrong with the data; None where something may be learned."""
 WHEEL_GAP_NS = 150_000_000  # longest gap that is interpolated: the period of a 10 Hz sensor, with its jitter
 SETTLING = 10  # segments (2 s) that are driven after a refusal before anything is learned again
 
 _REFUSING = (
-    (MISPLACED, "receivers do not fit the rig"),
-    (WITHOUT_RTK, "no RTK fix"),
-    ({FlagKind.NO_ROLL}, "roll not measured"),
+    (MISPLACED, Code.RECEIVERS_MISPLACED),
+    (WITHOUT_RTK, Code.NO_RTK),
+    ({FlagKind.NO_ROLL}, Code.NO_ROLL),
 )
 _HALVES = (0.0, 0.5, 1.0)
 
@@ -53,7 +54,7 @@ class RecordState:
     usable: bool = False  # whether the last segment may be learned from
     segments: int = 0  # number of these
     samples: int = 0  # rows in them
-    refused: dict[str, int] = field(default_factory=dict)  # reason -> segments
+    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
 
 
 def initial(machine: Machine) -> RecordState:
@@ -83,7 +84,7 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
     if not reason:
         wheel = wheel_angles(aligner.wheel, start.t_ns)
         if wheel is None:
-            reason = "no wheel angle"
+            reason = Code.NO_WHEEL_ANGLE
         elif start.values and end.values:
             record = _assemble(start, end, wheel, rows)
     reason = _settle(state, reason or _refusal(start, end, after, record))
@@ -95,33 +96,33 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
     return Segment(record, follows, reason)
 
 
-def _settle(state: RecordState, reason: str) -> str:
-    """The reason to refuse the segment, which is counted; "" if it may be learned from."""
+def _settle(state: RecordState, reason: Code | None) -> Code | None:
+    """The reason to refuse the segment, which is counted; None if it may be learned from."""
     if reason:
         state.settled = 0
     elif state.settled < SETTLING:
         state.settled += 1
-        reason = "settling"
+        reason = Code.SETTLING
     if reason:
         state.refused[reason] = state.refused.get(reason, 0) + 1
     return reason
 
 
-def _gap_reason(start: Knot, end: Knot, after: Knot) -> str:
-    """Why these poses are not consecutive in one plane, or ""."""
+def _gap_reason(start: Knot, end: Knot, after: Knot) -> Code | None:
+    """Why these poses are not consecutive in one plane."""
     if end.t_ns - start.t_ns != POSE_NS or after.t_ns - end.t_ns != POSE_NS:
-        return "gap in the poses"
+        return Code.POSE_GAP
     if not start.origin_deg == end.origin_deg == after.origin_deg:
-        return "new origin of the plane"
-    return ""
+        return Code.NEW_ORIGIN
+    return None
 
 
-def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> str:
-    """Why nothing may be learned from this segment, or ""."""
+def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> Code | None:
+    """Why nothing may be learned from this segment."""
     # The flags of the next pose show a fix that was lost in between, and positions that are doubtful.
     reason = start.reason or end.reason or after.reason
     if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_WHEEL_ANGLE:
-        return BEYOND_WHEEL_ANGLE
+        return Code.BEYOND_WHEEL_ANGLE
     return reason
 
 
@@ -149,8 +150,8 @@ def _knot(state: RecordState, aligner: Aligner, pose: Pose) -> Knot:
     )
 
 
-def _reason(pose: Pose) -> str:
-    """Why nothing may be learned next to this pose, or ""."""
+def _reason(pose: Pose) -> Code | None:
+    """Why nothing may be learned next to this pose."""
     # A lost receiver gives no rows, so its fix need not be known.
     lost = {replace(flag, kind=FlagKind.FIX_UNKNOWN) for flag in pose.flags if flag.kind is FlagKind.LOST}
     kinds = {flag.kind for flag in pose.flags if flag not in lost}
@@ -158,17 +159,17 @@ def _reason(pose: Pose) -> str:
         if kinds & refusing:
             return reason
     if pose.direction < 0:
-        return "reverse"
+        return Code.REVERSE
     bodies, u = (pose.tractor, pose.implement), pose.tractor.forward_velocity
     if any(body.sd_heading is None or body.sd_heading > ROUGHEST_HEADING for body in bodies):
-        return "no heading"
+        return Code.NO_HEADING
     if u is None or pose.tractor.yaw_rate is None or pose.articulation is None:
-        return "pose incomplete"
+        return Code.POSE_INCOMPLETE
     if u < SLOWEST:
-        return "too slow"
+        return Code.TOO_SLOW
     if abs(pose.articulation) > LARGEST_ARTICULATION:
-        return BEYOND_ARTICULATION
-    return ""
+        return Code.BEYOND_ARTICULATION
+    return None
 
 
 def wheel_angles(samples: deque[Sample], t_ns: int) -> list[float] | None:

@@ -10,12 +10,11 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tilth.estimator.record.record_builder import (
-    BEYOND_ARTICULATION,
-    BEYOND_WHEEL_ANGLE,
     LARGEST_ARTICULATION,
     LARGEST_WHEEL_ANGLE,
 )
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
+from tilth.schemas.reasons import Code
 
 SLOWEST = 1.2  # m/s: at lower speeds slip is too small compared with noise
 BLOCK = 5  # poses that are averaged into one sample
@@ -26,13 +25,13 @@ SPEED_RANGE = 0.4  # m/s
 LONGEST_GAP_S = 1.0
 
 _DISQUALIFYING = (
-    (MISPLACED, "receivers do not fit the rig"),
-    (WITHOUT_RTK, "no RTK fix"),
-    ({FlagKind.LATE}, "late receiver"),
-    ({FlagKind.NO_ROLL}, "roll not measured"),  # an unknown side slope of 3 degrees changes C_ai by a third
+    (MISPLACED, Code.RECEIVERS_MISPLACED),
+    (WITHOUT_RTK, Code.NO_RTK),
+    ({FlagKind.LATE}, Code.RECEIVER_LATE),
+    ({FlagKind.NO_ROLL}, Code.NO_ROLL),  # an unknown side slope of 3 degrees changes C_ai by a third
     (
         {FlagKind.HEADING_BY_HITCH, FlagKind.HEADING_BY_REPORTED, FlagKind.HEADING_BY_YAW_RATE},
-        "heading not from two receivers",
+        Code.HEADING_NOT_OF_PAIR,
     ),
 )
 
@@ -74,8 +73,8 @@ class Steadiness:
 
 def observe(
     state: Steadiness, pose: Pose, seconds: float, implement_length: float
-) -> tuple[SteadySample | None, str]:
-    """(the mean over a steady block when one is complete, else None; why this pose is refused, or "").
+) -> tuple[SteadySample | None, Code | None]:
+    """(the mean over a steady block when one is complete, else None; why this pose is refused).
 
     seconds: since the pose before; implement_length: d + e, m.
     """
@@ -83,7 +82,7 @@ def observe(
     if sample is None or seconds > LONGEST_GAP_S:
         state.block.clear()
         _start_settling(state)
-        return None, reason or "gap in the poses"
+        return None, reason or Code.POSE_GAP
     state.settled += seconds * sample.u / implement_length
     state.settling_s -= seconds
     state.block.append(sample)
@@ -93,9 +92,9 @@ def observe(
         return None, reason
     state.unaveraged += 1
     if state.unaveraged < BLOCK:
-        return None, ""
+        return None, None
     state.unaveraged = 0
-    return _mean(list(state.block)), ""
+    return _mean(list(state.block)), None
 
 
 def _start_settling(state: Steadiness) -> None:
@@ -104,19 +103,19 @@ def _start_settling(state: Steadiness) -> None:
     state.unaveraged = 0
 
 
-def _unsteady_reason(state: Steadiness) -> str:
+def _unsteady_reason(state: Steadiness) -> Code | None:
     if len(state.block) < BLOCK:
-        return "settling"
+        return Code.SETTLING
     angles = [s.wheel_angle for s in state.block]
     speeds = [s.u for s in state.block]
     if max(angles) - min(angles) > STEER_RANGE:
         _start_settling(state)
-        return "turning in or out"
+        return Code.TURNING_IN_OR_OUT
     if max(speeds) - min(speeds) > SPEED_RANGE:
-        return "speed not steady"
+        return Code.SPEED_NOT_STEADY
     if state.settled < SETTLING or state.settling_s > 0:
-        return "settling"
-    return ""
+        return Code.SETTLING
+    return None
 
 
 def _mean(block: list[SteadySample]) -> SteadySample:
@@ -133,26 +132,26 @@ def _mean(block: list[SteadySample]) -> SteadySample:
     return SteadySample(v=None if any(s.v is None for s in block) else value("v"), **means)
 
 
-def _sample(pose: Pose) -> tuple[SteadySample | None, str]:
-    """(the values of a pose, ""), or (None, why it is refused)."""
+def _sample(pose: Pose) -> tuple[SteadySample | None, Code | None]:
+    """(the values of a pose, None), or (None, why it is refused)."""
     kinds = {flag.kind for flag in pose.flags}
     for disqualifying, reason in _DISQUALIFYING:
         if kinds & disqualifying:
             return None, reason
     if pose.direction < 0:
-        return None, "reverse"
+        return None, Code.REVERSE
     tractor, implement = pose.tractor, pose.implement
     u = tractor.forward_velocity
     if u is not None and u < SLOWEST:
-        return None, "too slow"
+        return None, Code.TOO_SLOW
     if pose.wheel_angle is None:
-        return None, "no wheel angle"
+        return None, Code.NO_WHEEL_ANGLE
     if pose.articulation is None or tractor.yaw_rate is None or implement.yaw_rate is None or u is None:
-        return None, "pose incomplete"
+        return None, Code.POSE_INCOMPLETE
     if abs(pose.wheel_angle) > LARGEST_WHEEL_ANGLE:
-        return None, BEYOND_WHEEL_ANGLE
+        return None, Code.BEYOND_WHEEL_ANGLE
     if abs(pose.articulation) > LARGEST_ARTICULATION:
-        return None, BEYOND_ARTICULATION
+        return None, Code.BEYOND_ARTICULATION
     sample = SteadySample(
         u=u,
         v=tractor.lateral_velocity,
@@ -171,4 +170,4 @@ def _sample(pose: Pose) -> tuple[SteadySample | None, str]:
         sd_roll_t=tractor.sd_roll or 0.0,
         sd_roll_i=implement.sd_roll or 0.0,
     )
-    return sample, ""
+    return sample, None

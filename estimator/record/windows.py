@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
+from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 
@@ -22,9 +23,6 @@ LEAD: Final = 10  # segments, 2 s, of straight driving that are kept before the 
 QUIET: Final = 15  # segments, 3 s, of straight driving after which a window with enough steering closes
 ENOUGH_S: Final = 8.0  # s with turned wheels: with less, a window waits for the next steering
 TURNED: Final = math.radians(1.5)  # the wheels are turned: further than most corrections along a row
-TOO_LITTLE: Final = "too little steering"
-HELD: Final = "the wheels are held at one angle: steer to both sides"
-TOO_SHORT: Final = f"less than {SHORTEST * 0.2:.0f} s without a gap"
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
 
@@ -34,8 +32,8 @@ class Collecting(Protocol):
 
     window: list[Segment]  # the present window
     closed: Record | None  # a complete window whose fit is not requested yet
-    refused: dict[str, int]  # reason -> number of segments, or of windows
-    reason: str  # why nothing is collected now, or ""
+    refused: dict[Code, int]  # reason -> number of segments, or of windows
+    reason: Code | None  # why nothing is collected now
     published_ns: int
 
 
@@ -71,10 +69,10 @@ def _add_segment(state: Collecting, segment: Segment, least_steering: float, zer
     window = state.window
     window.append(segment)
     if len(window) <= LEAD + 1 and not _turned(window, zero):
-        state.reason = TOO_LITTLE
+        state.reason = Code.TOO_LITTLE_STEERING
         if len(window) > LEAD:
             del window[0]
-            refuse(state, TOO_LITTLE)
+            refuse(state, Code.TOO_LITTLE_STEERING)
     elif len(window) >= WINDOW:
         _close_full_window(state, least_steering, zero)
     elif _is_complete(window, least_steering, zero):
@@ -107,19 +105,19 @@ def close_window(state: Collecting, least_steering: float, zero: float) -> bool:
 
     Arguments as of `collect`.
     """
-    window, why_not = list(state.window), ""
+    window, why_not = list(state.window), None
     state.window.clear()
     if not _turned(window, zero):
         return False  # its segments were not begun to be used
     if len(window) < SHORTEST:
-        why_not = TOO_SHORT
+        why_not = Code.TOO_SHORT
     elif not _has_steering(window, least_steering):
         why_not = state.reason = _lacking(window, zero)
     if why_not:
         refuse(state, why_not)
         return False
     if state.closed is not None:  # its fit could not be requested, since the one before is late
-        refuse(state, "the fit of the window before was late")
+        refuse(state, Code.FIT_OVERTAKEN)
     state.closed = concatenate(window)
     return True
 
@@ -151,23 +149,19 @@ def _has_steering(window: list[Segment], least_steering: float) -> bool:
     return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOW
 
 
-def _lacking(window: list[Segment], zero: float) -> str:
+def _lacking(window: list[Segment], zero: float) -> Code:
     """Why a window has not enough steering."""
     held = bool(np.all(np.abs(_wheel_angles(window) - zero) > TURNED))
-    return HELD if held else TOO_LITTLE
+    return Code.HELD if held else Code.TOO_LITTLE_STEERING
 
 
-def describe_late(late_ns: int, used: bool) -> str:
-    """Text of the event for a fit that was late. late_ns: 0 if it was given up at once."""
-    if used:
-        return (
-            f"a fit was ready {late_ns * 1e-9:.1f} s late, since this computer is busy; it is used from here"
-        )
-    if late_ns:
-        return f"a fit was not ready {late_ns * 1e-9:.0f} s after it was due and is given up"
-    return "a fit was not ready in time and was dropped"
+def late_reason(late_ns: int, used: bool) -> Reason:
+    """What became of a fit that was late. late_ns: 0 if it was given up at once."""
+    if not used and not late_ns:
+        return Reason(Code.FIT_DROPPED)
+    return Reason(Code.FIT_LATE if used else Code.FIT_GIVEN_UP, numbers=(late_ns * 1e-9,))
 
 
-def refuse(state: Collecting, reason: str) -> None:
+def refuse(state: Collecting, reason: Code) -> None:
     """Count a segment or window from which nothing may be learned."""
     state.refused[reason] = state.refused.get(reason, 0) + 1

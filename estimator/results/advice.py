@@ -9,7 +9,7 @@ known steering counts, not that from the spectrum of the disturbances; so a real
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, cast
 
 import numpy as np
@@ -44,7 +44,7 @@ from tilth.estimator.record.record import (
 )
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
-from tilth.schemas.spread import share
+from tilth.schemas.reasons import Advice, AdviceKind, Combination
 
 Array = NDArray[np.float64]
 
@@ -107,28 +107,34 @@ def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
     return tuple(float(sd) if math.isfinite(sd) else None for sd in found)
 
 
-def determined(information: Array, prior_sd: Array, names: Sequence[str] = PARAMETERS) -> tuple[str, ...]:
-    """Texts with 95 % ranges: each parameter that data and prior determine; for the others, the ratios,
-    products or further combinations that are determined. information: (n, n); prior_sd: (n,); names: n."""
+def determined(information: Array, prior_sd: Array) -> tuple[Combination, ...]:
+    """Each parameter that data and prior determine; for the others, the ratios, products or further
+    combinations that are determined. information: (n, n); prior_sd: (n,); of the first n parameters."""
+    n = len(prior_sd)
     prior: Array = np.diag(prior_sd**2)
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
-    single = [k for k in range(len(names)) if sd[k] <= SUPPORTED * prior_sd[k]]
-    texts = [f"{names[k]} {share(sd[k])}" for k in single]
-    rest = [k for k in range(len(names)) if k not in single]
+    single = [k for k in range(n) if sd[k] <= SUPPORTED * prior_sd[k]]
+    found = [_combination(np.eye(n)[k], float(sd[k])) for k in single]
+    rest = [k for k in range(n) if k not in single]
     if len(rest) < 2:
-        return tuple(texts)
+        return tuple(found)
     here: Array = posterior[np.ix_(rest, rest)]
     prior_variance: Array = prior[np.ix_(rest, rest)]
     for _ in range(len(rest) - 1):
         weights = _best(here, prior_variance)
         if weights is None:
             break
-        sd_combination = math.sqrt(weights @ posterior[np.ix_(rest, rest)] @ weights)
-        texts.append(f"{_combination(weights, [names[k] for k in rest])} {share(sd_combination)}")
+        exponents = np.zeros(n)
+        exponents[rest] = weights
+        found.append(_combination(exponents, math.sqrt(exponents @ posterior @ exponents)))
         # Condition on it, so that the next combination is another one.
         here, prior_variance = _conditioned(here, weights), _conditioned(prior_variance, weights)
-    return tuple(texts)
+    return tuple(found)
+
+
+def _combination(exponents: Array, log_sd: float) -> Combination:
+    return Combination((*exponents.tolist(), *[0.0] * (len(PARAMETERS) - len(exponents))), log_sd)
 
 
 def _best(posterior: Array, prior: Array) -> Array | None:
@@ -168,21 +174,6 @@ def _conditioned(covariance: Array, weights: Array) -> Array:
     """The covariance conditioned on that combination, as if it were known exactly."""
     cross = covariance @ weights
     return np.asarray(covariance - np.outer(cross, cross) / max(float(weights @ cross), 1e-12))
-
-
-def _combination(weights: Array, names: Sequence[str]) -> str:
-    numerator = [_power(n, w) for n, w in zip(names, weights, strict=True) if w > 0]
-    denominator = [_power(n, -w) for n, w in zip(names, weights, strict=True) if w < 0]
-    if not numerator:
-        numerator, denominator = denominator, numerator
-    text = "·".join(numerator)
-    if not denominator:
-        return text
-    return f"{text}/{denominator[0]}" if len(denominator) == 1 else f"{text}/({'·'.join(denominator)})"
-
-
-def _power(name: str, exponent: float) -> str:
-    return name if exponent == 1.0 else f"{name}^{exponent:.1f}"
 
 
 # What would help.
@@ -323,25 +314,23 @@ def advise(
     speed: float,
     table: Mapping[Candidate, Array],
     kept: Array = NO_ERROR,
-) -> str:
-    """One sentence: what is not determined, and which manoeuvre would help most, by how much.
+) -> Advice:
+    """What is not determined, and which manoeuvre would help most, by how much.
 
     mean (n,), covariance (n, n): over unknowns.NAMES. table: candidate -> its `information`, as far as
     computed. kept: as of `predicted`.
     """
     if speed < SLOWEST:
-        return f"nothing can be learned below {SLOWEST:g} m/s"
+        return Advice(AdviceKind.TOO_SLOW, speed=SLOWEST)
     now, prior_sd = np.sqrt(np.diag(covariance)[SIX]), unknowns.prior(machine)[1][SIX]
     undetermined = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
     known = not undetermined
     if known:
         undetermined = [int(np.argmax(now))]
-    names = _join_names([PARAMETERS[k] for k in undetermined])
-    if len(undetermined) == len(PARAMETERS):
-        start = f"none of {names} is determined"
-    else:
-        state = "is known least" if known else f"{'is' if len(undetermined) == 1 else 'are'} not determined"
-        start = f"{names} {state}: {share(*now[undetermined])}"
+    start = Advice(
+        AdviceKind.NOT_AT_THIS_SPEED, tuple(PARAMETERS[k] for k in undetermined),
+        tuple(now[undetermined].tolist()), known,
+    )  # fmt: skip
     uneven = math.exp(mean[AT["uneven"]])
     wheelbase = machine.tractor.a.value + machine.tractor.b.value
     after = {}
@@ -353,24 +342,24 @@ def advise(
         errors = fit_covariance.model_sd(tight, lateral, uneven, mean[SIX], held=held)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
-    turn = _next_turn(now, after[TURN]) if TURN in after and chosen != TURN else ""
-    if chosen is None:
-        return (
-            f"{start}; no {SECONDS:g} s of steering at this speed would help much{turn}" if after else start
-        )
-    texts = manoeuvre_named(chosen.manoeuvre).called.format(chosen.degrees)
-    them = "it" if len(undetermined) == 1 else "them"
-    to = share(*after[chosen][undetermined])
-    return f"{start}; {SECONDS:g} s of {texts} would bring {them} to {to}{turn}"
+    if not after:
+        return start
+    advised = replace(start, kind=AdviceKind.NOTHING_HELPS, seconds=SECONDS)
+    if chosen is not None:
+        advised = replace(
+            advised, kind=AdviceKind.MANOEUVRE, manoeuvre=chosen.manoeuvre, degrees=chosen.degrees,
+            after=tuple(after[chosen][undetermined].tolist()),
+        )  # fmt: skip
+    return _with_next_turn(advised, now, after[TURN]) if TURN in after and chosen != TURN else advised
 
 
-def _next_turn(now: Array, after: Array) -> str:
-    """What the headland turn that comes anyway would bring: of the parameter, (6,), that it tells most of."""
+def _with_next_turn(advised: Advice, now: Array, after: Array) -> Advice:
+    """With what the headland turn that comes anyway would bring: of the parameter, of six, that it tells most
+    of."""
     k = int(np.argmin(after / now))
     if after[k] > WORTHWHILE * now[k]:
-        return ""
-    turn = manoeuvre_named(TURN.manoeuvre).called.format(TURN.degrees).removeprefix("a ")
-    return f"; the next {turn} would bring {PARAMETERS[k]} to {share(after[k])}"
+        return advised
+    return replace(advised, turn_tells=PARAMETERS[k], turn_after=float(after[k]))
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
@@ -387,15 +376,11 @@ def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
     return min((c for c in worth if _effort(c) == mildest), key=lambda c: worth[c])
 
 
-def _join_names(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
 @dataclass(slots=True)
 class Advisor:
     """Advice in a running estimator: it computes the information of one candidate at a time."""
 
-    text: str = ""
+    advice: Advice | None = None
     renewed_ns: int = 0
     point: Array = field(default_factory=lambda: np.zeros(len(NAMES)))  # of the table
     speed: float = 0.0  # m/s, of the table
@@ -405,14 +390,14 @@ class Advisor:
 def renew(
     state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int,
     turns: bool = True, kept: Array = NO_ERROR,
-) -> str:  # fmt: skip
+) -> Advice | None:  # fmt: skip
     """The present advice; each EVERY_NS it is renewed with one more candidate. turns: whether the estimator
     learns tyres from headland turns. Other arguments as `advise`."""
     if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + EVERY_NS:
-        return state.text
+        return state.advice
     state.renewed_ns = t_ns
     if speed < SLOWEST:
-        return state.text
+        return state.advice
     far = (
         np.abs(mean - state.point)[SIX].max() > REBUILD_CHANGE
         or abs(speed - state.speed) > REBUILD_CHANGE * speed
@@ -423,5 +408,5 @@ def renew(
     if len(state.table) < len(candidates):
         state.table.append(information(machine, state.point, state.speed, candidates[len(state.table)]))
     table = dict(zip(candidates, state.table, strict=False))
-    state.text = advise(machine, mean, covariance, speed, table, kept)
-    return state.text
+    state.advice = advise(machine, mean, covariance, speed, table, kept)
+    return state.advice

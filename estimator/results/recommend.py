@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from tilth.schemas.flow import Estimate, Status
+from tilth.schemas.reasons import Code, Reason
 
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
@@ -38,17 +39,18 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
             estimates[m] for m in PREFERRED if m in estimates and not (m == "pem" and _outdated(estimates))
         ]
         first = (preferred or [e for m, e in estimates.items() if m != RECOMMENDED])[0]
-        return _copy_as_recommended(first, estimates, t_ns, "no method gives an estimate")
+        return _copy_as_recommended(first, estimates, t_ns, Reason(Code.NO_METHOD))
     best, rule = usable[0]
     if disagree:
         candidates = {e.method: e for e, _ in usable if _usable_parameters(e)}
         best = max(candidates.values(), key=lambda e: _variance(e, candidates))
-        rule = f"{best.method}: the methods disagree, and it claims less than {_others(best, candidates)}"
+        others = (method for method in candidates if method != best.method)
+        rule = Reason(Code.CLAIMS_LESS, (best.method, *others))
     return _copy_as_recommended(best, estimates, t_ns, rule)
 
 
-def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
-    """Text that names the methods which disagree beyond their covariances; "" if none do.
+def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | None:
+    """The methods which disagree beyond their covariances, if any do.
 
     before: whether some disagreed at the last call.
     """
@@ -62,14 +64,12 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> str:
         for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
             if shared and not distance <= limits[shared]:  # nan counts as disagreement
-                return (
-                    f"{one.method} and {other.method} disagree: squared distance {distance:.0f} over "
-                    f"{shared} parameters, of which chance allows {DISAGREE_ABOVE[shared]:.0f}"
-                )
-    return ""
+                numbers = (distance, float(shared), DISAGREE_ABOVE[shared])
+                return Reason(Code.DISAGREE, (one.method, other.method), numbers)
+    return None
 
 
-def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]:
+def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reason]]:
     """(estimate, rule by which it is chosen), best first; one method may come twice."""
     sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
     by_method = {e.method: e for e in sound}
@@ -77,21 +77,18 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, str]]
     if tracker is not None and pem is not None and _usable_parameters(tracker, Status.ESTIMATED):
         age, change = _age(pem), _since_change(estimates)
         if change < age:
-            yield tracker, f"tracker: the soil changed {change:.0f} s ago, after the last window of pem"
+            yield tracker, Reason(Code.SOIL_CHANGED_SINCE, (tracker.method,), (change,))
         elif age > FRESH_S:
-            old = f"is {age:.0f} s old" if math.isfinite(age) else "has not been driven yet"
-            yield tracker, f"tracker: the last window of pem {old}"
+            old = Reason(Code.WINDOW_OLD, (tracker.method,), (age,))
+            yield tracker, old if math.isfinite(age) else Reason(Code.NO_WINDOW, (tracker.method,))
     if _outdated(estimates):
         sound = [e for e in sound if e is not pem]
     for estimate in sound:
         if _usable_parameters(estimate, Status.ESTIMATED):
-            yield estimate, f"{estimate.method}: the first of {_names(sound)} that gives estimates"
+            yield estimate, Reason(Code.FIRST_WITH_NUMBERS, (estimate.method, *(e.method for e in sound)))
     for estimate in sound:
         if _usable_parameters(estimate):
-            yield (
-                estimate,
-                f"{estimate.method}: the first of {_names(sound)} that gives estimates, though old",
-            )
+            yield estimate, Reason(Code.FIRST_THOUGH_OLD, (estimate.method, *(e.method for e in sound)))
 
 
 def _since_change(estimates: Mapping[str, Estimate]) -> float:
@@ -104,16 +101,8 @@ def _outdated(estimates: Mapping[str, Estimate]) -> bool:
     return "pem" in estimates and _since_change(estimates) < _age(estimates["pem"]) < math.inf
 
 
-def _names(estimates: list[Estimate]) -> str:
-    return ", ".join(e.method for e in estimates)
-
-
-def _others(best: Estimate, candidates: Mapping[str, Estimate]) -> str:
-    return " and ".join(method for method in candidates if method != best.method) or "any other"
-
-
 def _copy_as_recommended(
-    estimate: Estimate, estimates: Mapping[str, Estimate], t_ns: int, rule: str
+    estimate: Estimate, estimates: Mapping[str, Estimate], t_ns: int, rule: Reason
 ) -> Estimate:
     parameters = tuple(
         replace(p, value=None, sd=None) if p.status is Status.INVALID else p for p in estimate.parameters

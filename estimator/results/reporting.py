@@ -12,7 +12,7 @@ from tilth.estimator.results import advice
 from tilth.estimator.results.advice import SUPPORTED
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.spread import share
+from tilth.schemas.reasons import Advice, Code, Reason
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Learning(Protocol):
     has_number: list[bool]  # whether each of the six had a number in the last estimate
     informed_ns: int  # when it last learned from data, 0: never
     window_s: float
-    reason: str  # why nothing is learned now, or ""
+    reason: Code | None  # why nothing is learned now
 
 
 class Reporting(Protocol):
@@ -74,21 +74,21 @@ def is_supported(has_number: bool, sd_log: float, prior_sd: float) -> bool:
     return sd_log <= (WITHDRAWN if has_number else SUPPORTED) * prior_sd
 
 
-def stale_reason(what: str, seconds: float | None) -> str:
-    """Why numbers are stale after so many seconds of what is named, or ""."""
-    return f"{what} for {seconds:.0f} s" if seconds is not None and seconds > STALE_S else ""
+def stale_reason(code: Code, seconds: float | None) -> Reason | None:
+    """Why numbers are stale after so many seconds of what the code says."""
+    return Reason(code, numbers=(seconds,)) if seconds is not None and seconds > STALE_S else None
 
 
 def parameter(
-    log: float, sd_log: float, has_number: bool, age: float | None, missing: str, stale: str
+    log: float, sd_log: float, has_number: bool, age: float | None, missing: Reason, stale: Reason | None
 ) -> ParameterEstimate:
-    """One parameter. missing: reason if there is no number; stale: reason if the number is stale, or ""."""
+    """One parameter. missing: reason if there is no number; stale: reason if the number is stale."""
     if age is None or not has_number:
         return ParameterEstimate(None, None, Status.UNESTIMATED, missing, age)
     value = math.exp(log)
     if stale:
         return ParameterEstimate(value, value * sd_log, Status.STALE, stale, age)
-    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, "", age)
+    return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, None, age)
 
 
 def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple[float | None, ...]:
@@ -97,10 +97,9 @@ def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple
     return tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True))
 
 
-def reason_without_data(what: str, reason: str) -> str:
-    """The reason of a parameter while a method has not learned anything. reason: why it does not learn
-    now."""
-    return f"{what} yet (now: {reason})" if reason else f"{what} yet"
+def nothing_yet(code: Code, now: Code | None) -> Reason:
+    """The reason of a parameter while a method has not learned anything. now: why it does not learn now."""
+    return Reason(code, because=(Reason(now),) if now else ())
 
 
 def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> float:
@@ -118,24 +117,23 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
 
 
 def six_parameter_estimate(
-    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, reason: str,
-    excitation: dict[str, float], advice_text: str, stale: str | None = None,
+    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
+    excitation: dict[str, float], advised: Advice | None, stale: Reason | None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
 
-    covariance: (6, 6), the reported one. reason: why there is no number while nothing has been learned.
-    stale: why the numbers are stale, or ""; without it they are after STALE_S in which nothing was learned.
+    covariance: (6, 6), the reported one. nothing: why there is no number while nothing has been learned.
+    stale: why the numbers are stale.
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     information = advice.information_of(covariance, prior_sd)
     eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
-    stale = stale_reason("nothing was learned", age) if stale is None else stale
     parameters = []
     for k in range(6):
         state.has_number[k] = age is not None and is_supported(state.has_number[k], sds[k], prior_sd[k])
-        too_wide = f"the data leave {share(float(sds[k]))}: more steering is needed"
-        missing = reason_without_data(reason, state.reason) if age is None else too_wide
+        too_wide = Reason(Code.WIDE, numbers=(float(sds[k]),))
+        missing = nothing_yet(nothing, state.reason) if age is None else too_wide
         parameters.append(parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, stale))
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     moved = state.mean - state.prior_mean
@@ -161,5 +159,5 @@ def six_parameter_estimate(
         window_s=state.window_s,
         determined=advice.determined(information, prior_sd) if age is not None else (),
         bound=bound if age is not None else (),
-        advice=advice_text,
+        advice=advised,
     )

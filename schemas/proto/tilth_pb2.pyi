@@ -154,8 +154,54 @@ class Pose(_message.Message):
     sd_time: float
     def __init__(self, t_ns: _Optional[int] = ..., origin_latitude_deg: _Optional[float] = ..., origin_longitude_deg: _Optional[float] = ..., tractor: _Optional[_Union[BodyPose, _Mapping]] = ..., implement: _Optional[_Union[BodyPose, _Mapping]] = ..., articulation: _Optional[float] = ..., sd_articulation: _Optional[float] = ..., wheel_angle: _Optional[float] = ..., sd_wheel_angle: _Optional[float] = ..., direction: _Optional[int] = ..., utc_ns: _Optional[int] = ..., receivers: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., sd_time: _Optional[float] = ...) -> None: ...
 
+class Reason(_message.Message):
+    __slots__ = ("code", "of", "numbers", "because")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    OF_FIELD_NUMBER: _ClassVar[int]
+    NUMBERS_FIELD_NUMBER: _ClassVar[int]
+    BECAUSE_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    of: _containers.RepeatedScalarFieldContainer[str]
+    numbers: _containers.RepeatedScalarFieldContainer[float]
+    because: _containers.RepeatedCompositeFieldContainer[Reason]
+    def __init__(self, code: _Optional[str] = ..., of: _Optional[_Iterable[str]] = ..., numbers: _Optional[_Iterable[float]] = ..., because: _Optional[_Iterable[_Union[Reason, _Mapping]]] = ...) -> None: ...
+
+class Advice(_message.Message):
+    __slots__ = ("kind", "parameters", "log_sds", "determined", "speed", "manoeuvre", "seconds", "degrees", "after", "turn_tells", "turn_after")
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    LOG_SDS_FIELD_NUMBER: _ClassVar[int]
+    DETERMINED_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    MANOEUVRE_FIELD_NUMBER: _ClassVar[int]
+    SECONDS_FIELD_NUMBER: _ClassVar[int]
+    DEGREES_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    TURN_TELLS_FIELD_NUMBER: _ClassVar[int]
+    TURN_AFTER_FIELD_NUMBER: _ClassVar[int]
+    kind: str
+    parameters: _containers.RepeatedScalarFieldContainer[str]
+    log_sds: _containers.RepeatedScalarFieldContainer[float]
+    determined: bool
+    speed: float
+    manoeuvre: str
+    seconds: float
+    degrees: float
+    after: _containers.RepeatedScalarFieldContainer[float]
+    turn_tells: str
+    turn_after: float
+    def __init__(self, kind: _Optional[str] = ..., parameters: _Optional[_Iterable[str]] = ..., log_sds: _Optional[_Iterable[float]] = ..., determined: _Optional[bool] = ..., speed: _Optional[float] = ..., manoeuvre: _Optional[str] = ..., seconds: _Optional[float] = ..., degrees: _Optional[float] = ..., after: _Optional[_Iterable[float]] = ..., turn_tells: _Optional[str] = ..., turn_after: _Optional[float] = ...) -> None: ...
+
+class Combination(_message.Message):
+    __slots__ = ("exponents", "log_sd")
+    EXPONENTS_FIELD_NUMBER: _ClassVar[int]
+    LOG_SD_FIELD_NUMBER: _ClassVar[int]
+    exponents: _containers.RepeatedScalarFieldContainer[float]
+    log_sd: float
+    def __init__(self, exponents: _Optional[_Iterable[float]] = ..., log_sd: _Optional[float] = ...) -> None: ...
+
 class Parameter(_message.Message):
-    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass")
+    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass", "why")
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUE_FIELD_NUMBER: _ClassVar[int]
     SD_FIELD_NUMBER: _ClassVar[int]
@@ -163,6 +209,7 @@ class Parameter(_message.Message):
     REASON_FIELD_NUMBER: _ClassVar[int]
     AGE_S_FIELD_NUMBER: _ClassVar[int]
     PER_MASS_FIELD_NUMBER: _ClassVar[int]
+    WHY_FIELD_NUMBER: _ClassVar[int]
     name: str
     value: float
     sd: float
@@ -170,7 +217,8 @@ class Parameter(_message.Message):
     reason: str
     age_s: float
     per_mass: float
-    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ...) -> None: ...
+    why: Reason
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ..., why: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
 
 class Nuisance(_message.Message):
     __slots__ = ("name", "value", "sd")
@@ -191,7 +239,7 @@ class Excitation(_message.Message):
     def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
 
 class SoilTireEstimate(_message.Message):
-    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice")
+    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -206,6 +254,9 @@ class SoilTireEstimate(_message.Message):
     DETERMINED_FIELD_NUMBER: _ClassVar[int]
     BOUND_FIELD_NUMBER: _ClassVar[int]
     ADVICE_FIELD_NUMBER: _ClassVar[int]
+    CHOSEN_FIELD_NUMBER: _ClassVar[int]
+    COMBINATIONS_FIELD_NUMBER: _ClassVar[int]
+    ADVISED_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     model: str
@@ -220,7 +271,10 @@ class SoilTireEstimate(_message.Message):
     determined: _containers.RepeatedScalarFieldContainer[str]
     bound: _containers.RepeatedScalarFieldContainer[float]
     advice: str
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ...) -> None: ...
+    chosen: Reason
+    combinations: _containers.RepeatedCompositeFieldContainer[Combination]
+    advised: Advice
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
     __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")

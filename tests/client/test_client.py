@@ -21,6 +21,8 @@ from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Advice, AdviceKind, Combination, text_reason
+from tilth.schemas.sentences import sentence
 
 ENCODING = "application/protobuf;tilth.SoilTireEstimate"
 RULE = Staleness(silence_s=3.0, data_s=600.0)
@@ -50,7 +52,13 @@ def with_parameter(i: int, **changes: Any) -> Estimate:
 
 
 def test_what_the_daemon_says_comes_whole() -> None:
-    result = replace(estimate(7), bound=(0.1,) * 6, determined=("C_af",), advice="turn", condition=3.0)
+    result = replace(
+        estimate(7),
+        bound=(0.1,) * 6,
+        determined=(Combination((1.0, *[0.0] * 5), 0.1),),
+        advice=Advice(AdviceKind.NOTHING_HELPS, ("C_ai",), (0.3,)),
+        condition=3.0,
+    )
     result = replace(result, nuisances={"bias": (0.1, 0.2)}, excitation={"turns": 3.0}, per_mass=(1.0,) * 3)
     received = estimate_of(encoded(result), ENCODING)
     assert replace(received, per_mass=received.per_mass[:3]) == result
@@ -82,7 +90,7 @@ INVALID: tuple[tuple[dict[str, Any], str], ...] = (
 @pytest.mark.parametrize(("changes", "words"), INVALID, ids=lambda v: str(v)[:40])
 def test_a_number_that_cannot_be_is_invalid_and_says_why(changes: dict[str, Any], words: str) -> None:
     result = estimate_of(changed(**changes).SerializeToString(), ENCODING)
-    assert result.parameters[1].status is Status.INVALID and words in result.parameters[1].reason
+    assert result.parameters[1].status is Status.INVALID and words in sentence(result.parameters[1].reason)
     latest = judge(result, 0.1, RULE)
     assert not latest.usable[1] and words in latest.reason
     assert latest.theta(NOMINAL)[1] == NOMINAL[1]
@@ -170,7 +178,7 @@ def test_nothing_heard_is_of_no_use() -> None:
 
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.ESTIMATED])
 def test_only_an_estimated_one_is_used_with_its_block_of_the_covariance(status: Status) -> None:
-    result = estimate_of(encoded(with_parameter(5, status=status, reason="why")), ENCODING)
+    result = estimate_of(encoded(with_parameter(5, status=status, reason=text_reason("why"))), ENCODING)
     result = replace(result, log_covariance=tuple(0.01 * (np.eye(6) + 0.5).ravel()))
     latest = judge(result, 0.1, RULE)
     assert latest.reason == f"sigma_i: {status.name.lower()}: why"
@@ -347,7 +355,7 @@ def test_whatever_comes_what_is_in_force_is_bounded_and_moves_slowly(
     for status, value, age_s, elapsed_s, frozen in steps:
         t_s += elapsed_s
         cautious.frozen = frozen
-        row = ParameterEstimate(value, value * LOG_SD, status, "why", 0.0)
+        row = ParameterEstimate(value, value * LOG_SD, status, text_reason("why"), 0.0)
         result = replace(estimate(), parameters=(row, *estimate().parameters[1:]))
         theta = cautious.step(judge(result, age_s, RULE), t_s).theta
         assert (np.abs(np.log(theta / NOMINAL)) <= math.log(2.0) + 1e-9).all()

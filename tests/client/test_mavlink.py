@@ -22,6 +22,7 @@ from tilth.client import Staleness
 from tilth.client.latest import judge
 from tilth.client.mavlink import AGE, SUFFIXES, numbers
 from tilth.schemas.flow import PARAMETERS, ParameterEstimate, Status
+from tilth.schemas.reasons import text_reason
 
 RULE = Staleness(silence_s=3.0, data_s=math.inf)
 MAVPROXY = Path(
@@ -158,7 +159,7 @@ def test_mavproxy_reads_the_same_numbers(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("status", Status)
 def test_a_number_is_there_only_while_it_may_be_used(status: Status) -> None:
-    row = ParameterEstimate(150e3, 15e3, status, "because", 7.0)
+    row = ParameterEstimate(150e3, 15e3, status, text_reason("because"), 7.0)
     result = estimate(parameters=(row,) * 6)
     named = numbers(judge(result, 2.0, RULE))
     assert math.isnan(named["C_ai"]) == math.isnan(named["C_ai_sd"]) == (status is not Status.ESTIMATED)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import fields
+from enum import Enum
 from functools import cache
 from typing import Any
 
@@ -16,6 +17,7 @@ from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
 from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code, Reason
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
@@ -42,8 +44,10 @@ def other(value: Any, number: int) -> Any:
         return f"{value} and {number}"
     if isinstance(value, np.ndarray):
         return value + number
+    if isinstance(value, Enum):
+        return next(one for one in type(value) if one is not value)
     if isinstance(value, dict):
-        return {"a reason": number}
+        return {Code.NO_RTK: number}
     if isinstance(value, list):
         return [other(one, number) for one in value]
     return value
@@ -69,7 +73,7 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
 def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
     state = consistency.initial(MACHINE)
     changed(state.open)
-    state.confirmed, state.open_restarted, state.missing = True, True, "little"
+    state.confirmed, state.open_restarted, state.missing = True, True, Reason(Code.DOUBTED, ("tractor.a",))
     state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
     state.findings = {"a": consistency.Finding("a", "is wrong")}
     again = from_json_data(consistency.Consistency, json.loads(json.dumps(to_json_data(state))))

@@ -126,7 +126,7 @@ def test_off_the_line_to_the_left_it_steers_to_the_right_at_a_limited_rate(line:
 def estimate(factor: float, status: Status = Status.ESTIMATED) -> Estimate:
     file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
     values = rig_of(parse_machine(file.read_text(encoding="utf-8"))).theta * factor
-    rows = tuple(ParameterEstimate(float(v), 0.05 * float(v), status, "", 1.0) for v in values)
+    rows = tuple(ParameterEstimate(float(v), 0.05 * float(v), status, None, 1.0) for v in values)
     return Estimate(1, "recommended", "relaxation", rows, tuple((0.0025 * np.eye(6)).ravel().tolist()), ())
 
 
@@ -170,7 +170,7 @@ def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
 def test_nominal_gains_are_left_only_by_what_the_data_cannot_do_without(sds: float, share: float) -> None:
     nominal = np.ones(6)
     off = sds * 0.05 / math.sqrt(6.0) * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-    rows = tuple(ParameterEstimate(float(v), 0.05, Status.ESTIMATED, "", 1.0) for v in np.exp(off))
+    rows = tuple(ParameterEstimate(float(v), 0.05, Status.ESTIMATED, None, 1.0) for v in np.exp(off))
     told = Estimate(1, "recommended", "", rows, tuple((0.0025 * np.eye(6)).ravel().tolist()), ())
     cautious = Cautious(nominal, Limits(ratio=10.0, per_s=0.1, doubt_sd=3.0))
     force = cautious.step(judge(told, 0.1, STALE), 0.0)

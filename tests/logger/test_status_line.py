@@ -84,9 +84,11 @@ def test_plain_lines_say_the_same() -> None:
 
 
 def test_a_stiffness_is_a_number_only_where_there_is_one() -> None:
-    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.ESTIMATED, "")) == "220 ± 20 kN/rad (95 %)"
-    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.STALE, "")) == "220 ± 20 kN/rad (95 %), stale"
-    assert stiffness_text(ParameterEstimate(None, None, Status.INVALID, "")) == "invalid"
+    assert stiffness_text(ParameterEstimate(220e3, 10e3, Status.ESTIMATED, None)) == "220 ± 20 kN/rad (95 %)"
+    assert (
+        stiffness_text(ParameterEstimate(220e3, 10e3, Status.STALE, None)) == "220 ± 20 kN/rad (95 %), stale"
+    )
+    assert stiffness_text(ParameterEstimate(None, None, Status.INVALID, None)) == "invalid"
 
 
 def test_what_is_still_made_ready_is_said_with_the_time_that_is_left() -> None:

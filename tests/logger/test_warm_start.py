@@ -34,6 +34,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.schemas.sentences import sentence
 from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
@@ -390,7 +391,7 @@ def test_what_was_found_moved_stays_so_after_a_restart(
         assert all(p.value is not None for p in given)
     else:
         assert all(p.value is None and p.status is Status.INVALID for p in given)
-        assert "wheel_angle.zero" in given[0].reason
+        assert "wheel_angle.zero" in sentence(given[0].reason)
     logs = second.close().log_files
     comparison = Comparison()
     replay(logs, *second_rig, outputs=ReplayOutputs(comparison=comparison))

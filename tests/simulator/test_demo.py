@@ -31,6 +31,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Attitude, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.reasons import text_reason
 from tilth.simulator.demo import (
     Demo,
     DemoError,
@@ -257,8 +258,8 @@ def test_ninety_seconds_give_six_parameters_that_hold_the_truth(machine: Machine
 def _estimate(log_sd: float) -> Estimate:
     covariance = [0.0] * 36
     covariance[0] = log_sd**2
-    known = ParameterEstimate(200e3, 200e3 * log_sd, Status.ESTIMATED, "")
-    unknown = ParameterEstimate(None, None, Status.UNESTIMATED, "no turn")
+    known = ParameterEstimate(200e3, 200e3 * log_sd, Status.ESTIMATED, None)
+    unknown = ParameterEstimate(None, None, Status.UNESTIMATED, text_reason("no turn"))
     return Estimate(0, "m", "m", (known, *[unknown] * 5), tuple(covariance), (None,) * 3)
 
 

@@ -19,12 +19,14 @@ from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.machine import parse_machine
+from tilth.schemas.reasons import Code, Reason
 
 NAME = "jd7930-parker500"
 THETA = (200e3, 450e3, 150e3, 0.8, 1.1, 0.7)
 LOG_SD = 0.1
 EVERY_S = 0.1
-NOTHING = (ParameterEstimate(None, None, Status.ESTIMATED, ""),) * 6  # as another version might send it
+RULE = Reason(Code.FIRST_WITH_NUMBERS, ("pem", "pem"))
+NOTHING = (ParameterEstimate(None, None, Status.ESTIMATED, None),) * 6  # as another version might send it
 
 
 def estimate(t_ns: int = 1, scale: float = 1.0, **changes: Any) -> Estimate:
@@ -32,11 +34,12 @@ def estimate(t_ns: int = 1, scale: float = 1.0, **changes: Any) -> Estimate:
     covariance = [0.0] * 36
     covariance[::7] = [LOG_SD**2] * 6
     rows = tuple(
-        ParameterEstimate(value * scale, value * scale * LOG_SD, Status.ESTIMATED, "", 0.5) for value in THETA
+        ParameterEstimate(value * scale, value * scale * LOG_SD, Status.ESTIMATED, None, 0.5)
+        for value in THETA
     )
     fields: dict[str, Any] = {
         "t_ns": t_ns, "method": "pem", "model": "relaxation", "parameters": rows,
-        "log_covariance": tuple(covariance), "per_mass": (None,) * 3, "rule": "pem: all six",
+        "log_covariance": tuple(covariance), "per_mass": (None,) * 3, "rule": RULE,
     }  # fmt: skip
     return Estimate(**(fields | changes))
 

@@ -28,6 +28,7 @@ from tilth.schemas.flow import (
     Status,
     WheelAngle,
 )
+from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason
 
 SPEED = 4.0  # m/s
 SECONDS = 60.0
@@ -135,11 +136,11 @@ def estimate(t: float, t_ns: int, method: str, undetermined: tuple[str, ...]) ->
     """What a method publishes: it comes nearer to VALUES."""
     names = ("C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i")
     share = SHARE * math.sqrt(SECONDS / t)
-    missing = ParameterEstimate(None, None, Status.UNESTIMATED, "more steering is needed")
+    missing = ParameterEstimate(None, None, Status.UNESTIMATED, Reason(Code.WIDE, numbers=(0.4,)))
     parameters = tuple(
         missing
         if name in undetermined
-        else ParameterEstimate(value, value * share, Status.ESTIMATED, "", 0.2)
+        else ParameterEstimate(value, value * share, Status.ESTIMATED, None, 0.2)
         for name, value in zip(names, VALUES, strict=True)
     )
     covariance = share**2 * (0.8 * np.eye(6) + 0.2)
@@ -147,8 +148,10 @@ def estimate(t: float, t_ns: int, method: str, undetermined: tuple[str, ...]) ->
     at = unknowns.AT
     nuisances = {name: (float(mean[at[name]]), float(sd[at[name]]) / 2) for name in ("latency", "rolling")}
     nuisances["wheel_zero"] = (3.0 * float(sd[at["wheel_zero"]]), float(sd[at["wheel_zero"]]) / 4)
+    rule = Reason(Code.FIRST_WITH_NUMBERS, ("pem", "pem")) if method == "recommended" else None
     return Estimate(
         t_ns, method, "relaxation", parameters, tuple(covariance.ravel().tolist()), (None,) * 3, nuisances,
-        rank=6, condition=4.0, window_s=t, rule="pem first" if method == "recommended" else "",
-        determined=("C_af ±12 % (95 %)",), advice="10 s of a chirp would help",
+        rank=6, condition=4.0, window_s=t, rule=rule,
+        determined=(Combination((1.0, *[0.0] * 5), 0.06),),
+        advice=Advice(AdviceKind.MANOEUVRE, ("sigma_i",), (0.3,), False, 0.0, "chirp", 10.0, 5.0, (0.1,)),
     )  # fmt: skip

@@ -36,6 +36,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
 
 START_NS = 1_790_000_000_000_000_000
 TRUTH = (215e3, 470e3, 150e3, 0.9, 1.2, 0.8)
@@ -103,7 +104,7 @@ def _body(north: float, east: float, heading: float, yaw_rate: float) -> BodyPos
 def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str = "") -> Estimate:
     """All but sigma_r, sharpening from the prior; after a change, wide again. invalid: why nothing holds."""
     if invalid:
-        none = tuple(ParameterEstimate(None, None, Status.INVALID, invalid) for _ in PARAMETERS)
+        none = tuple(ParameterEstimate(None, None, Status.INVALID, text_reason(invalid)) for _ in PARAMETERS)
         return Estimate(t_ns, "recommended", "relaxation", none, (), (None,) * 3)
     log_sd = [max(0.05 + 0.02 * i, 0.6 * math.exp(-since_s / 25.0)) for i in range(6)]
     covariance = [0.0] * 36
@@ -111,7 +112,7 @@ def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str =
     rows = []
     for i, (name, truth) in enumerate(zip(PARAMETERS, TRUTH, strict=True)):
         if name == "sigma_r" or since_s < 3 + 2 * i:
-            why = "not determined by the driving so far"
+            why = Reason(Code.WIDE, numbers=(log_sd[i],))
             rows.append(ParameterEstimate(None, None, Status.UNESTIMATED, why))
             continue
         value = (
@@ -119,12 +120,13 @@ def estimate(t_ns: int, t_s: float, scale: float, since_s: float, invalid: str =
             * (scale if name.startswith("C_") else 1.0)
             * math.exp(0.4 * log_sd[i] * math.sin(t_s / 9 + i))
         )
-        rows.append(ParameterEstimate(value, value * log_sd[i], Status.ESTIMATED, "", 0.4))
+        rows.append(ParameterEstimate(value, value * log_sd[i], Status.ESTIMATED, None, 0.4))
     return Estimate(
         t_ns, "recommended", "relaxation", tuple(rows), tuple(covariance), (None,) * 3, rank=5,
-        rule="pem: known best of what 120 s of driving told", determined=PARAMETERS[:4],
+        rule=Reason(Code.FIRST_WITH_NUMBERS, ("pem", "pem", "tracker")),
+        determined=tuple(Combination(tuple(float(j == k) for j in range(6)), log_sd[k]) for k in range(4)),
         bound=(*log_sd[:4], math.inf, log_sd[5]),
-        advice="sigma_r is not determined; 10 s of a chirp of 5° would bring it to ±12 %",
+        advice=Advice(AdviceKind.MANOEUVRE, ("sigma_r",), (0.6,), False, 0.0, "chirp", 10.0, 5.0, (0.06,)),
     )  # fmt: skip
 
 

@@ -32,6 +32,8 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Frame, Pose, Status
 from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.reasons import Code
+from tilth.schemas.sentences import sentence
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
 from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
@@ -432,7 +434,7 @@ def one_more(state: pem.PemState, tight: bool, sd: float, changed: bool = False)
     known = np.linalg.inv(np.linalg.inv(covariance[SIX, SIX] - masses) + sd**-2 * np.eye(6))
     errors = fit_covariance.model_sd_of(turned, mean)
     covariance[SIX, SIX] = known + masses + np.diag(errors**2)
-    made = pem.Fit(mean, covariance, np.zeros((6, 6)), 0.0, 0.0, 0.0, 5, 100, changed, "")
+    made = pem.Fit(mean, covariance, np.zeros((6, 6)), 0.0, 0.0, 0.0, 5, 100, changed, None)
     pem.adopt(state, MACHINE, made, 0)
     return np.asarray(np.sqrt(np.diag(state.covariance)[SIX] - np.diag(masses)))
 
@@ -477,7 +479,9 @@ def learned_at(t_ns: int) -> pem.PemState:
     return state
 
 
-def along_a_row(state: pem.PemState, begin_ns: int, seconds: int, speed: float, reason: str) -> Estimate:
+def along_a_row(
+    state: pem.PemState, begin_ns: int, seconds: int, speed: float, reason: Code | None
+) -> Estimate:
     """Straight driving at 5 Hz from that time on, with segments of that reason; the last estimate."""
     segment = Segment(Record(0, np.zeros((10, 8))), not reason, reason)
     body = replace(PARKED, forward_velocity=speed)
@@ -493,7 +497,7 @@ def statuses(estimate: Estimate) -> set[Status]:
 
 def test_a_number_stays_along_rows_until_drift_has_used_it_up() -> None:
     state = learned_at(SECOND)
-    estimate = along_a_row(state, SECOND, 1200, 4.0, "")
+    estimate = along_a_row(state, SECOND, 1200, 4.0, None)
     assert statuses(estimate) == {Status.ESTIMATED}
     assert estimate.parameters[0].age_s == pytest.approx(1200.0)
     wider = np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
@@ -503,18 +507,18 @@ def test_a_number_stays_along_rows_until_drift_has_used_it_up() -> None:
 
 
 def test_standing_still_ages_nothing_but_silence_and_unsound_data_do() -> None:
-    standing = along_a_row(learned_at(SECOND), SECOND, 600, 0.0, "too slow")
+    standing = along_a_row(learned_at(SECOND), SECOND, 600, 0.0, Code.TOO_SLOW)
     assert statuses(standing) == {Status.ESTIMATED}
-    without_rtk = along_a_row(learned_at(SECOND), SECOND, 290, 4.0, "no RTK fix")
+    without_rtk = along_a_row(learned_at(SECOND), SECOND, 290, 4.0, Code.NO_RTK)
     assert statuses(without_rtk) == {Status.ESTIMATED}
     state = learned_at(SECOND)
-    without_rtk = along_a_row(state, SECOND, 310, 4.0, "no RTK fix")
+    without_rtk = along_a_row(state, SECOND, 310, 4.0, Code.NO_RTK)
     assert statuses(without_rtk) == {Status.STALE}
-    assert without_rtk.parameters[0].reason == "no sound data for 310 s"
+    assert sentence(without_rtk.parameters[0].reason) == "no sound data for 310 s"
     # Nobody measured what happened meanwhile: only a new window makes it fresh.
-    assert statuses(along_a_row(state, 400 * SECOND, 20, 4.0, "")) == {Status.STALE}
+    assert statuses(along_a_row(state, 400 * SECOND, 20, 4.0, None)) == {Status.STALE}
     silent = learned_at(SECOND)
-    assert statuses(along_a_row(silent, 400 * SECOND, 20, 4.0, "")) == {Status.STALE}
+    assert statuses(along_a_row(silent, 400 * SECOND, 20, 4.0, None)) == {Status.STALE}
 
 
 def test_drift_is_not_lost_when_a_fit_is_refused() -> None:

@@ -73,6 +73,7 @@ from tilth.estimator.record.record import (
 )
 from tilth.estimator.results import reporting
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
+from tilth.schemas.reasons import Code
 from tilth.simulator import scenario
 from tilth.simulator.scenario import DrivenManoeuvre, Fieldwork, HeadlandTurn, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import drive
@@ -479,7 +480,7 @@ def straight(seconds: float, seed: int) -> list[Segment]:
                     (tick, 0.0, NORTH, place, north + 0.01 * rng.normal(), 0.025),
                     (tick, 0.0, EAST, place, east + 0.01 * rng.normal(), 0.025),
                 ]
-        segments.append(Segment(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, ""))
+        segments.append(Segment(Record(start_ns + k * n * TICK_NS, ticks, np.array(rows)), k > 0, None))
     return segments
 
 
@@ -574,7 +575,7 @@ def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
     assert np.all(np.abs(state.mean[SIX] - mean) < 0.2 * sd)
     assert np.all(np.sqrt(np.diag(state.covariance)[SIX]) >= sd)
     assert state.covariance[AT["wheel_zero"], AT["wheel_zero"]] < zero
-    assert state.refused["too little steering"] > 1900
+    assert state.refused[Code.TOO_LITTLE_STEERING] > 1900
     assert state.changes == 0
     assert np.all(np.linalg.eigvalsh(state.covariance[np.ix_(ACTIVE, ACTIVE)]) > 0.0)
     assert np.all(np.diag(state.P_xx)[:8] < 1.0)
@@ -588,7 +589,7 @@ def test_a_row_that_is_not_finite_is_left_out(column: int) -> None:
     assert segment is not None
     rows = segment.record.rows.copy()
     rows[5, column] = math.nan
-    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, None)
     clean, state = learned(given), learned([*given[:k], (pose, spoilt), *given[k + 1 :]])
     assert clean.counts[BAD] == 0.0 and state.counts[BAD] == 1.0
     assert state.counts[USED] + 1.0 == pytest.approx(clean.counts[USED], abs=3.0)
@@ -601,9 +602,9 @@ def test_an_input_that_is_no_number_costs_one_stretch() -> None:
     assert segment is not None
     ticks = segment.record.ticks.copy()
     ticks[3, 0] = math.inf
-    spoilt = Segment(Record(segment.record.t_ns, ticks, segment.record.rows), segment.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, ticks, segment.record.rows), segment.follows, None)
     state = learned([*given[:80], (pose, spoilt), *given[81:]])
-    assert state.refused["inputs are no numbers"] == 1
+    assert state.refused[Code.INPUTS_NOT_FINITE] == 1
     assert state.restarts == 2
     assert np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.P_xx))
 
@@ -614,7 +615,7 @@ def test_an_outlier_is_gated() -> None:
     assert segment is not None
     rows = segment.record.rows.copy()
     rows[np.flatnonzero(rows[:, 2] == EAST)[0], 4] += 2.0
-    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, "")
+    spoilt = Segment(Record(segment.record.t_ns, segment.record.ticks, rows), segment.follows, None)
     clean, state = learned(given), learned([*given[:80], (pose, spoilt), *given[81:]])
     assert state.counts[GATED] == clean.counts[GATED] + 1.0
     assert np.all(np.abs(state.mean - clean.mean)[SIX] < 0.3 * np.sqrt(np.diag(clean.covariance)[SIX]))
@@ -623,7 +624,7 @@ def test_an_outlier_is_gated() -> None:
 def test_after_a_gap_nothing_jumps() -> None:
     given = driven(RANDOM, 1)[1]
     gap = [
-        (pose, replace(segment, reason="no RTK fix") if segment else None) for pose, segment in given[60:80]
+        (pose, replace(segment, reason=Code.NO_RTK) if segment else None) for pose, segment in given[60:80]
     ]
     state = learned([*given[:60], *gap])
     mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
@@ -635,8 +636,8 @@ def test_after_a_gap_nothing_jumps() -> None:
         tracker.take(state, MACHINE, pose, segment)
         largest = max(largest, float(np.max(np.abs(state.mean[SIX] - mean) / sd)))
         mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
-    assert state.refused["no RTK fix"] == 20
-    assert state.refused["filter settling"] == 2 * tracker.SETTLES
+    assert state.refused[Code.NO_RTK] == 20
+    assert state.refused[Code.FILTER_SETTLING] == 2 * tracker.SETTLES
     assert largest < 1.0
 
 
@@ -650,7 +651,7 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     assert {p.status for p in tracker.estimate(fresh, MACHINE, 5).parameters} == {Status.UNESTIMATED}
     late = tracker.estimate(method_state, MACHINE, method_state.informed_ns + 301 * 10**9)
     assert {p.status for p in late.parameters} == {Status.STALE}
-    assert all("nothing was learned" in p.reason for p in late.parameters)
+    assert all(p.reason is not None and p.reason.code is Code.NOT_LEARNED_FOR for p in late.parameters)
     method_state.covariance[SIX, SIX] = (0.5 * method_state.prior_sd[0]) ** 2 * np.eye(
         6
     )  # is reported as 0.58 of the prior's
@@ -659,7 +660,7 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
     assert first.status is Status.ESTIMATED  # not yet beyond LOST
     method_state.has_number[0] = False
     again = tracker.estimate(method_state, MACHINE, method_state.informed_ns).parameters[0]
-    assert again.status is Status.UNESTIMATED and "more steering" in again.reason
+    assert again.status is Status.UNESTIMATED and again.reason is not None and again.reason.code is Code.WIDE
     assert again.value is None
 
 

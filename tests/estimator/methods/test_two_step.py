@@ -17,10 +17,10 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record, Segment
-from tilth.estimator.record.windows import TOO_SHORT
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import BodyPose, Pose, Status
+from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def test_scalar_merging_leans_low_as_its_docstring_says() -> None:
 def test_relaxation_lengths_are_found_where_the_stiffnesses_are_right() -> None:
     start = TRUTH * np.array([1.0, 1.0, 1.0, 1.4, 0.7, 1.5])
     found = identify(window(record_of(step_run()), start))
-    assert found.found == (True, True) and found.reason == ""
+    assert found.found == (True, True) and found.reason is None
     assert found.values[:3] == pytest.approx(TRUTH[:3], rel=0.02)
     assert found.values[3:] == pytest.approx(TRUTH[3:], rel=0.03)
 
@@ -139,13 +139,13 @@ def test_the_zero_of_the_wheel_angle_is_taken_off_where_it_goes_straight() -> No
 @pytest.mark.parametrize(
     ("wheel", "drop", "reason"),
     [
-        (np.zeros(TICKS), None, "no steady turn in this run"),
-        (0.1 * np.sin(np.arange(TICKS) * 0.02), None, "no steady turn in this run"),
-        (step_run(), YAW_RATE, "yaw rates or headings of both bodies are not measured"),
+        (np.zeros(TICKS), None, Code.NO_STEADY_TURN),
+        (0.1 * np.sin(np.arange(TICKS) * 0.02), None, Code.NO_STEADY_TURN),
+        (step_run(), YAW_RATE, Code.OUTPUTS_NOT_MEASURED),
     ],
     ids=["straight", "weaving", "no yaw rate"],
 )
-def test_a_run_that_cannot_tell_gives_a_reason(wheel: Array, drop: float | None, reason: str) -> None:
+def test_a_run_that_cannot_tell_gives_a_reason(wheel: Array, drop: float | None, reason: Code) -> None:
     record = record_of(wheel)
     record.rows = record.rows[record.rows[:, 2] != drop]
     found = identify(window(record, TRUTH))
@@ -181,13 +181,13 @@ def segments(record: Record) -> list[Segment]:
     for k in range(0, len(record.ticks), 10):
         in_segment = (record.rows[:, 0] >= k) & (record.rows[:, 0] < k + 10)
         rows = record.rows[in_segment] - np.array([k, 0, 0, 0, 0, 0])
-        out.append(Segment(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, ""))
+        out.append(Segment(Record(record.t_ns + k * TICK_NS, record.ticks[k : k + 10], rows), k > 0, None))
     return out
 
 
 def ended(run: list[Segment]) -> list[Segment]:
     """The same, with the last segment refused behind it, which ends the window."""
-    return [*run, replace(run[-1], follows=False, reason="reverse")]
+    return [*run, replace(run[-1], follows=False, reason=Code.REVERSE)]
 
 
 def drive(state: two_step.TwoStepState, run: list[Segment]) -> int:
@@ -220,15 +220,15 @@ def test_a_window_is_requested_fitted_merged_and_never_usable() -> None:
         else:
             assert parameter.status is Status.UNESTIMATED and parameter.value is None
     assert made.found[1]
-    assert "two outputs do not tell" in estimate.parameters[3].reason
+    assert estimate.parameters[3].reason == Reason(Code.ON_UNIDENTIFIABLE)
     assert estimate.rank == 2
     assert estimate.parameters[3].age_s == pytest.approx(3.0)
 
 
 def test_a_second_window_is_merged_number_by_number() -> None:
     state = two_step.initial(MACHINE)
-    made = two_step_fit.TwoStep(TRUTH, 0.2 * TRUTH, (True, True), 2, 0.0, 5.0, 20.0, "")
-    other = replace(made, values=1.5 * TRUTH, found=(False, True), reason="")
+    made = two_step_fit.TwoStep(TRUTH, 0.2 * TRUTH, (True, True), 2, 0.0, 5.0, 20.0, None)
+    other = replace(made, values=1.5 * TRUTH, found=(False, True), reason=None)
     for found in (made, other):
         state.job = two_step.Job(START_NS, START_NS, Record(START_NS, np.zeros((TICKS, 8))))
         estimate = two_step.adopt(state, MACHINE, found, START_NS)
@@ -251,12 +251,12 @@ def test_a_late_fit_is_dropped_and_counted() -> None:
 def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
     state = two_step.initial(MACHINE)
     run = segments(record_of(step_run()))
-    run[50] = replace(run[50], reason="reverse")  # 2 s after the step: too short to be fitted
+    run[50] = replace(run[50], reason=Code.REVERSE)  # 2 s after the step: too short to be fitted
     run[51] = replace(run[51], follows=False)
     t_ns = drive(state, run)
-    assert state.refused["reverse"] == 1
+    assert state.refused[Code.REVERSE] == 1
     assert two_step.request_fit(state, t_ns) is None
-    assert state.refused[TOO_SHORT] == 1
+    assert state.refused[Code.TOO_SHORT] == 1
     assert len(state.window) == 99
     two_step.clock_stepped(state, -(10**9))
     assert not state.window and state.informed_ns == 0

@@ -14,7 +14,7 @@ def segment(number: int) -> Segment:
     rows = np.zeros((2, len(ROWS)))
     rows[:, 0], rows[:, 4] = (3, 9), number
     return Segment(
-        Record(7 + number * 10 * TICK_NS, np.full((10, len(INPUTS)), float(number)), rows), True, ""
+        Record(7 + number * 10 * TICK_NS, np.full((10, len(INPUTS)), float(number)), rows), True, None
     )
 
 

@@ -52,6 +52,7 @@ from tilth.schemas.flow import (
     known_flags,
 )
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.reasons import Code
 from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
 from tilth.simulator.scenario import Ground, Scenario, SurveyErrors
 from tilth.simulator.tractor import AT, Truth, drive
@@ -203,7 +204,7 @@ def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: fl
         assert np.abs((away + np.pi) % (2 * np.pi) - np.pi).max() < 0.01
         roll = np.interp(t, truth.time, truth.implement.roll)
         assert np.abs(ticks[:, 7] - roll).max() < 2e-3
-    assert state.used.late == 0 and set(state.refused) <= {"settling", "no heading"}
+    assert state.used.late == 0 and set(state.refused) <= {Code.SETTLING, Code.NO_HEADING}
     assert sum(len(s.record.rows) for s in out if not s.reason) == state.samples > 1000
 
 
@@ -328,35 +329,35 @@ def tractor(**changes: float | None) -> Change:
 
 
 REFUSED: list[tuple[Change, str]] = [
-    (lambda p: replace(p, flags=(Flag.parse("swapped:tractor_front"),)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=(Flag.parse("moved:implement_rear"),)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=(Flag.parse("doubtful:implement_rear"),)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=(Flag.parse("latency:implement_rear"),)), "receivers do not fit the rig"),
-    (lambda p: replace(p, flags=(Flag.parse("floating:tractor_rear"),)), "no RTK fix"),
-    (lambda p: replace(p, flags=(Flag.parse("no_rtk:tractor_rear"),)), "no RTK fix"),
-    (lambda p: replace(p, flags=(Flag.parse("no_fix:tractor_rear"),)), "no RTK fix"),
-    (lambda p: replace(p, flags=(Flag.parse("fix_unknown:tractor_rear"),)), "no RTK fix"),
-    (lambda p: replace(p, flags=(Flag.parse("no_roll:implement"),)), "roll not measured"),
-    (lambda p: replace(p, direction=-1), "reverse"),
-    (tractor(forward_velocity=0.9), "too slow"),
-    (tractor(heading=None, sd_heading=None), "no heading"),
-    (tractor(sd_heading=math.radians(2.1)), "no heading"),
-    (lambda p: replace(p, implement=replace(p.implement, sd_heading=None)), "no heading"),
-    (tractor(forward_velocity=None), "pose incomplete"),
-    (tractor(yaw_rate=None), "pose incomplete"),
-    (lambda p: replace(p, articulation=math.radians(-63)), "articulation beyond 62°"),
+    (lambda p: replace(p, flags=(Flag.parse("swapped:tractor_front"),)), Code.RECEIVERS_MISPLACED),
+    (lambda p: replace(p, flags=(Flag.parse("moved:implement_rear"),)), Code.RECEIVERS_MISPLACED),
+    (lambda p: replace(p, flags=(Flag.parse("doubtful:implement_rear"),)), Code.RECEIVERS_MISPLACED),
+    (lambda p: replace(p, flags=(Flag.parse("latency:implement_rear"),)), Code.RECEIVERS_MISPLACED),
+    (lambda p: replace(p, flags=(Flag.parse("floating:tractor_rear"),)), Code.NO_RTK),
+    (lambda p: replace(p, flags=(Flag.parse("no_rtk:tractor_rear"),)), Code.NO_RTK),
+    (lambda p: replace(p, flags=(Flag.parse("no_fix:tractor_rear"),)), Code.NO_RTK),
+    (lambda p: replace(p, flags=(Flag.parse("fix_unknown:tractor_rear"),)), Code.NO_RTK),
+    (lambda p: replace(p, flags=(Flag.parse("no_roll:implement"),)), Code.NO_ROLL),
+    (lambda p: replace(p, direction=-1), Code.REVERSE),
+    (tractor(forward_velocity=0.9), Code.TOO_SLOW),
+    (tractor(heading=None, sd_heading=None), Code.NO_HEADING),
+    (tractor(sd_heading=math.radians(2.1)), Code.NO_HEADING),
+    (lambda p: replace(p, implement=replace(p.implement, sd_heading=None)), Code.NO_HEADING),
+    (tractor(forward_velocity=None), Code.POSE_INCOMPLETE),
+    (tractor(yaw_rate=None), Code.POSE_INCOMPLETE),
+    (lambda p: replace(p, articulation=math.radians(-63)), Code.BEYOND_ARTICULATION),
 ]
 
 
 @pytest.mark.parametrize(("change", "reason"), REFUSED, ids=[f"{k}-{r[1]}" for k, r in enumerate(REFUSED)])
-def test_a_refusal_holds_for_neighbouring_poses_and_two_seconds(change: Change, reason: str) -> None:
+def test_a_refusal_holds_for_neighbouring_poses_and_two_seconds(change: Change, reason: Code) -> None:
     state, out = edited({30: change})
-    expected_reasons = ["settling"] * 10 + [""] * 18 + [reason] * 3 + ["settling"] * 10
+    expected_reasons = [Code.SETTLING] * 10 + [None] * 18 + [reason] * 3 + [Code.SETTLING] * 10
     assert [s.reason for s in out[:41]] == expected_reasons
-    assert {s.reason for s in out[41:]} == {""}
+    assert {s.reason for s in out[41:]} == {None}
     assert [s.follows for s in out[:12]] == [False] * 11 + [True]
     assert [s.follows for s in out[27:43]] == [True] + [False] * 14 + [True]
-    assert state.refused == {"settling": 20, reason: 3}
+    assert state.refused == {Code.SETTLING: 20, reason: 3}
 
 
 @pytest.mark.parametrize(
@@ -368,20 +369,20 @@ def test_a_refusal_holds_for_neighbouring_poses_and_two_seconds(change: Change, 
 )
 def test_a_receiver_that_is_late_or_lost_refuses_nothing(flags: tuple[str, ...]) -> None:
     _, out = edited({30: lambda p: replace(p, flags=known_flags(flags))})
-    assert {s.reason for s in out[10:]} == {""}
+    assert {s.reason for s in out[10:]} == {None}
 
 
 def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
     new_origin = {k: lambda p: replace(p, origin_latitude_deg=43.0) for k in range(30, 100)}
     _, out = edited(new_origin)
-    assert Counter(s.reason for s in out[28:41]) == {"new origin of the plane": 2, "settling": 10, "": 1}
+    assert Counter(s.reason for s in out[28:41]) == {Code.NEW_ORIGIN: 2, Code.SETTLING: 10, None: 1}
     circle = Circle()
     state, out = record_builder.initial(circle.machine), []
     for number, (aligned, pose) in enumerate(posed(circle.machine, list(circle.measurements(12.0)))):
         segment = None if 20 <= number < 25 else record_builder.observe(state, aligned, pose)
         if segment is not None:
             out.append(segment)
-    assert [s.reason for s in out[18:31]] == ["gap in the poses"] * 2 + ["settling"] * 10 + [""]
+    assert [s.reason for s in out[18:31]] == [Code.POSE_GAP] * 2 + [Code.SETTLING] * 10 + [None]
     assert not any(len(s.record.ticks) for s in out[18:20])
     assert state.used.late == 0
 
@@ -389,9 +390,9 @@ def test_a_new_origin_and_a_gap_are_no_stretch() -> None:
 def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
     circle = Circle()
     for first, last, angle, reason in (
-        (6.0, 6.12, None, ""),
-        (6.0, 6.4, None, "no wheel angle"),
-        (6.0, 6.4, 0.66, "wheels turned beyond 37°"),
+        (6.0, 6.12, None, None),
+        (6.0, 6.4, None, Code.NO_WHEEL_ANGLE),
+        (6.0, 6.4, 0.66, Code.BEYOND_WHEEL_ANGLE),
     ):
         received: list[Measurement] = []
         for m in circle.measurements(12.0):
@@ -401,7 +402,7 @@ def test_a_silent_wheel_sensor_and_a_large_wheel_angle() -> None:
                 m = replace(m, angle=angle)
             received.append(m)
         state, out = record(circle.machine, received)
-        assert set(state.refused) == {"settling", *([reason] if reason else [])}
+        assert set(state.refused) == {Code.SETTLING, *([reason] if reason else [])}
         if reason:
             shut = [(s.record.t_ns - START_NS) * 1e-9 for s in out if s.reason == reason]
             assert 5.7 < shut[0] < 6.01 and 6.1 < shut[-1] < 6.41
@@ -454,7 +455,7 @@ def test_time_that_runs_back_starts_anew() -> None:
         segment = record_builder.observe(state, aligned, pose)
         if segment is not None:
             out.append(segment)
-    assert state.segments == 2 * usable and state.refused == {"settling": 20} and state.used.late == 0
+    assert state.segments == 2 * usable and state.refused == {Code.SETTLING: 20} and state.used.late == 0
 
 
 def test_a_stored_state_continues_exactly() -> None:

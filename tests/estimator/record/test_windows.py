@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from tilth.estimator.record import windows
 from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.record_builder import TICKS
 from tilth.estimator.record.windows import LEAD, QUIET, WINDOW, close_window, collect
+from tilth.schemas.reasons import Code
 
 LEAST = math.radians(1.0)
 SEGMENT_NS = TICKS * TICK_NS
@@ -24,8 +24,8 @@ class Collected:
 
     window: list[Segment] = field(default_factory=list)
     closed: Record | None = None
-    refused: dict[str, int] = field(default_factory=dict)
-    reason: str = ""
+    refused: dict[Code, int] = field(default_factory=dict)
+    reason: Code | None = None
     published_ns: int = 0
     records: list[Record] = field(default_factory=list)
 
@@ -38,7 +38,7 @@ def driving(pieces: Iterable[Piece], gaps: Sequence[float] = ()) -> list[Segment
     for k, degrees in enumerate(angles):
         ticks = np.zeros((TICKS, 8))
         ticks[:, 0] = math.radians(degrees)
-        reason = "reverse" if k in refused else ""
+        reason = Code.REVERSE if k in refused else None
         follows = not (k == 0 or reason or k - 1 in refused)
         out.append(Segment(Record(k * SEGMENT_NS, ticks), follows, reason))
     return out
@@ -62,8 +62,8 @@ def spans(state: Collected) -> list[tuple[float, float]]:
 def test_a_headland_turn_is_a_window_that_closes_when_it_is_over() -> None:
     state = collected(driving([(60.0, 0.0), (12.0, 18.0), (60.0, 0.0)]))
     assert spans(state) == [(58.0, 75.0)]
-    assert state.refused.keys() == {windows.TOO_LITTLE}
-    assert state.reason == windows.TOO_LITTLE and len(state.window) == LEAD
+    assert state.refused.keys() == {Code.TOO_LITTLE_STEERING}
+    assert state.reason == Code.TOO_LITTLE_STEERING and len(state.window) == LEAD
 
 
 def test_steering_without_end_is_cut_into_windows_of_thirty_seconds() -> None:
@@ -84,17 +84,17 @@ def test_a_short_piece_alone_is_fitted_when_thirty_seconds_are_over() -> None:
 
 def test_a_turn_is_not_cut_by_a_small_correction_before_it() -> None:
     state = collected(driving([(20.0, 0.0), (0.6, 2.0), (26.0, 0.0), (12.0, 18.0), (20.0, 0.0)]))
-    assert state.refused[windows.TOO_LITTLE] > 0
+    assert state.refused[Code.TOO_LITTLE_STEERING] > 0
     assert spans(state) == [(44.6, 61.6)]
 
 
 def test_a_circle_says_that_the_wheels_are_held() -> None:
     """Its wheel angle is constant: not too little of it, but no change."""
     state = collected(driving([(29.0, 7.0)]))
-    assert state.records == [] and state.reason == windows.HELD
+    assert state.records == [] and state.reason == Code.HELD
     close_window(state, LEAST, 0.0)
-    assert state.refused == {windows.HELD: 1}
-    assert collected(driving([(2.0, 0.0), (20.0, 7.0)])).reason == ""  # it has been turned
+    assert state.refused == {Code.HELD: 1}
+    assert collected(driving([(2.0, 0.0), (20.0, 7.0)])).reason is None  # it has been turned
 
 
 @pytest.mark.parametrize(("degrees", "fitted"), [(0.7, 0), (0.95, 0), (1.6, 3)])
@@ -104,7 +104,7 @@ def test_corrections_along_a_row_count_by_their_size(degrees: float, fitted: int
     state = collected(driving(row * 5))
     assert len(state.records) == fitted
     if not fitted:
-        assert state.refused[windows.TOO_LITTLE] > 0
+        assert state.refused[Code.TOO_LITTLE_STEERING] > 0
 
 
 def test_a_burst_of_corrections_passes_no_more_than_the_row_it_is_part_of() -> None:
@@ -118,7 +118,7 @@ def test_a_refused_segment_ends_a_window_which_is_fitted_if_it_is_long_enough() 
     state = collected(driving([(20.0, 0.0), arc, (4.0, 0.0)], gaps=[27.0]))
     assert spans(state) == [(18.0, 27.0)]
     state = collected(driving([(20.0, 0.0), (3.0, 20.0), (4.0, 0.0)], gaps=[23.0]))
-    assert state.records == [] and state.refused[windows.TOO_SHORT] == 1
+    assert state.records == [] and state.refused[Code.TOO_SHORT] == 1
 
 
 def test_what_is_left_at_the_end_is_closed_as_by_a_gap() -> None:

@@ -38,6 +38,8 @@ from tilth.estimator.results.advice import Advisor, Candidate
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Advice, AdviceKind
+from tilth.schemas.sentences import advice_sentence, combination_words
 
 Array = NDArray[np.float64]
 
@@ -77,7 +79,12 @@ def information_on(*rows: tuple[dict[str, float], float]) -> Array:
 
 
 def test_single_parameters_are_named_with_their_range() -> None:
-    advice_text = advice.determined(information_on(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6)
+    advice_text = tuple(
+        map(
+            combination_words,
+            advice.determined(information_on(({"C_af": 1.0}, 0.04), ({"sigma_i": 1.0}, 0.2)), PRIOR_6),
+        )
+    )
     assert advice_text == ("C_af ±7.8 % (95 %)", "sigma_i -31 … +46 % (95 %)")
 
 
@@ -92,13 +99,13 @@ def test_single_parameters_are_named_with_their_range() -> None:
 def test_a_combination_is_named_where_no_parameter_of_it_is_determined(
     weights: dict[str, float], expected_text: str
 ) -> None:
-    advice_text = advice.determined(information_on((weights, 0.04)), PRIOR_6)
+    advice_text = tuple(map(combination_words, advice.determined(information_on((weights, 0.04)), PRIOR_6)))
     assert advice_text == (expected_text,)
 
 
 def test_a_second_combination_is_another_one() -> None:
     rows = (({"C_af": 1.0, "C_ar": -1.0}, 0.04), ({"sigma_f": 1.0, "sigma_r": -1.0}, 0.1))
-    advice_text = advice.determined(information_on(*rows), PRIOR_6)
+    advice_text = tuple(map(combination_words, advice.determined(information_on(*rows), PRIOR_6)))
     assert advice_text == ("C_af/C_ar ±7.8 % (95 %)", "sigma_f/sigma_r ±20 % (95 %)")
 
 
@@ -271,7 +278,7 @@ def everything() -> dict[Candidate, Array]:
 def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag(np.array([0.05, 0.05, 0.45, 0.05, 0.05, 0.1]) ** 2)
-    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED, everything())
+    advice_text = advice_sentence(advice.advise(MACHINE, MEAN, covariance, SPEED, everything()))
     start, _, offer = advice_text.partition("; ")
     assert start == "C_ai is not determined: -59 … +142 % (95 %)"
     assert offer.startswith("10 s of ") and offer.endswith(" % (95 %)")
@@ -285,12 +292,14 @@ def test_advice_names_the_open_parameter_and_a_manoeuvre_that_closes_it() -> Non
 def test_if_all_is_determined_the_least_known_is_named_without_a_manoeuvre() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2
-    advice_text = advice.advise(MACHINE, MEAN, covariance, SPEED, everything())
+    advice_text = advice_sentence(advice.advise(MACHINE, MEAN, covariance, SPEED, everything()))
     assert (
         advice_text == "C_af is known least: ±2.0 % (95 %); no 10 s of steering at this speed would help much"
     )
-    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5, {}) == "nothing can be learned below 1.5 m/s"
-    assert advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED, everything()).startswith(
+    too_slow = advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5, {})
+    assert too_slow == Advice(AdviceKind.TOO_SLOW, speed=1.5)
+    assert advice_sentence(too_slow) == "nothing can be learned below 1.5 m/s"
+    assert advice_sentence(advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED, everything())).startswith(
         "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "
     )
 
@@ -307,7 +316,7 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag(np.array([0.3, 0.05, 0.05, 0.5, 0.05, 0.05]) ** 2)
     table = {c: everything()[c] for c in (advice.TURN, Candidate("step", 3.0))}
-    text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
+    text = advice_sentence(advice.advise(MACHINE, MEAN, covariance, SPEED, table))
     assert "10 s of a headland turn at 25° or more would bring" in text
     exact = advice.predicted(covariance, table[advice.TURN])
     assert (
@@ -318,17 +327,18 @@ def test_a_headland_turn_is_advised_where_it_tells_as_much() -> None:
 def test_the_headland_turn_that_comes_anyway_is_said_beside_what_tells_more() -> None:
     step, covariance = Candidate("step", 8.0), np.diag(SD**2)
     table = {c: everything()[c] for c in (advice.TURN, step)}
-    text = advice.advise(MACHINE, MEAN, covariance, SPEED, table)
+    text = advice_sentence(advice.advise(MACHINE, MEAN, covariance, SPEED, table))
     offer, _, turn = text.partition("; ")[2].partition("; ")
     assert offer.startswith("10 s of a turn held at 8°")
-    found = re.fullmatch(r"the next headland turn at 25° or more would bring (\w+) to .* \(95 %\)", turn)
+    found = re.fullmatch(r"the next headland turn would bring (\w+) to .* \(95 %\)", turn)
     assert found is not None
     k, errors = PARAMETERS.index(found[1]), model_sd(True, 0.0, math.exp(MEAN[AT["uneven"]]), MEAN[SIX])
     after = advice.predicted(covariance, table[advice.TURN], errors) / SD[SIX]
     assert k == int(np.argmin(after)) and after[k] < advice.WORTHWHILE
-    assert turn not in advice.advise(MACHINE, MEAN, covariance, SPEED, {step: table[step]})
+    alone = advice.advise(MACHINE, MEAN, covariance, SPEED, {step: table[step]})
+    assert turn not in advice_sentence(alone)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2  # known better than a turn can tell
-    assert "headland" not in advice.advise(MACHINE, MEAN, covariance, SPEED, table)
+    assert "headland" not in advice_sentence(advice.advise(MACHINE, MEAN, covariance, SPEED, table))
 
 
 def test_more_is_known_after_a_wilder_manoeuvre_and_never_less_than_before() -> None:
@@ -358,7 +368,7 @@ def test_a_running_advisor_computes_one_candidate_at_a_time_and_continues_from_j
     for k in range(30):
         texts.append(advice.renew(state, MACHINE, MEAN, covariance, SPEED, 1 + k * 1_000_000_000))
         assert len(state.table) == k // 10 + 1
-    assert len(set(texts[:10])) == 1 and "chirp" in texts[-1]
+    assert len(set(texts[:10])) == 1 and "chirp" in advice_sentence(texts[-1])
     again = from_json_data(Advisor, to_json_data(state))
     later = 1 + 40 * 1_000_000_000
     assert advice.renew(again, MACHINE, MEAN, covariance, SPEED, later) == advice.renew(

@@ -43,7 +43,7 @@ def next_sample(queue: "SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
 
 
 def estimate(value: float) -> Publication:
-    rows = tuple(ParameterEstimate(value, 1.0, Status.ESTIMATED, "") for _ in PARAMETERS)
+    rows = tuple(ParameterEstimate(value, 1.0, Status.ESTIMATED, None) for _ in PARAMETERS)
     return Publication(START_NS, "/soil_tire", Estimate(START_NS, "recommended", "m", rows, (), ()))
 
 

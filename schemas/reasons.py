@@ -1,0 +1,144 @@
+"""Why there is no number, why driving teaches nothing, what would help: codes with numbers, never sentences.
+
+`sentences.py` makes the words of them, for people, and is the only place that does. Whoever decides by a
+reason compares its code.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Code(StrEnum):
+    """What a reason says. `of` and `numbers` of a Reason mean what stands beside its code."""
+
+    TEXT = "text"
+    """Words from elsewhere: of an old log, of an exception. of: the words."""
+
+    # Driving that nothing is learned from: of a segment, a window or a pose.
+    SETTLING = "settling"
+    REVERSE = "reverse"
+    TOO_SLOW = "too_slow"
+    BEYOND_WHEEL_ANGLE = "beyond_wheel_angle"
+    BEYOND_ARTICULATION = "beyond_articulation"
+    POSE_GAP = "pose_gap"
+    NEW_ORIGIN = "new_origin"
+    NO_WHEEL_ANGLE = "no_wheel_angle"
+    RECEIVERS_MISPLACED = "receivers_misplaced"
+    NO_RTK = "no_rtk"
+    NO_ROLL = "no_roll"
+    NO_HEADING = "no_heading"
+    POSE_INCOMPLETE = "pose_incomplete"
+    RECEIVER_LATE = "receiver_late"
+    HEADING_NOT_OF_PAIR = "heading_not_of_pair"
+    TURNING_IN_OR_OUT = "turning_in_or_out"
+    SPEED_NOT_STEADY = "speed_not_steady"
+    TOO_LITTLE_STEERING = "too_little_steering"
+    HELD = "held"
+    TOO_SHORT = "too_short"
+    FIT_OVERTAKEN = "fit_overtaken"
+    CONTRADICTED = "contradicted"
+    """The data contradict the machine file. because: the findings."""
+
+    # A filter or a fit that gave nothing.
+    INPUTS_NOT_FINITE = "inputs_not_finite"
+    RESULT_NOT_FINITE = "result_not_finite"
+    FILTER_SETTLING = "filter_settling"
+    FILTER_OUT_OF_BOUNDS = "filter_out_of_bounds"
+    MOST_SAMPLES_REJECTED = "most_samples_rejected"
+    OUTLIER = "outlier"
+    SLIP_BEYOND_MODEL = "slip_beyond_model"
+    NO_STEADY_TURN_EXISTS = "no_steady_turn_exists"
+    NOT_CONVERGED = "not_converged"
+    BEYOND_TYRES = "beyond_tyres"
+    OUTPUTS_NOT_MEASURED = "outputs_not_measured"
+    NO_STEADY_TURN = "no_steady_turn"
+    END_OF_SEARCH = "end_of_search"
+    FIT_LATE = "fit_late"
+    """numbers: s that it was late. It is used."""
+    FIT_DROPPED = "fit_dropped"
+    FIT_GIVEN_UP = "fit_given_up"
+    """numbers: s since it was due."""
+
+    # A parameter without a number, or with one that must not be used.
+    NOTHING_LEARNED = "nothing_learned"
+    """because: why nothing is learned now."""
+    NOTHING_FITTED = "nothing_fitted"
+    NO_STEADY_TURN_YET = "no_steady_turn_yet"
+    NO_WINDOW_YET = "no_window_yet"
+    WIDE = "wide"
+    """numbers: sd of the logarithm that the data leave."""
+    NOT_LEARNED_FOR = "not_learned_for"
+    NO_SOUND_DATA_FOR = "no_sound_data_for"
+    NO_STEADY_DRIVING_FOR = "no_steady_driving_for"
+    """These three: numbers: s."""
+    RANK = "rank"
+    RANK_WITHOUT_SIDESLIP = "rank_without_sideslip"
+    RANK_OF_TWO_OUTPUTS = "rank_of_two_outputs"
+    """These three: numbers: rank, of three."""
+    NO_RELAXATION = "no_relaxation"
+    ON_UNIDENTIFIABLE = "on_unidentifiable"
+    NOT_CONFIRMED = "not_confirmed"
+    """of: keys of the machine file that driving has not confirmed yet, or none."""
+    NOT_DRIVEN = "not_driven"
+    DOUBTED = "doubted"
+    """of: the key of the machine file that agrees least."""
+
+    # Which method is recommended: the rule. of: the method, and then others.
+    FIRST_WITH_NUMBERS = "first_with_numbers"
+    FIRST_THOUGH_OLD = "first_though_old"
+    SOIL_CHANGED_SINCE = "soil_changed_since"
+    """numbers: s since the change."""
+    WINDOW_OLD = "window_old"
+    """numbers: s since pem's last window."""
+    NO_WINDOW = "no_window"
+    CLAIMS_LESS = "claims_less"
+    NO_METHOD = "no_method"
+    DISAGREE = "disagree"
+    """of: two methods. numbers: squared distance, parameters both have, what chance allows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A code, and what it is about. SI, rad; logarithms natural."""
+
+    code: Code
+    of: tuple[str, ...] = ()
+    numbers: tuple[float, ...] = ()
+    because: tuple["Reason", ...] = ()
+
+
+def text_reason(words: str) -> Reason | None:
+    """Of words alone, as old logs have them; None without any."""
+    return Reason(Code.TEXT, (words,)) if words else None
+
+
+class AdviceKind(StrEnum):
+    TOO_SLOW = "too_slow"  # nothing can be learned below `speed`
+    NOT_AT_THIS_SPEED = "not_at_this_speed"  # no manoeuvre is mild enough at this speed
+    NOTHING_HELPS = "nothing_helps"  # every manoeuvre would tell little more
+    MANOEUVRE = "manoeuvre"
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """Which steering would tell more. Sds are of natural logarithms."""
+
+    kind: AdviceKind
+    parameters: tuple[str, ...] = ()  # of flow.PARAMETERS, that are not determined, or that are known least
+    log_sds: tuple[float, ...] = ()  # theirs now
+    determined: bool = False  # all six are: `parameters` is the one that is known least
+    speed: float = 0.0  # m/s, for TOO_SLOW
+    manoeuvre: str = ""  # for MANOEUVRE: a row of estimator.models.manoeuvres.MANOEUVRES
+    seconds: float = 0.0
+    degrees: float = 0.0  # of the front wheels
+    after: tuple[float, ...] = ()  # sds of `parameters` after it
+    turn_tells: str = ""  # the parameter that the next headland turn tells most of, or ""
+    turn_after: float = 0.0  # its sd after that
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A product of powers of the parameters that data and prior determine."""
+
+    exponents: tuple[float, ...]  # in the order of flow.PARAMETERS
+    log_sd: float
