@@ -20,7 +20,7 @@ def test_recommended_values_with_intervals(facts: dict[str, Any]) -> None:
     assert [cell.text for cell in table.rows[0]] == [
         "C_af, cornering stiffness, front axle", "220 ± 26 kN/rad", "220 (56 … 868) kN/rad", "estimated", "–",
     ]  # fmt: skip
-    assert table.rows[5][1].text == "0.90 ± 0.11 m" and "Rule: pem first." in table.caption
+    assert table.rows[5][1].text == "0.90 ± 0.11 m" and "Rule: pem: the first of pem that" in table.caption
 
 
 def test_what_is_not_determined_is_said_with_its_reason(facts: dict[str, Any]) -> None:
@@ -30,7 +30,7 @@ def test_what_is_not_determined_is_said_with_its_reason(facts: dict[str, Any]) -
         }  # fmt: skip
     section = published_section(facts, "r")
     assert texts(section, WARNING) == ["sigma_f and sigma_i: unestimated: more steering is needed."]
-    assert "What would help: 10 s of a chirp would help." in texts(section)
+    assert any(t.startswith("What would help: sigma_i is not determined") for t in texts(section))
     figure = next(
         one for one in parts_of((section,)) if isinstance(one, ReportFigure) and one.kind == "correlation"
     )
