@@ -16,7 +16,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import Innovations, Measured, Varied, run_filter
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places, Point
-from tilth.estimator.filters.unknowns import AT_FRONT, AT_ROLL_MODES, NAMES, NOISES
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
 from tilth.estimator.record.record import (
     EAST,
     KIND,
@@ -31,6 +31,7 @@ from tilth.estimator.record.record import (
 
 Array = NDArray[np.float64]
 
+ROLL_MODES: Final = [AT[f"roll_{of}_{body}"] for of in "kdj" for body in "ti"]  # stiffness, damping, inertia
 DIFFERENCE_STEP: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
 STEP_LIMIT: Final = 1e-4
 NOISE_TRUST: Final = 0.6
@@ -223,8 +224,7 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
     change of the gains does in them, by differences of runs: the gradient is that of the likelihood."""
     de, dS = at.de.copy(), at.dS.copy()
     steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
-    modes = (search.active >= AT_ROLL_MODES) & (search.active < AT_FRONT)
-    for k in np.flatnonzero((search.active < 6) | modes):
+    for k in np.flatnonzero((search.active < 6) | np.isin(search.active, ROLL_MODES)):
         there = _run(search, at.point + steps[k] * np.eye(len(at.point))[search.active[k]])
         de[k], dS[k] = (there.e - at.e) / steps[k], (there.S - at.S) / steps[k]
     return replace(at, de=de, dS=dS)

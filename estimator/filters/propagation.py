@@ -51,24 +51,16 @@ from tilth.estimator.filters.transition import (
     unknowns_jacobian,
 )
 from tilth.estimator.filters.unknowns import (
-    AT_CAMBER,
     AT_CG,
-    AT_CURVATURE,
-    AT_FRONT,
     AT_GEOMETRY,
-    AT_HITCH,
     AT_LATENCY,
     AT_MEMORY,
-    AT_PARALLEL,
-    AT_PIN,
     AT_PUSH,
-    AT_ROLL_MODES,
-    AT_ROLLING,
-    AT_SHRINK,
-    AT_TWO_TRACK,
     AT_UNEVEN,
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
+    UNKNOWNS,
+    Transform,
 )
 from tilth.estimator.models import rolling
 from tilth.estimator.models.rolling import (
@@ -88,7 +80,6 @@ Array = NDArray[np.float64]
 
 EVERY: Final = 3  # ticks for which one set of Jacobians is used; odd, so that the middle of one is theirs
 SLOWEST: Final = 1.0  # m/s: distances along the ground are driven at least as fast
-LEAST_CURVATURE: Final = 1e-3
 
 # Indices of rolling's inputs and parameters. Of those of two bodies the tractor's; the implement's is next.
 W_DELTA: Final = INPUTS.index("delta")
@@ -99,16 +90,19 @@ W_U_RATE: Final = INPUTS.index("u_rate")
 P_GEOMETRY: Final = PARAMETERS.index("a")
 P_HEIGHT: Final = PARAMETERS.index("h_t")
 P_DRAWBAR: Final = PARAMETERS.index("h_h")
-P_ROLLING: Final = PARAMETERS.index("rolling")
-P_CURVATURE: Final = PARAMETERS.index("curvature")
 P_ROLL_MODES: Final = PARAMETERS.index("k_t")
 P_PIN: Final = PARAMETERS.index("pin")
 P_FRONT: Final = PARAMETERS.index("k_f")
-P_CAMBER: Final = PARAMETERS.index("camber")
 P_SHRINK: Final = PARAMETERS.index("shrink")
-P_PARALLEL: Final = PARAMETERS.index("parallel")
-P_TWO_TRACK: Final = PARAMETERS.index("two_track")
 P_CONSTANTS: Final = len(PARAMETERS)
+
+# The rows of unknowns.UNKNOWNS as arrays for kernels, (n,).
+ACTS_ON: Final = np.array([PARAMETERS.index(row.acts_on) if row.acts_on else -1 for row in UNKNOWNS])
+TRANSFORM: Final = np.array([int(row.transform) for row in UNKNOWNS])
+LEAST: Final = np.array([row.least for row in UNKNOWNS])
+IN_LINEAR: Final = np.array([row.linear for row in UNKNOWNS])
+FACTOR: Final = int(Transform.FACTOR)
+SUM: Final = int(Transform.SUM)
 
 
 class Plant(NamedTuple):
@@ -194,7 +188,6 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
     for i in range(9):
         p[P_GEOMETRY + i] = point.geometry[i]
     p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
-    p[P_CURVATURE] = max(unknowns[AT_CURVATURE], LEAST_CURVATURE)
     modes = (roll.k_t, roll.k_i, roll.d_t, roll.d_i, roll.j_t, roll.j_i)
     p[P_PIN], p[P_FRONT] = roll.pin, roll.k_f
     constants = (rig.w_f, rig.w_r, rig.w_i, rig.load_exponent, rig.front_drive, rig.g)
@@ -202,17 +195,17 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
         p[i] = point.theta[i]
         p[P_ROLL_MODES + i] = modes[i]
         p[P_CONSTANTS + i] = constants[i]
-    if setup.scale != 1.0:
-        return
-    for i in range(6):
-        p[P_ROLL_MODES + i] *= math.exp(unknowns[AT_ROLL_MODES + i])
-    p[P_FRONT] *= math.exp(unknowns[AT_FRONT])
-    p[P_PIN] = max(roll.pin + unknowns[AT_PIN], 0.0)
-    p[P_DRAWBAR] += unknowns[AT_HITCH]
-    p[P_HEIGHT] += unknowns[AT_HITCH + 1]
-    p[P_HEIGHT + 1] += unknowns[AT_HITCH + 2]
-    p[P_ROLLING], p[P_CAMBER], p[P_SHRINK] = unknowns[AT_ROLLING], unknowns[AT_CAMBER], unknowns[AT_SHRINK]
-    p[P_PARALLEL], p[P_TWO_TRACK] = unknowns[AT_PARALLEL], unknowns[AT_TWO_TRACK]
+    for place in range(len(ACTS_ON)):
+        at = ACTS_ON[place]
+        if at < 0 or (setup.scale != 1.0 and not IN_LINEAR[place]):
+            continue
+        if TRANSFORM[place] == FACTOR:
+            p[at] *= math.exp(unknowns[place])
+        elif TRANSFORM[place] == SUM:
+            p[at] += unknowns[place]
+        else:
+            p[at] = unknowns[place]
+        p[at] = max(p[at], LEAST[place])
 
 
 @inner_kernel
@@ -221,36 +214,14 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
     out[:] = 0.0
     for j in range(active.places.shape[0]):
         place = active.places[j]
-        mode = place - AT_ROLL_MODES
+        at = ACTS_ON[place]
         if place < 6:
             out[j, place] = p[place]
-        elif place == AT_CURVATURE:
-            out[j, P_CURVATURE] = 1.0 if p[P_CURVATURE] > LEAST_CURVATURE else 0.0
         elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
             for i in range(9):
                 out[j, P_GEOMETRY + i] = active.geometry[j, i]
-        elif linear:
-            continue
-        elif place == AT_ROLLING:
-            out[j, P_ROLLING] = 1.0
-        elif 0 <= mode < 6:
-            out[j, P_ROLL_MODES + mode] = p[P_ROLL_MODES + mode]
-        elif place == AT_FRONT:
-            out[j, P_FRONT] = p[P_FRONT]
-        elif place == AT_PIN:
-            out[j, P_PIN] = 1.0 if p[P_PIN] > 0.0 else 0.0
-        elif place == AT_HITCH:
-            out[j, P_DRAWBAR] = 1.0
-        elif place == AT_HITCH + 1 or place == AT_HITCH + 2:
-            out[j, P_HEIGHT + place - AT_HITCH - 1] = 1.0
-        elif place == AT_CAMBER:
-            out[j, P_CAMBER] = 1.0
-        elif place == AT_SHRINK:
-            out[j, P_SHRINK] = 1.0
-        elif place == AT_PARALLEL:
-            out[j, P_PARALLEL] = 1.0
-        elif place == AT_TWO_TRACK:
-            out[j, P_TWO_TRACK] = 1.0
+        elif at >= 0 and p[at] > LEAST[place] and (IN_LINEAR[place] or not linear):
+            out[j, at] = p[at] if TRANSFORM[place] == FACTOR else 1.0
 
 
 @inner_kernel

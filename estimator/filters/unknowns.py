@@ -1,12 +1,13 @@
 """All unknowns of the estimators that learn the six parameters, in one vector, with priors by the machine
-file.
+file: one row for each.
 
-A Gaussian over this vector is the prior and the posterior of a fit. An unknown that the machine file gives
-without an sd has a prior sd of zero and stays fixed.
+A Gaussian over this vector is the prior and the posterior of a fit.
 """
 
 import math
-from typing import Annotated, Final
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,49 +17,235 @@ from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Mount
-from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
+from tilth.schemas.machine import Implement, Machine, Tractor
 
 Array = NDArray[np.float64]
 
-NOISES: Final = (
-    "push_t", "push_i", "push_yaw", "memory", "uneven", "s_yaw_rate", "s_velocity", "s_position", "s_roll",
-)  # fmt: skip
-"""Natural logarithms: sds of how the ground pushes across the tractor and the implement (m/s^2) and turns the
-tractor (rad/s^2), and how long that lasts (s, of a first-order Gauss-Markov process; white where that is less
-than a tick); sd of how far uneven ground turns the wheels of a body about its long axis (rad); factors on the
-sds that the machine file states for yaw rates, velocities, positions and headings, and rolls."""
+Prior = tuple[float, float]  # mean, sd
 
+
+class Transform(IntEnum):
+    """How an unknown acts on a parameter of the motion model."""
+
+    NONE = 0  # on none: sensors, ground, geometry
+    VALUE = 1  # it is the parameter
+    FACTOR = 2  # natural logarithm of the parameter over its nominal value
+    SUM = 3  # it is added to the nominal value
+
+
+class Unknown(NamedTuple):
+    """One row: all that the filters, their priors and what is published of it need."""
+
+    name: str
+    meaning: str  # with its unit
+    prior: Callable[[Machine], Prior]  # sd 0: the machine file gives it as exact, and it stays fixed
+    transform: Transform = Transform.NONE
+    acts_on: str = ""  # of rolling_terms.PARAMETERS
+    least: float = -math.inf  # of the parameter
+    linear: bool = False  # the linear model has it as well
+    needs_steering: bool = False  # along a row only ground that is not as in the model tells of it
+    model_sd: float = 0.0  # by how much errors of the model move it, in its unit; part of its published sd
+    doubted: bool = False  # such errors move it far: what goes beyond half of the prior's sd rather is one
+
+
+def _told(mean: float, sd: float) -> Callable[[Machine], Prior]:
+    """The same for every rig."""
+    return lambda machine: (mean, sd)
+
+
+def _tyre(k: int) -> Callable[[Machine], Prior]:
+    """Of the k-th of PARAMETERS."""
+
+    def found(machine: Machine) -> Prior:
+        tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)[k % 3]
+        value = tyres.cornering_stiffness if k < 3 else tyres.relaxation_length
+        return float(np.log(value)), tyres.log_sd
+
+    return found
+
+
+def _of_body(
+    found: Callable[[Machine, str, Tractor | Implement], float],
+) -> tuple[Callable[[Machine], Prior], ...]:
+    """Sds of the tractor and of the implement, about zero."""
+    return (
+        lambda machine: (0.0, found(machine, "tractor", machine.tractor)),
+        lambda machine: (0.0, found(machine, "implement", machine.implement)),
+    )
+
+
+def _roll_zero(mount: Mount) -> Callable[[Machine], Prior]:
+    def found(machine: Machine) -> Prior:
+        for receiver in machine.receiver:
+            if receiver.mount is mount:
+                told = receiver.roll_zero
+                return 0.0, ROLL_ZERO_SD if told is None else math.radians(told.sd)
+        return 0.0, 0.0
+
+    return found
+
+
+def _sway(machine: Machine) -> Prior:
+    """Either of 0 and 1."""
+    return (0.5, 0.5) if any(r.roll_corrected for r in machine.receiver) else (0.0, 0.0)
+
+
+def _surveyed(k: int) -> Callable[[Machine], Prior]:
+    """Of the k-th of GEOMETRY: a share of its value, but of e, which may be zero, its sd."""
+
+    def found(machine: Machine) -> Prior:
+        t, i = machine.tractor, machine.implement
+        quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
+        return 0.0, quantity.sd if GEOMETRY[k] == "e" else quantity.sd / abs(quantity.value)
+
+    return found
+
+
+def _level(typical: float, log_sd: float) -> Callable[[Machine], Prior]:
+    """Of the natural logarithm of a noise level."""
+    return lambda machine: (float(np.log(typical)), log_sd)
+
+
+def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+    """Of how the bodies roll: a factor on what rig_setup.nominal_roll says."""
+    return Unknown(name, meaning, _told(0.0, sd), Transform.FACTOR, acts_on, needs_steering=True)
+
+
+def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+    """A height, not below the ground."""
+    return Unknown(name, meaning, _told(0.0, sd), Transform.SUM, acts_on, 0.0, needs_steering=True)
+
+
+_VALUE: Final = Transform.VALUE
+_PAIR_SD = _of_body(lambda m, of, body: math.hypot(math.radians(body.pair_yaw_sd), _turned(m, of)))
+_LEVER_SD = _of_body(lambda m, of, body: _survey(m, of) if body.lever_sd is None else body.lever_sd)
+_CG_SD = _of_body(lambda m, of, body: body.cg_sd)
+
+ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
+LEAST_CURVATURE: Final = 1e-3
+DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
+UNEVEN: Final = 0.006  # rad
+ROUGH: Final = 0.01  # rad: such ground, about 3 cm rms, makes the loads of the wheels come and go
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
-N_ROLL_MODES: Final = 13  # unknowns from roll_k_t to shrink
 
-NAMES: Final = (
-    *PARAMETERS,  # natural logarithms of N/rad and m
-    "wheel_zero",  # rad: reading when straight
-    "wheel_gain",  # logarithm: reading over true angle
-    "latency",  # s: by how much all receivers report later than the file says
-    "pair_t", "pair_i",  # rad: heading by the surveyed antennas minus true heading
-    "lever_t", "lever_i",  # m: by how much a body's antennas are further forward than surveyed
-    "aside_i",  # m: by how much the implement's antennas are further right, relative to the tractor's
-    "cg_t", "cg_i",  # m: CG further forward than the file says
-    "rolling",  # rolling resistance over load
-    "roll_k_t", "roll_k_i",  # logarithms: roll stiffness over that of rig_setup.nominal_roll
-    "roll_d_t", "roll_d_i",  # the same of roll damping
-    "roll_j_t", "roll_j_i",  # the same of roll inertia
-    "roll_front",  # the same of the front axle about its pin
-    "roll_pin", "roll_hitch",  # m: the front axle's pin and the drawbar are higher than nominal
-    "roll_cg_t", "roll_cg_i",  # m: CG higher than the file says
-    "camber",  # camber thrust of a leaning wheel over its load and camber angle
-    "shrink",  # how far relaxation lengths fall with slip: 1 as the secant of the tyre curve, 0 not at all
-    *ROLL_ZEROS,  # rad: measured roll less true, of each receiver
-    "roll_late_t", "roll_late_i",  # s: by how much the rolls of a body's receivers are late
-    "rate_late_t", "rate_late_i",  # s: the same of their turn rates, after their positions
-    "sway",  # of velocities where positions are corrected for roll: 1 the antenna's, 0 of the ground point
-    "curvature",  # 1 over the largest side force over load: 0 is a linear tyre
-    "parallel",  # how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel
-    "two_track",  # how far an axle's wheels slip each by itself: 1 as two, 0 as one (a single-track model)
-    *NOISES,
-    *GEOMETRY,  # logarithms of true over surveyed; e as m
+UNKNOWNS: Final = (
+    *(
+        Unknown(name, "natural logarithm, of N/rad or m", _tyre(k), needs_steering=True)
+        for k, name in enumerate(PARAMETERS)
+    ),
+    Unknown(
+        "wheel_zero", "rad: reading of the wheel angle when straight",
+        lambda machine: (0.0, math.radians(machine.wheel_angle.zero.sd)), model_sd=0.0015,
+    ),
+    Unknown(
+        "wheel_gain", "logarithm: reading over true wheel angle",
+        lambda machine: (0.0, machine.wheel_angle.gain.sd / machine.wheel_angle.gain.value),
+        model_sd=0.02, doubted=True,
+    ),
+    Unknown(
+        "latency", "s: by how much all receivers report later than the file says",
+        lambda machine: (0.0, _common_latency(machine)), model_sd=0.01, doubted=True,
+    ),
+    *(
+        Unknown(f"pair_{of}", "rad: heading by the surveyed antennas less true", prior, model_sd=0.002)
+        for of, prior in zip("ti", _PAIR_SD, strict=True)
+    ),
+    *(
+        Unknown(f"lever_{of}", "m: a body's antennas are further forward than surveyed", prior, model_sd=0.01)
+        for of, prior in zip("ti", _LEVER_SD, strict=True)
+    ),
+    Unknown(
+        "aside_i", "m: the implement's antennas are further right, relative to the tractor's",
+        lambda machine: (0.0, math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))),
+        model_sd=0.02, doubted=True,
+    ),
+    *(
+        Unknown(f"cg_{of}", "m: CG further forward than the file says", prior, doubted=True)
+        for of, prior in zip("ti", _CG_SD, strict=True)
+    ),
+    # 0.01 on a road, 0.1 on tilled soil
+    Unknown(
+        "rolling", "rolling resistance over load", _told(0.04, 0.03), _VALUE, "rolling", needs_steering=True
+    ),
+    _factor("roll_k_t", "logarithm: roll stiffness over the nominal", 0.6, "k_t"),
+    _factor("roll_k_i", "the same, implement", 0.6, "k_i"),
+    _factor("roll_d_t", "logarithm: roll damping over the nominal", 0.8, "d_t"),
+    _factor("roll_d_i", "the same, implement", 0.8, "d_i"),
+    _factor("roll_j_t", "logarithm: roll inertia over the nominal", 0.4, "j_t"),
+    _factor("roll_j_i", "the same, implement", 0.4, "j_i"),
+    _factor("roll_front", "logarithm: of the front axle about its pin", 0.4, "k_f"),
+    _sum("roll_pin", "m: the front axle's pin is higher than nominal", 0.15, "pin"),
+    _sum("roll_hitch", "m: the drawbar is higher than nominal", 0.1, "h_h"),
+    _sum("roll_cg_t", "m: CG higher than the file says", 0.05, "h_t"),
+    _sum("roll_cg_i", "the same, implement", 0.05, "h_i"),
+    Unknown(
+        "camber", "camber thrust over load and camber angle", _told(0.2, 0.15), _VALUE, "camber",
+        needs_steering=True,
+    ),
+    Unknown(
+        "shrink", "how far relaxation lengths fall with slip: 1 as the tyre curve's secant, 0 not at all",
+        _told(0.5, 0.4), _VALUE, "shrink", needs_steering=True,
+    ),
+    *(
+        Unknown(name, "rad: measured roll less true", _roll_zero(mount), model_sd=0.01, doubted=True)
+        for name, mount in zip(ROLL_ZEROS, Mount, strict=True)
+    ),
+    *(
+        Unknown(
+            f"roll_late_{of}", "s: by how much the rolls of a body's receivers are late", _told(0.03, 0.03),
+            model_sd=0.02, doubted=True, needs_steering=True,
+        )
+        for of in "ti"
+    ),
+    *(  # a gyro is filtered less than a roll
+        Unknown(f"rate_late_{of}", "s: the same of their turn rates", _told(0.02, 0.03), model_sd=0.01)
+        for of in "ti"
+    ),
+    Unknown(
+        "sway", "of velocities where positions are corrected for roll: 1 the antenna's, 0 the ground point's",
+        _sway, model_sd=0.2,
+    ),
+    Unknown(  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
+        "curvature", "1 over the largest side force over load: 0 is a linear tyre", _told(1.0, 0.6), _VALUE,
+        "curvature", LEAST_CURVATURE, linear=True, needs_steering=True,
+    ),
+    Unknown(
+        "parallel", "how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel",
+        lambda machine: (1.0 - machine.tractor.ackermann.value, machine.tractor.ackermann.sd),
+        _VALUE, "parallel",
+    ),
+    Unknown(  # twin wheels, wide tyres; one wheel an axle is 2 sd away
+        "two_track", "how far an axle's wheels slip each by itself: 1 as two, 0 as one (single-track)",
+        _told(1.0, 0.5), _VALUE, "two_track",
+    ),
+    # Natural logarithms of noise levels. Pushes last as a first-order Gauss-Markov process does, white where
+    # that is less than a tick; waves of 1 to 20 m come by in 0.2 to 4 s.
+    Unknown("push_t", "sd of how the ground pushes across the tractor, m/s^2", _level(DISTURBANCE[0], 1.2)),
+    Unknown("push_i", "the same, implement", _level(DISTURBANCE[1], 1.2)),
+    Unknown("push_yaw", "sd of how it turns the tractor, rad/s^2", _level(DISTURBANCE[2], 1.2)),
+    Unknown("memory", "how long a push lasts, s", _level(0.1, 1.0)),
+    Unknown("uneven", "sd of how far uneven ground turns a body's wheels, rad", _level(UNEVEN, 1.2)),
+    Unknown("s_yaw_rate", "factor on the sd that the machine file states", _level(1.0, 0.5)),
+    Unknown("s_velocity", "the same of velocities", _level(1.0, 0.5)),
+    Unknown("s_position", "the same of positions and headings", _level(1.0, 0.5)),
+    Unknown("s_roll", "the same of rolls", _level(1.0, 0.5)),
+    *(
+        Unknown(name, "m: true less told" if name == "e" else "logarithm: true over told", _surveyed(k))
+        for k, name in enumerate(GEOMETRY)
+    ),
 )  # fmt: skip
+"""What the data may say otherwise than the machine file, or beyond it. A new row needs nothing else where it
+acts on a parameter of the motion model; what it does to a measurement stands in measurement_model.py, and
+what it does to the ground's noise in propagation.py.
+
+model_sd: on the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of
+them. doubted: on steps of 30 s rolls' zeros of 10 mrad sd came out as much as 44 mrad off, latency by 47 ms,
+and the gain of `steady_state` by 5 %; a side slope all the way is taken for zeros of rolls and for antennas
+aside. In headland turns the tracker moves a CG by up to 15 cm."""
+
+NAMES: Final = tuple(row.name for row in UNKNOWNS)
+NEED_STEERING: Final = [k for k, row in enumerate(UNKNOWNS) if row.needs_steering]
+NOISES: Final = NAMES[NAMES.index("push_t") : NAMES.index("s_roll") + 1]
 
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 Vector = Annotated[Array, Shape((len(NAMES),))]  # in that order; of a state that is stored
@@ -71,7 +258,7 @@ MASSES: Final = (AT["m_t"], AT["m_i"])
 """Not learned with the six, but considered: driving shows stiffnesses over masses. What forces tell of a mass
 itself goes by the small couplings between the bodies, where errors of the model are largest."""
 
-# Indices for kernels. Of pair, lever, cg and push it is the first one; the others follow it.
+# Indices for kernels. Of what tractor and implement have, the tractor's; the implement's is the next one.
 AT_WHEEL_ZERO: Final = AT["wheel_zero"]
 AT_WHEEL_GAIN: Final = AT["wheel_gain"]
 AT_LATENCY: Final = AT["latency"]
@@ -79,16 +266,7 @@ AT_PAIR: Final = AT["pair_t"]
 AT_LEVER: Final = AT["lever_t"]
 AT_ASIDE: Final = AT["aside_i"]
 AT_CG: Final = AT["cg_t"]
-AT_ROLLING: Final = AT["rolling"]
-AT_CURVATURE: Final = AT["curvature"]
-AT_PARALLEL: Final = AT["parallel"]
-AT_TWO_TRACK: Final = AT["two_track"]
-AT_ROLL_MODES: Final = AT["roll_k_t"]
-AT_FRONT: Final = AT["roll_front"]
-AT_PIN: Final = AT["roll_pin"]
 AT_HITCH: Final = AT["roll_hitch"]
-AT_CAMBER: Final = AT["camber"]
-AT_SHRINK: Final = AT["shrink"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
 AT_ROLL_LATE: Final = AT["roll_late_t"]
 AT_RATE_LATE: Final = AT["rate_late_t"]
@@ -102,24 +280,6 @@ AT_S_POSITION: Final = AT["s_position"]
 AT_S_ROLL: Final = AT["s_roll"]
 AT_GEOMETRY: Final = AT["a"]
 
-ROLLING: Final = (0.04, 0.03)  # 0.01 on a road, 0.1 on tilled soil
-CURVATURE: Final = (1.0, 0.6)  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-ROLL_SD: Final = (0.6, 0.6, 0.8, 0.8, 0.4, 0.4, 0.4, 0.15, 0.1, 0.05, 0.05)  # of the roll modes' unknowns
-TWO_TRACK: Final = (1.0, 0.5)  # twin wheels, wide tyres; one wheel an axle is 2 sd away
-CAMBER: Final = (0.2, 0.15)
-SHRINK: Final = (0.5, 0.4)
-ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
-ROLL_LATE: Final = (0.03, 0.03)  # s, and its sd
-RATE_LATE: Final = (0.02, 0.03)  # the same; a gyro is filtered less than a roll
-SWAY: Final = (0.5, 0.5)  # either of 0 and 1; sd
-DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
-DISTURBANCE_LOG_SD: Final = 1.2
-MEMORY: Final = (0.1, 1.0)  # s, and the sd of its logarithm: waves of 1 to 20 m come by in 0.2 to 4 s
-UNEVEN: Final = 0.006  # rad
-ROUGH: Final = 0.01  # rad: such ground, about 3 cm rms, makes the loads of the wheels come and go
-UNEVEN_LOG_SD: Final = 1.2
-SENSOR_LOG_SD: Final = 0.5
-
 
 def prior(machine: Machine) -> tuple[Array, Array]:
     """(mean [n], sd [n]) of NAMES before any data."""
@@ -129,43 +289,7 @@ def prior(machine: Machine) -> tuple[Array, Array]:
 
 @once_for_a_machine
 def _prior(machine: Machine) -> tuple[Array, Array]:
-    mean, sd = np.zeros(len(NAMES)), np.zeros(len(NAMES))
-    tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
-    mean[SIX] = np.log([t.cornering_stiffness for t in tyres] + [t.relaxation_length for t in tyres])
-    sd[SIX] = [t.log_sd for t in tyres] * 2
-    wheel, tractor, implement = machine.wheel_angle, machine.tractor, machine.implement
-    gain = wheel.gain.sd / wheel.gain.value
-    sd[AT["wheel_zero"]], sd[AT["wheel_gain"]] = math.radians(wheel.zero.sd), gain
-    sd[AT["latency"]] = _common_latency(machine)
-    bodies: tuple[Tractor | Implement, ...] = (tractor, implement)
-    for k, body in enumerate(bodies):
-        name = ("tractor", "implement")[k]
-        survey = _survey(machine, name) if body.lever_sd is None else body.lever_sd
-        turned = _turned(machine, name)
-        sd[AT["pair_t"] + k] = math.hypot(math.radians(body.pair_yaw_sd), turned)
-        sd[AT["lever_t"] + k] = survey
-        sd[AT["cg_t"] + k] = body.cg_sd
-    sd[AT["aside_i"]] = math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))
-    (mean[AT["rolling"]], sd[AT["rolling"]]) = ROLLING
-    (mean[AT["curvature"]], sd[AT["curvature"]]) = CURVATURE
-    (mean[AT["parallel"]], sd[AT["parallel"]]) = 1.0 - tractor.ackermann.value, tractor.ackermann.sd
-    (mean[AT["two_track"]], sd[AT["two_track"]]) = TWO_TRACK
-    sd[AT_ROLL_MODES : AT_ROLL_MODES + len(ROLL_SD)] = ROLL_SD
-    (mean[AT["camber"]], sd[AT["camber"]]) = CAMBER
-    (mean[AT["shrink"]], sd[AT["shrink"]]) = SHRINK
-    zeros = {
-        r.mount: ROLL_ZERO_SD if r.roll_zero is None else math.radians(r.roll_zero.sd)
-        for r in machine.receiver
-    }
-    sd[AT_ROLL_ZERO : AT_ROLL_ZERO + 4] = [zeros.get(mount, 0.0) for mount in Mount]
-    mean[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[0]
-    sd[AT_ROLL_LATE : AT_ROLL_LATE + 2] = ROLL_LATE[1]
-    mean[AT_RATE_LATE : AT_RATE_LATE + 2], sd[AT_RATE_LATE : AT_RATE_LATE + 2] = RATE_LATE
-    if any(r.roll_corrected for r in machine.receiver):
-        mean[AT["sway"]], sd[AT["sway"]] = SWAY
-    mean[NOISE] = np.log([*DISTURBANCE, MEMORY[0], UNEVEN, 1.0, 1.0, 1.0, 1.0])
-    sd[NOISE] = [DISTURBANCE_LOG_SD] * 3 + [MEMORY[1], UNEVEN_LOG_SD] + [SENSOR_LOG_SD] * 4
-    sd[SHAPE] = [_share(name, q) for name, q in zip(GEOMETRY, _quantities(machine), strict=True)]
+    mean, sd = np.array([row.prior(machine) for row in UNKNOWNS], dtype=np.float64).T
     return mean, sd
 
 
@@ -227,12 +351,3 @@ def _turned(machine: Machine, body: str) -> float:
     if len(pair) != 2:
         return 0.0
     return math.hypot(*(r.survey_sd for r in pair)) / math.dist(pair[0].position[:2], pair[1].position[:2])
-
-
-def _quantities(machine: Machine) -> tuple[Quantity, ...]:
-    t, i = machine.tractor, machine.implement
-    return (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)
-
-
-def _share(name: str, quantity: Quantity) -> float:
-    return quantity.sd if name == "e" else quantity.sd / abs(quantity.value)

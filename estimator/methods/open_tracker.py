@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
-from tilth.estimator.filters.unknowns import AT, NOISE, SIX
+from tilth.estimator.filters.unknowns import AT, NEED_STEERING, NOISE, SIX
 from tilth.estimator.methods import tracker
-from tilth.estimator.methods.tracker import SOIL, TrackerState
+from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
 from tilth.schemas.machine import Machine
@@ -69,7 +69,7 @@ large, or the front axle at the CG, in 4 of 40 drives with right files, at 0.008
 most 0.006, with wrong files too."""
 STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
 OF_PAIRS: Final = STRAIGHT[1:]
-_STEERED: Final = [*SOIL, *(AT[name] for name in NAMES if name not in STRAIGHT)]
+_STEERED: Final = [*NEED_STEERING, *(AT[name] for name in NAMES if name not in STRAIGHT)]
 
 
 class Misfit(NamedTuple):

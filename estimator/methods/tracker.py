@@ -32,9 +32,8 @@ from tilth.estimator.filters.tracker_kernel import (
 )
 from tilth.estimator.filters.unknowns import (
     AT,
-    AT_ROLL_MODES,
-    N_ROLL_MODES,
     NAMES,
+    NEED_STEERING,
     NOISE,
     SIX,
     Matrix,
@@ -65,14 +64,6 @@ METHOD = "tracker"
 SD_FACTOR: Final = 1.25
 """Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
 errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
-ROLL_MODES: Final = [
-    *range(AT_ROLL_MODES, AT_ROLL_MODES + N_ROLL_MODES),
-    AT["roll_late_t"],
-    AT["roll_late_i"],
-]
-SOIL: Final = [*range(6), AT["rolling"], AT["curvature"], *ROLL_MODES]
-"""Learned only with steering: along a row, ground that is not as in the model is all that there is to learn
-of."""
 STEERING: Final = math.radians(1.5)
 """Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
 information comes mostly from the ground's forces."""
@@ -157,7 +148,7 @@ class TrackerState:
     events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
     considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
     needs_steering: list[int] = field(
-        default_factory=lambda: list(SOIL)
+        default_factory=lambda: list(NEED_STEERING)
     )  # unknowns learned only with steering
     by_steering: bool = True  # slopes are those of steering alone, after a first look
 

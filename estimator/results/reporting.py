@@ -7,7 +7,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.unknowns import NAMES, ROLL_ZEROS, SIX
+from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import SUPPORTED
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
@@ -21,20 +21,6 @@ PUBLISH_NS: Final = 1_000_000_000
 STALE_S: Final = 300.0
 WITHDRAWN: Final = 0.6  # posterior over prior sd of a logarithm, above which a number is withdrawn
 LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean is no tyre's
-NUISANCE_MODEL_SD: Final[dict[str, float]] = {
-    "wheel_zero": 0.0015, "wheel_gain": 0.02, "latency": 0.01, "roll_late_t": 0.02, "roll_late_i": 0.02,
-    "rate_late_t": 0.01, "rate_late_i": 0.01, "pair_t": 0.002, "pair_i": 0.002, "lever_t": 0.01,
-    "lever_i": 0.01, "aside_i": 0.02, "sway": 0.2,
-    **dict.fromkeys(ROLL_ZEROS, 0.01),
-}  # fmt: skip
-"""By how much errors of the model move an unknown that is no tyre's, in its unit; part of its published sd.
-On the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of them."""
-DOUBTED: Final = (
-    *ROLL_ZEROS, "latency", "wheel_gain", "aside_i", "cg_t", "cg_i", "roll_late_t", "roll_late_i",
-)  # fmt: skip
-"""What errors of the model move far: on steps of 30 s rolls' zeros of 10 mrad sd came out as much as 44 mrad
-off, latency by 47 ms, and the gain of `steady_state` by 5 %; a side slope all the way is taken for zeros of
-rolls and for antennas aside. In headland turns the tracker moves a CG by up to 15 cm."""
 RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
 
 
@@ -106,14 +92,15 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
     """Published sd of an unknown that is no tyre's. variance: what noise and the prior leave; without any the
     machine file states the value as exact, and the sd is zero. moved: from the prior's mean.
 
-    It is not above the prior's, but where one of DOUBTED has moved further than half of that: what goes
+    It is not above the prior's, but where a doubted one has moved further than half of that: what goes
     beyond is rather an error of the model.
     """
     if variance <= 0.0:
         return 0.0
     sd = math.sqrt(variance)
-    said = min(math.hypot(sd, NUISANCE_MODEL_SD.get(name, 0.0)), max(prior_sd, sd))
-    return math.hypot(said, max(abs(moved) - prior_sd / 2.0, 0.0)) if name in DOUBTED else said
+    row = UNKNOWNS[AT[name]]
+    said = min(math.hypot(sd, row.model_sd), max(prior_sd, sd))
+    return math.hypot(said, max(abs(moved) - prior_sd / 2.0, 0.0)) if row.doubted else said
 
 
 def six_parameter_estimate(

@@ -53,7 +53,7 @@ from tilth.estimator.filters.tracker_kernel import (
     track_segment,
 )
 from tilth.estimator.filters.transition import empty_transition
-from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.filters.unknowns import AT, SIX, UNKNOWNS
 from tilth.estimator.methods import tracker
 from tilth.estimator.methods.learned import into_tracker, of_tracker
 from tilth.estimator.methods.tracker import TrackerState
@@ -71,7 +71,6 @@ from tilth.estimator.record.record import (
     Record,
     Segment,
 )
-from tilth.estimator.results import reporting
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.schemas.reasons import Code
 from tilth.simulator import scenario
@@ -505,7 +504,7 @@ def test_what_is_said_of_other_unknowns_has_room_for_errors_of_the_model() -> No
     state = tracker.initial(MACHINE)
     state.covariance[6:, 6:] *= 1e-6  # hours of rows
     said = tracker.estimate(state, MACHINE, 1).nuisances
-    for name, room in reporting.NUISANCE_MODEL_SD.items():
+    for name, room in ((row.name, row.model_sd) for row in UNKNOWNS if row.model_sd):
         least = min(room, state.prior_sd[AT[name]])
         assert 0.999 * least <= said[name][1] <= 1.1 * least, name
 
