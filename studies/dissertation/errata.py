@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tilth.analysis.dissertation.compared import number, pole
-from tilth.analysis.dissertation.open_loop import peak, poles_of
+from studies.dissertation.compared import number, pole
+from studies.dissertation.open_loop import peak, poles_of
 from tilth.estimator.models import dynamic, nonlinear, relaxation
 from tilth.estimator.models import linear_analysis as linear
 from tilth.estimator.models.actuator import BOSSERD

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from tilth.analysis.dissertation.compared import number
-from tilth.analysis.dissertation.errata import Erratum
-from tilth.analysis.dissertation.field_tables import ESTIMATES, FIRST, N2_ERRORS, merged, named
+from studies.dissertation.compared import number
+from studies.dissertation.errata import Erratum
+from studies.dissertation.field_tables import ESTIMATES, FIRST, N2_ERRORS, merged, named
 
 C_AI, SIGMA_I = 2, 5  # columns of the tables
 MERGED = ((1, 2), (1, 3), (2, 3), (1, 2, 3))

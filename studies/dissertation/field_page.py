@@ -3,10 +3,10 @@
 from string import Template
 from typing import Final
 
-from tilth.analysis.dissertation import field_tables
-from tilth.analysis.dissertation.field_tables import PLANTS, Numbers
+from studies.dissertation import field_tables
+from studies.dissertation.field_tables import PLANTS, Numbers
 
-COMMAND: Final = "uv run python -m tilth.analysis.dissertation.chapter7"
+COMMAND: Final = "uv run python -m studies.dissertation.chapter7"
 
 SECTION = Template("""\
 ## Field experiments (7)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tilth.analysis.dissertation import experiments, field_errata, field_figures, field_tables
-from tilth.analysis.dissertation.chapter7 import as_text
-from tilth.analysis.dissertation.field_page import section
-from tilth.analysis.dissertation.field_tables import ERRORS, ESTIMATES, RUNS, Numbers, holds, merged, read
+from studies.dissertation import experiments, field_errata, field_figures, field_tables
+from studies.dissertation.chapter7 import as_text
+from studies.dissertation.field_page import section
+from studies.dissertation.field_tables import ERRORS, ESTIMATES, RUNS, Numbers, holds, merged, read
 
 
 @pytest.fixture(scope="module")
@@ -109,5 +109,5 @@ def test_paths_begin_together_and_the_initial_one_leaves(found: Numbers) -> None
 
 def test_the_section_names_its_command_and_leaves_nothing_open(found: Numbers) -> None:
     text = section(found)
-    assert "tilth.analysis.dissertation.chapter7" in text and "$" not in text
+    assert "studies.dissertation.chapter7" in text and "$" not in text
     assert text.count("Table 7.") >= 5

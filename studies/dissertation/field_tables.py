@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from tilth.analysis.dissertation.compared import number, table
+from studies.dissertation.compared import number, table
 from tilth.schemas.spread import interval
 
 FILE: Final = Path(__file__).with_name("chapter7.json")

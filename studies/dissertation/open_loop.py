@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from studies.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
 from tilth.analysis import plots
-from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
 from tilth.analysis.rig_report import LINEAR
 from tilth.estimator.models import linear_analysis as linear
 from tilth.estimator.models import nonlinear

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
+from studies.dissertation.compared import ComparedFigure, claim, figures, number, pole, table
 from tilth.analysis.rig_report import LINEAR, MEASURED
 from tilth.estimator.models import linear_analysis as linear
 from tilth.estimator.models import nonlinear

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
+from studies.dissertation import chapter6, closed_loop, field_figures, open_loop
+from studies.dissertation.closed_loop import HEADING, OFFSET, WIRINGS, ClosedLoopRun
 from tilth.analysis import plots
-from tilth.analysis.dissertation import chapter6, closed_loop, field_figures, open_loop
-from tilth.analysis.dissertation.closed_loop import HEADING, OFFSET, WIRINGS, ClosedLoopRun
 from tilth.analysis.rig_report import LINEAR
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.linear_analysis import Complex, system

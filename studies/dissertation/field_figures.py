@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tilth.analysis.dissertation.chapter7 import PATH_EVERY_S
-from tilth.analysis.dissertation.field_tables import read
+from studies.dissertation.chapter7 import PATH_EVERY_S
+from studies.dissertation.field_tables import read
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tilth.analysis.dissertation import experiments
-from tilth.analysis.dissertation.experiments import Experiment, all_of, made, truth
+from studies.dissertation import experiments
+from studies.dissertation.experiments import Experiment, all_of, made, truth
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import parse_machine
 from tilth.simulator.scenario import DrivenManoeuvre

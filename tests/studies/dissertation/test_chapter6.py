@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tilth.analysis.dissertation import chapter6
-from tilth.analysis.dissertation.compared import compared
+from studies.dissertation import chapter6
+from studies.dissertation.compared import compared
 from tilth.analysis.sensitivity.designs import DISSERTATION, Grid
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, part_of
 from tilth.estimator.models.parameters import TABLE_7_2

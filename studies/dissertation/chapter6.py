@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, table
-from tilth.analysis.dissertation.errata import Erratum
+from studies.dissertation.compared import ComparedFigure, claim, figures, number, table
+from studies.dissertation.errata import Erratum
 from tilth.analysis.sensitivity.local import LocalSensitivities, local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import NAMES, SIX, case_of, measured, respond
 from tilth.analysis.sensitivity.slopes import VARIED, scaled

@@ -1,6 +1,6 @@
 """Makes chapter7.json, the numbers of chapter 7 from logs:
 
-    uv run python -m tilth.analysis.dissertation.chapter7 [--to FOLDER] [--cache FOLDER] [--jobs N]
+    uv run python -m studies.dissertation.chapter7 [--to FOLDER] [--cache FOLDER] [--jobs N]
 
 From a development install. Logs, replays and fits are kept, so that what is there is not made anew. The page
 is written from the file (page.py), without any of this.
@@ -18,9 +18,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.analysis.dissertation import experiments
-from tilth.analysis.dissertation.experiments import FIELDS, MANOEUVRES, PLANTS, REPLICATES, Experiment
-from tilth.analysis.dissertation.true_values import true_point
+from studies.dissertation import experiments
+from studies.dissertation.experiments import FIELDS, MANOEUVRES, PLANTS, REPLICATES, Experiment
+from studies.dissertation.true_values import true_point
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.fit.joint import join
 from tilth.analysis.fit.result import as_json

@@ -8,9 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tilth.analysis import plots
-from tilth.analysis.dissertation import closed_loop, errata, open_loop
-from tilth.analysis.dissertation.closed_loop import (
+from studies.dissertation import closed_loop, errata, open_loop
+from studies.dissertation.closed_loop import (
     HEADING,
     SPEED,
     WIRINGS,
@@ -21,9 +20,10 @@ from tilth.analysis.dissertation.closed_loop import (
     wired_poles,
     wired_run,
 )
-from tilth.analysis.dissertation.compared import ComparedFigure, claim, figures, number, verdict
-from tilth.analysis.dissertation.figures import DRAWINGS
-from tilth.analysis.dissertation.page import COMMAND, DOCS, page, sections
+from studies.dissertation.compared import ComparedFigure, claim, figures, number, verdict
+from studies.dissertation.figures import DRAWINGS
+from studies.dissertation.page import COMMAND, DOCS, page, sections
+from tilth.analysis import plots
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.linear_analysis import dominant, steady_gains
 

@@ -1,4 +1,4 @@
-"""Writes docs/dissertation.md and its figures: `uv run python -m tilth.analysis.dissertation.page`.
+"""Writes docs/dissertation.md and its figures: `uv run python -m studies.dissertation.page`.
 
 From a development install; into docs/, or a folder given.
 """
@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 from string import Template
 
+from studies.dissertation import chapter6, closed_loop, errata, field_page, field_tables, open_loop
+from studies.dissertation.compared import ComparedFigure, compared, number
+from studies.dissertation.field_errata import field_errata
+from studies.dissertation.figures import DRAWINGS
 from tilth.analysis import plots
-from tilth.analysis.dissertation import chapter6, closed_loop, errata, field_page, field_tables, open_loop
-from tilth.analysis.dissertation.compared import ComparedFigure, compared, number
-from tilth.analysis.dissertation.field_errata import field_errata
-from tilth.analysis.dissertation.figures import DRAWINGS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-COMMAND = "uv run python -m tilth.analysis.dissertation.page"
+COMMAND = "uv run python -m studies.dissertation.page"
 
 PAGE = Template("""\
 # The dissertation's figures, and ours
