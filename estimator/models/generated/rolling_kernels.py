@@ -3,9 +3,6 @@
 Change deploy/motion_equations.py instead.
 """
 
-# ruff: noqa
-# fmt: off
-
 from math import cos, exp, sin, sqrt, tanh
 
 import numpy as np
