@@ -1,11 +1,13 @@
 """The straight line of layers, and what the two inner ones must not know."""
 
 import ast
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 from paths import ROOT
+
+from tilth.deploy.imports import Arrows, arrows, circle, sources
 
 LAYERS = (
     "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor",
@@ -123,11 +125,41 @@ def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
         ("logger", "log", "import tilth.logger.daemon"),
         ("replay", "readers", "from tilth.replay.offline import replay"),
         ("analysis", "", "from tilth.analysis.sensitivity import outputs"),
-        ("simulator", "spatial", "from tilth.simulator.tractor import drive"),
+        ("simulator", "spatial", "from tilth.simulator.tractor import draw"),
     ],
 )
 def test_the_check_sees_a_wrong_door(folder: str, room: str, source: str) -> None:
     assert _wrong_doors(folder, room, source)
+
+
+def _between_files(modules: Mapping[str, str]) -> Arrows:
+    """Module → those that it imports anywhere in it: at its head, in a function, for a type only."""
+
+    def file(name: str) -> str | None:
+        while name and name not in modules and f"{name}.__init__" not in modules:
+            name = name.rpartition(".")[0]
+        return name if name in modules else f"{name}.__init__" if name else None
+
+    return arrows(modules, file)
+
+
+def test_no_two_files_import_each_other() -> None:
+    assert circle(_between_files(sources())) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("schemas.machine", "def late():\n    from tilth.schemas.plausible import doubts"),
+        ("schemas.machine", "if TYPE_CHECKING:\n    from tilth.schemas import plausible_wheel"),
+        ("simulator.noise", "import tilth.simulator.drive"),
+        ("analysis.runs.run", "import tilth.analysis"),  # a package's own file
+    ],
+)
+def test_a_circle_between_files_is_found(module: str, source: str) -> None:
+    modules = sources()
+    found = circle(_between_files({**modules, module: f"{modules[module]}\n{source}\n"}))
+    assert module in found
 
 
 def _of_the_models(source: str) -> list[str]:

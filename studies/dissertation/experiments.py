@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from tilth.analysis.runs.kept import key_of
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import PACKAGED, SimulationInput, files_of, simulate_to
 

@@ -22,7 +22,8 @@ from tilth.estimator.calibration.steering_response import NEVER_STEERED, Steerin
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Word
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 

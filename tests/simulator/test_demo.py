@@ -30,7 +30,8 @@ from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Attitude, Estimate, Frame, ParameterEstimate, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import (
     Demo,
     DemoError,

@@ -36,7 +36,8 @@ from tilth.schemas.flow import (
     Status,
     Velocity,
 )
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.simulator.scenario import Fault, Ground, Scenario
 from tilth.simulator.tractor import draw

@@ -31,9 +31,10 @@ from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Frame, Pose, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]

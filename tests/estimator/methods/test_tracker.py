@@ -74,8 +74,8 @@ from tilth.estimator.record.record import (
 from tilth.estimator.results import reporting
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.simulator import scenario
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Fieldwork, HeadlandTurn, Scenario, Soil, SoilChange
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]

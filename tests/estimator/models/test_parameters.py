@@ -20,7 +20,7 @@ from tilth.estimator.models.parameters import (
     static_loads,
 )
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 

@@ -7,7 +7,7 @@ import pytest
 from studies.dissertation import experiments
 from studies.dissertation.experiments import Experiment, all_of, made, truth
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import DrivenManoeuvre
 from tilth.simulator.tractor import setting_of
 
