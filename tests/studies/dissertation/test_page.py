@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,7 +22,6 @@ from studies.dissertation.closed_loop import (
 from studies.dissertation.compared import ComparedFigure, claim, figures, number, verdict
 from studies.dissertation.figures import DRAWINGS
 from studies.dissertation.page import COMMAND, DOCS, page, sections
-from tilth.analysis import plots
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.linear_analysis import dominant, steady_gains
 
@@ -81,24 +79,6 @@ def test_the_figures_are_there() -> None:
         assert path.stat().st_size < 100_000
         ElementTree.parse(path)
         assert "<dc:date>" not in path.read_text()
-
-
-def test_a_figure_drawn_twice_has_the_same_bytes(tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in ("one.svg", "two.svg")]
-    for path in paths:
-        with plots.look():
-            plots.save(DRAWINGS["figure-5-8"](), path)
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
-@pytest.mark.parametrize("name", ["figure-3-6", "figure-3-7", "figure-5-3", "figure-5-6", "figure-5-9"])
-def test_each_panel_is_named(name: str) -> None:
-    with plots.look():
-        figure = DRAWINGS[name]()
-    for axes in figure.axes:
-        assert axes.lines
-        assert axes.get_xlabel() or len(figure.axes) > 3
-    assert any(axes.get_ylabel() for axes in figure.axes)
 
 
 def test_what_differs_is_known() -> None:
