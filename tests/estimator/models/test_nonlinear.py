@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from linear_tyres import linear_tyres
+from loaded_rig import loaded
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
@@ -14,44 +15,9 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate as simulate_linear
 from tilth.estimator.models.linear_analysis import steady_gains
 from tilth.estimator.models.nonlinear import STATES, derivative, inputs_of, running, simulate, wheels
-from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, checked, static_loads
-from tilth.schemas.flow import PARAMETERS
+from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, static_loads
 
 Array = NDArray[np.float64]
-
-
-def loaded(
-    rig: Rig,
-    payload: float,
-    *,
-    ahead: float = 0.0,
-    length: float = 4.0,
-    width: float = 2.6,
-    height: float = 1.8,
-) -> Rig:
-    """The rig with a load on the implement: mass, inertia, CG and, by its axles' loads, stiffness change.
-
-    payload: kg, spread evenly over a box of `length` and `width` (m) whose centre is `ahead` of the empty
-    implement's CG and `height` above the ground (m). Each stiffness grows with its axle's load to the power
-    of rig.load_exponent. Raises ValueError, as `checked`.
-    """
-    mass = rig.m_i + payload
-    shift = payload * ahead / mass
-    inertia = rig.I_i + rig.m_i * shift**2
-    inertia += payload * ((length**2 + width**2) / 12 + (ahead - shift) ** 2)
-    full = rig._replace(
-        m_i=mass,
-        I_i=inertia,
-        d=rig.d - shift,
-        e=rig.e + shift,
-        h_i=(rig.m_i * rig.h_i + payload * height) / mass,
-    )
-    ratios = [new / old for new, old in zip(static_loads(full), static_loads(rig), strict=True)]
-    stiffness = {
-        name: getattr(rig, name) * abs(ratio) ** rig.load_exponent
-        for name, ratio in zip(PARAMETERS[:3], ratios, strict=True)
-    }
-    return checked(full._replace(**stiffness))
 
 
 FREE = TABLE_5_1._replace(roll_f=0.0, roll_r=0.0, roll_i=0.0)  # nothing brakes but slip

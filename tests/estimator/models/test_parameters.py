@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from linear_tyres import linear_tyres
+from loaded_rig import loaded
 from paths import ROOT
 
 from tilth.estimator.models.parameters import (
@@ -15,7 +16,6 @@ from tilth.estimator.models.parameters import (
     Parameter,
     Rig,
     checked,
-    loaded,
     rig_of,
     static_loads,
 )
