@@ -36,7 +36,8 @@ from tilth.estimator.calibration.verdict import TOLD, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Spatial, as_json, from_json, parse_scenario
 from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
 

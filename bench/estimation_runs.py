@@ -33,7 +33,8 @@ from tilth.estimator.record.record import Segment
 from tilth.estimator.record.windows import WINDOW
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Pose
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.simulate import PACKAGED
 
 Array = NDArray[np.float64]

@@ -24,7 +24,9 @@ from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import (
+    STEP_S,
     DrivenManoeuvre,
     Ground,
     Parameter,
@@ -36,7 +38,7 @@ from tilth.simulator.scenario import (
     SurveyErrors,
     Wheel,
 )
-from tilth.simulator.tractor import STEP_S, Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
 
 Array = NDArray[np.float64]

@@ -41,11 +41,13 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record import record_builder
 from tilth.schemas.experiment import AnyRun, DrivingLimits, ExperimentPlan, Rectangle, StepRun
 from tilth.schemas.flow import PARAMETERS, Pose
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, Spatial
 from tilth.simulator.simulate import PACKAGED
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
 
 Array = NDArray[np.float64]

@@ -31,7 +31,8 @@ from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Pose
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 
 Array = NDArray[np.float64]
 Given = list[tuple[Pose, Segment | None]]

@@ -37,7 +37,7 @@ from tilth.monitor.json_safe import plain
 from tilth.monitor.server import FILES, listening_socket
 from tilth.monitor.view import View, installed_version
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 CHROMIUM = os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell")

@@ -30,7 +30,8 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Word
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.demo import SIMULATED, on_loopback
 from tilth.simulator.prompted_driver import ARM, Bar, Person, PromptedDriver

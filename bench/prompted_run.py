@@ -56,7 +56,7 @@ def nothing_wrong(now: float, prompt: Prompt, seen: Seen) -> Seen:
 
 @dataclass(slots=True)
 class Prompted:
-    """A driver of `simulator.tractor.drive`. `mishap` also may ask for another speed by `pedal`."""
+    """A driver of `simulator.drive.drive`. `mishap` also may ask for another speed by `pedal`."""
 
     course: Course
     rig: Rig

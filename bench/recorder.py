@@ -39,7 +39,8 @@ from tilth.logger.log.run_log import Recording
 from tilth.logger.status import bus_status
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
-from tilth.schemas.machine import Bus, Machine, parse_machine
+from tilth.schemas.machine import Bus, Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 BUSES = 4

@@ -24,7 +24,8 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 from tilth.simulator.traffic import simulate
 

@@ -21,10 +21,12 @@ from scipy.integrate import solve_ivp
 from timing import best
 
 from tilth.estimator.models import nonlinear
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import traffic
 
 SCENARIOS = Path(__file__).resolve().parents[1] / "examples" / "scenarios"

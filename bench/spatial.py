@@ -12,11 +12,12 @@ from importlib import resources
 
 from timing import best
 
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Spatial
 from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
-from tilth.simulator.tractor import drive
 
 STEERING = DrivenManoeuvre("random", 6.0)
 CASES = {

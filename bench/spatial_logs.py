@@ -32,7 +32,7 @@ from estimation_study import NMEA_2000, STAR_FIRE
 from rich.progress import Progress, TimeElapsedColumn
 from wrong_files import packaged, text_of
 
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.noise import generator, within
 from tilth.simulator.scenario import (
     DrivenManoeuvre,

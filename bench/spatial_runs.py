@@ -30,7 +30,8 @@ from tilth.estimator.record.record import Record, Segment
 from tilth.estimator.record.windows import WINDOW
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Fieldwork, from_json
 
 Array = NDArray[np.float64]

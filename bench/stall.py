@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 
 PER_S = 7600

@@ -42,7 +42,8 @@ from tilth.logger.daemon import Daemon, run_daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.run_summary import RunSummary
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 

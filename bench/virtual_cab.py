@@ -19,7 +19,7 @@ from prompted_live import virtual_cab
 from tilth.cli import WrongUse
 from tilth.logger.daemon import run_daemon
 from tilth.schemas.experiment import ExperimentPlan, PlanError, parse_plan
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import SIMULATED
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil

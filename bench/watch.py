@@ -35,7 +35,8 @@ from tilth.estimator.watch import watch
 from tilth.estimator.watch.suspects import PAIRS, WHEEL
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import Event, Frame, Mount, Pose
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 
 FIELDS: Final = ("spatial_field", "planar_field")
 MORE: Final = tuple(f"spatial_{name}" for name in ("slope", "3cm", "soil", "flat", "3ms", "random"))

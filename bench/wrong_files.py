@@ -42,7 +42,8 @@ from tilth.estimator import fold
 from tilth.estimator.methods.consistency import CONTRADICTION
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
-from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,

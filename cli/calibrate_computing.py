@@ -6,25 +6,21 @@ driver anything.
 
 import json
 import math
-import subprocess
-import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
+from tilth.cli.background_command import BackgroundCommand
 from tilth.client.calibration.shown import ComputedSoFar
 from tilth.estimator.calibration.first_look import LEAST_DRIVEN_S
 from tilth.estimator.calibration.stage_words import progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.schemas.invocation import in_background
 
-LONGEST: Final = 4_000_000  # bytes of an answer
 LEAST_S: Final = LEAST_DRIVEN_S + 5.0  # of driving, before the first: the estimate misses ends of stretches
 EVERY_S: Final = 120.0  # of driving, between two
 SOON_S: Final = 20.0  # the same, as long as the drive tells nothing: such an answer takes seconds
-ENDING_S: Final = 10.0
 
 
 class BackgroundEstimates:
@@ -34,8 +30,7 @@ class BackgroundEstimates:
         """options: of `tilth calibrate`, such as --machine M.toml."""
         self.so_far = ComputedSoFar()
         self._options = list(options)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._files: tuple[IO[bytes], IO[bytes]] | None = None
+        self._computing: BackgroundCommand | None = None
         self._began_s = 0.0
         self._used_s = 0.0  # of driving, when the last one began
         self._next_s = LEAST_S  # of driving, when the next one begins
@@ -50,12 +45,12 @@ class BackgroundEstimates:
     def turn(self, fold: StageFold, logs: Sequence[Path]) -> None:
         """Take what is ready; begin what is due."""
         driven_s = fold.tally.moving * TICK_S
-        if self._process is not None:
-            if self._process.poll() is None:
+        if self._computing is not None:
+            if not self._computing.over:
                 took = time.monotonic() - self._began_s
                 self.so_far.text = f"Computing with {self._used_s:.0f} s of driving, for {took:.0f} s now."
                 return
-            self._take()
+            self._take(self._computing)
         complete = sum(one.complete for one in progress(fold))
         stage = complete > self._complete and driven_s > self._used_s >= LEAST_S
         if self._asked or driven_s >= self._next_s or stage:
@@ -66,15 +61,10 @@ class BackgroundEstimates:
 
     def close(self) -> None:
         """Ends it."""
-        if self._process is not None:
-            self._process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(ENDING_S)
-            self._process = None
+        if self._computing is not None:
+            self._computing.close()
+            self._computing = None
             self.so_far.busy, self.so_far.text = False, self._told
-        for file in self._files or ():
-            file.close()
-        self._files = None
 
     def _begin(self, logs: Sequence[Path], driven_s: float, complete: int) -> None:
         self._asked = False
@@ -85,21 +75,16 @@ class BackgroundEstimates:
             self._next_s = math.inf
             self.so_far.text = "This program cannot compute beside itself; finish, and it is computed then."
             return
-        self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
-        self._process = subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=self._files[0], stderr=self._files[1]
-        )
+        self._computing = BackgroundCommand(words)
         self.so_far.busy = True
 
-    def _take(self) -> None:
-        assert self._files is not None
-        answer, said = (_text(file) for file in self._files)
+    def _take(self, computed: BackgroundCommand) -> None:
+        answer, lines = computed.printed()
         self.close()
         took = time.monotonic() - self._began_s
         try:
             found: dict[str, Any] = json.loads(answer)
         except ValueError:
-            lines = [line for line in said.splitlines() if line.strip()]
             why = lines[-1].removeprefix("tilth calibrate: ")[:300] if lines else "it ended without a word"
             self._told = f"The estimate failed: {why}."
             return
@@ -108,8 +93,3 @@ class BackgroundEstimates:
             self._next_s = max(self._used_s + SOON_S, LEAST_S)
         what = "Nothing could be told yet" if found.get("refused") else "Computed"
         self._told = f"{what} by {self._used_s:.0f} s of driving; it took {took:.0f} s."
-
-
-def _text(file: IO[bytes]) -> str:
-    file.seek(0)
-    return file.read(LONGEST).decode(errors="replace")

@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tilth.analysis.rig_report import SPEED_RANGE
+from tilth.analysis.sensitivity.outputs import NAMES, SPEEDS
 from tilth.cli import REPORT_SUFFIXES, WrongUse, check_folder
+from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.machine import Machine
@@ -29,6 +32,26 @@ def between(low: float, high: float, unit: str) -> Callable[[str], float]:
         return value
 
     return number
+
+
+def add_simulation(parser: argparse.ArgumentParser) -> None:
+    """The options of which speeds, models and outputs are asked for."""
+    parser.add_argument(
+        "--speed",
+        action="append",
+        type=between(*SPEED_RANGE, "m/s"),
+        metavar="M/S",
+        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
+    )
+    parser.add_argument(
+        "--model",
+        action="append",
+        choices=[model.name for model in MODELS],
+        help="may be given several times (relaxation)",
+    )
+    parser.add_argument(
+        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
+    )
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:

@@ -2,23 +2,16 @@
 
 import json
 import math
-import os
-import signal
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from tilth.cli.background_command import BackgroundCommand
 from tilth.logger.log.runs import stored_runs
 from tilth.schemas.experiment import ExperimentPlan, edited
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.spread import of_logarithm, share
-
-LONGEST: Final = 4_000_000  # bytes of an answer
-
 
 EDITED: Final = "The plan was edited after its numbers were predicted: nothing is expected of it."
 
@@ -32,7 +25,7 @@ class FitOfRuns:
         marks = ("--mark", f"experiment {plan.name} run * seed {plan.seed}")  # not those of other plans
         report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all", *marks)
         self._commands = (report,) if logs else ()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._fit: BackgroundCommand | None = None
         self._lines: tuple[str, ...] = ()
         here = bool(logs) and all(Path(log).exists() for log in self._logs)
         words = in_background("fit", *self._logs, *marks, "--json") if here else []
@@ -42,42 +35,33 @@ class FitOfRuns:
             fit = command("fit", *self._logs, *marks)
             self._lines = (f"The log is on the daemon's computer. What was learned says there: {fit}",)
         else:
-            self._out, self._said = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
-            self._process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=self._out, stderr=self._said, start_new_session=True
-            )
+            self._fit = BackgroundCommand(words)
             self._lines = ("Fitting what was driven; this may take a minute or two …",)
 
     @property
     def over(self) -> bool:
-        return self._process is None
+        return self._fit is None
 
     def told(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """(lines, commands for a terminal)."""
-        if self._process is not None and self._process.poll() is not None:
-            self._process = None
-            self._lines = self._read()
+        if self._fit is not None and self._fit.over:
+            self._lines = _lines(self._fit, self._plan)
+            self.close()
         return self._lines, self._commands
 
     def close(self) -> None:
         """Ends it."""
-        if self._process is not None:
-            with suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGTERM)  # it fits in processes of its own
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(10.0)
-        if hasattr(self, "_out"):
-            self._out.close()
-            self._said.close()
+        if self._fit is not None:
+            self._fit.close()
+            self._fit = None
 
-    def _read(self) -> tuple[str, ...]:
-        for file in (self._out, self._said):
-            file.seek(0)
-        try:
-            return lines_of(json.loads(self._out.read(LONGEST)), self._plan)
-        except (ValueError, LookupError, TypeError):
-            said = self._said.read(2000).decode(errors="replace").strip().splitlines()
-            return (f"Nothing could be fitted: {said[-1] if said else 'no reason was given'}",)
+
+def _lines(fit: BackgroundCommand, plan: ExperimentPlan) -> tuple[str, ...]:
+    answer, said = fit.printed()
+    try:
+        return lines_of(json.loads(answer), plan)
+    except (ValueError, LookupError, TypeError):
+        return (f"Nothing could be fitted: {said[-1] if said else 'no reason was given'}",)
 
 
 def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -12,6 +11,7 @@ from rich.console import Console
 from tilth.analysis.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
 from tilth.cli import WrongUse, say_unusual
+from tilth.cli.desk_options import between
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
@@ -37,7 +37,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--speed",
         action="append",
-        type=_between(*SPEED_RANGE, "m/s"),
+        type=between(*SPEED_RANGE, "m/s"),
         metavar="M/S",
         help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
     )
@@ -55,14 +55,14 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "--wheel-angle",
-        type=_between(0.1, 20.0, "degrees"),
+        type=between(0.1, 20.0, "degrees"),
         default=math.degrees(drive.amplitude),
         metavar="DEG",
         help="how far the manoeuvre turns the wheels (5)",
     )
     parser.add_argument(
         "--seconds",
-        type=_between(2.0, 300.0, "s"),
+        type=between(2.0, 300.0, "s"),
         default=drive.seconds,
         metavar="N",
         help="how long the manoeuvre is (30)",
@@ -110,18 +110,3 @@ def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float
             f"--plot {path}: {(error.strerror or str(error)).lower()}; give another path"
         ) from None
     print(f"tilth model: drew {path}", file=sys.stderr)
-
-
-def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """A type for argparse: a number from low to high."""
-
-    def number(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"give a number from {low:g} to {high:g} {unit}, not {text}")
-        return value
-
-    return number

@@ -10,7 +10,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from tilth.analysis.rig_report import SPEED_RANGE
 from tilth.analysis.sensitivity.local_answer import (
     OVERALL,
     LocalQuestion,
@@ -22,10 +21,19 @@ from tilth.analysis.sensitivity.local_answer import (
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.cli import WrongUse, say_unusual
-from tilth.cli.desk_options import add_input, after, between, check_out, made_by, names, write_report
+from tilth.cli.desk_options import (
+    add_input,
+    add_simulation,
+    after,
+    between,
+    check_out,
+    made_by,
+    names,
+    write_report,
+)
 from tilth.cli.log_errors import log_errors
 from tilth.cli.sensitivity_global import add_answers, add_global, design_of, show_global
-from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
@@ -43,22 +51,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "for each per cent of the parameter.",
     )
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
-    parser.add_argument(
-        "--speed",
-        action="append",
-        type=between(*SPEED_RANGE, "m/s"),
-        metavar="M/S",
-        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
-    )
-    parser.add_argument(
-        "--model",
-        action="append",
-        choices=[model.name for model in MODELS],
-        help="may be given several times (relaxation)",
-    )
-    parser.add_argument(
-        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
-    )
+    add_simulation(parser)
     parser.add_argument(
         "--parameters",
         action="append",

@@ -17,11 +17,12 @@ from tilth.cli.progress_bar import bars
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
-from tilth.simulator.tractor import drive
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

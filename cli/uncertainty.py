@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from tilth.analysis.rig_report import SPEED_RANGE
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP, STEP_S
@@ -21,6 +20,7 @@ from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_
 from tilth.cli import WrongUse, say_unusual
 from tilth.cli.desk_options import (
     add_input,
+    add_simulation,
     after,
     between,
     check_name,
@@ -31,7 +31,7 @@ from tilth.cli.desk_options import (
     write_report,
 )
 from tilth.cli.log_errors import log_errors
-from tilth.estimator.models.family import MODELS, model_named
+from tilth.estimator.models.family import model_named
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
@@ -89,22 +89,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def _add_simulation(parser: argparse.ArgumentParser) -> None:
     """What is simulated, and how often."""
-    parser.add_argument(
-        "--speed",
-        action="append",
-        type=between(*SPEED_RANGE, "m/s"),
-        metavar="M/S",
-        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
-    )
-    parser.add_argument(
-        "--model",
-        action="append",
-        choices=[model.name for model in MODELS],
-        help="may be given several times (relaxation)",
-    )
-    parser.add_argument(
-        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
-    )
+    add_simulation(parser)
     parser.add_argument(
         "--seconds",
         type=between(2 * STEP_S, LONGEST * STEP_S, "s"),

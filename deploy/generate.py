@@ -2,7 +2,7 @@
 
 schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
 deploy/constraints.txt, the versions that a recorder is installed with; deploy/motion_equations.py →
-estimator/models/rolling_kernels.py.
+estimator/models/generated/rolling_kernels.py.
 """
 
 import argparse

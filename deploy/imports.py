@@ -13,6 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 DRAWING = ROOT / "docs" / "imports.svg"
 COMMAND = "uv run python -m tilth.deploy.imports"
+STUDIES = "studies"  # not in the wheel, and not below `tilth`
 
 Arrows = Mapping[str, frozenset[str]]
 """Box → the boxes that it imports from."""
@@ -29,6 +30,7 @@ HOLDS = {
     "adaptive_guidance": "an example",
     "cli": "the commands",
     "deploy": "installation",
+    "studies": "not in the wheel",
     "compiled": "kernels",
     "kernel_digest": "what a kernel reads",
     "state_json": "stored state",
@@ -54,12 +56,10 @@ STYLE = (
 
 
 def folders() -> dict[str, Path]:
-    """Name below `tilth` → where its sources are, of everything that is packaged."""
+    """Name below `tilth` → where its sources are, of everything that is packaged, and of the studies."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    return {
-        name.removeprefix("tilth."): ROOT / place
-        for name, place in project["tool"]["setuptools"]["package-dir"].items()
-    }
+    places = {**project["tool"]["setuptools"]["package-dir"], STUDIES: STUDIES}
+    return {name.removeprefix("tilth."): ROOT / place for name, place in places.items()}
 
 
 def sources() -> dict[str, str]:
@@ -72,7 +72,8 @@ def sources() -> dict[str, str]:
 
 
 def imported(source: str) -> Iterator[str]:
-    """What of tilth a module imports anywhere in it, in a function too: `estimator.pose.body.centre`."""
+    """What of tilth and of the studies a module imports anywhere in it, in a function too:
+    `estimator.pose.body.centre`."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -80,7 +81,9 @@ def imported(source: str) -> Iterator[str]:
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
             continue
-        yield from (name.removeprefix("tilth.") for name in names if name.startswith("tilth."))
+        yield from (
+            name.removeprefix("tilth.") for name in names if name.startswith(("tilth.", f"{STUDIES}."))
+        )
 
 
 def arrows(modules: Mapping[str, str], box: Callable[[str], str | None]) -> Arrows:

@@ -1,8 +1,8 @@
 """The equations of estimator/models/rolling.py in symbols, and the kernels that are written from them.
 
 Two rigid bodies by Kane's method: generalised speeds u, v, r_t, r_i, p_t, p_i; lean is small. `python -m
-tilth.deploy.generate` writes estimator/models/rolling_kernels.py: the equations and their exact derivatives
-by states, inputs and parameters, with common subexpressions found once. For development only.
+tilth.deploy.generate` writes estimator/models/generated/rolling_kernels.py: the equations and their exact
+derivatives by states, inputs and parameters, with common subexpressions found once. For development only.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,7 +15,7 @@ from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, 
 from tilth.schemas.axle_loads import axle_loads
 
 LOADS: Final = ("a", "b", "c", "d", "e", "m_t", "m_i", "g")  # what axle_loads takes
-TARGET: Final = "estimator/models/rolling_kernels.py"
+TARGET: Final = "estimator/models/generated/rolling_kernels.py"
 RESISTANCE_SPEED: Final = sp.Rational(1, 10)  # m/s: rolling resistance turns round over this range of speed
 X: Final = {name: sp.Symbol(name, real=True) for name in STATES}
 W: Final = {name: sp.Symbol(name, real=True) for name in INPUTS}
@@ -222,9 +222,6 @@ HEAD: Final = '''"""Kernels of rolling.py with exact derivatives, written by `de
 
 Change deploy/motion_equations.py instead.
 """
-
-# ruff: noqa
-# fmt: off
 
 from math import cos, exp, sin, sqrt, tanh
 

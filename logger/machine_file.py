@@ -5,7 +5,8 @@ import tomllib
 from pathlib import Path
 
 from tilth.schemas.invocation import command
-from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_toml import parse_machine
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
 _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4

@@ -1,18 +1,16 @@
 """The machine file: one TOML text describes a rig.
 
 A quantity is a number or `{ value = …, sd = … }`. A wrong file raises MachineError with one line that names
-the key, the value, what is allowed and the nearest right key. This module reads text; files are opened by
-`tilth.logger.machine_file`.
+the key, the value, what is allowed and the nearest right key. schemas/machine_toml.py reads the text;
+`tilth.logger.machine_file` opens the file.
 """
 
 import string
-import tomllib
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from tilth.schemas.flow import Mount
-from tilth.schemas.sentence import sentence
 
 
 class MachineError(Exception):
@@ -386,27 +384,3 @@ class Machine(_Section):
                     raise ValueError(
                         f"receiver: the two on the {body} are less than 0.5 m apart; no heading from that"
                     )
-
-
-def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = True) -> Machine:
-    """Machine from the TOML text of a machine file and the text of the DBC file it names, if any.
-
-    plausible: refuse what cannot be a real rig; not of a file stored in a log that is only to be read.
-    Raises MachineError.
-    """
-    from tilth.schemas.plausible import refuse_impossible  # imported here: it judges what is defined above
-
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MachineError(f"not a TOML file: {error}") from None
-    if dbc_text is not None and isinstance(raw.get("wheel_angle"), dict):
-        raw["wheel_angle"]["dbc_text"] = dbc_text
-    try:
-        machine = Machine.model_validate(raw)
-    except ValidationError as error:
-        raise MachineError(sentence(error, raw, Machine)) from None
-    if plausible:
-        # Checked as schemas/machine.py, it is for pyright another module than tilth.schemas.machine.
-        refuse_impossible(machine)  # pyright: ignore[reportArgumentType]
-    return machine

@@ -14,12 +14,14 @@ from typing import Any, BinaryIO, Final
 
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import STEP_S, Scenario, from_json
 from tilth.simulator.socketcand_server import START_DELAY_NS, TICK_S, SocketcandServer, open_server
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.steering import REFUSALS
-from tilth.simulator.tractor import COMPILED_FROM, Setting, drive
+from tilth.simulator.tractor import COMPILED_FROM, Setting
 
 BEHIND_NS: Final = 200_000_000  # later than this against the clock, the run is told to be late
 TELL_S: Final = 0.1

@@ -21,12 +21,13 @@ from tilth.estimator.models.parameters import RIG_PARAMETERS
 from tilth.logger.log.mcap_log import LogWriter, RunPart, software
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
+from tilth.simulator.drive import drive
 from tilth.simulator.ground import AXLES, crossings
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.vehicle import WHEELS
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
 
 Array = NDArray[np.float64]

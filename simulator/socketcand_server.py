@@ -17,9 +17,11 @@ from typing import BinaryIO, Final
 
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import from_json
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import traffic
 
 TICK_S: Final = 0.001  # frames that are due are sent this often

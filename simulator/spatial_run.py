@@ -1,4 +1,4 @@
-"""A scenario on the spatial plant, from what is drawn to what was true. simulator/tractor.py calls it."""
+"""A scenario on the spatial plant, from what is drawn to what was true. simulator/drive.py calls it."""
 
 import math
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """The virtual tractor while it drives: it hears commands on its bus and sends its sensors there.
 
-`LiveDriver` is the driver of `tractor.drive`: asked every HOLD samples, it has the sensors report what the
+`LiveDriver` is the driver of a run: asked every HOLD samples, it has the sensors report what the
 plant has just done, exchanges frames with the bus, and lets the steering ECU work the valve. Who owns the bus
 decides whether this runs in real time or as fast as it can.
 """

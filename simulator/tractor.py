@@ -21,11 +21,8 @@ from tilth.schemas.machine import Machine
 from tilth.simulator import noise
 from tilth.simulator.ground import SoilField, Terrain, field, terrain
 from tilth.simulator.noise import generator, within
-from tilth.simulator.pilots import HOLD, Driver, driver_of
-from tilth.simulator.scenario import STEP_S as STEP_S
-from tilth.simulator.scenario import Fault as Fault
-from tilth.simulator.scenario import Reclaim as Reclaim
-from tilth.simulator.scenario import Scenario as Scenario
+from tilth.simulator.pilots import HOLD, Driver
+from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.spatial.plant import Space
 
 Array = NDArray[np.float64]
@@ -106,34 +103,6 @@ class Setting:
             self.seed, self.scenario, self.parameters, self.rig.geometry, self.nuisances, time,
             states[:, AT["delta"]], *_tracks(self.rig, self.land, states, way), self.rig, soil, states,
         )  # fmt: skip
-
-
-def drive(
-    machine: Machine,
-    seed: int,
-    seconds: float,
-    scenario: Scenario | None = None,
-    *,
-    progress: Callable[[float], None] | None = None,
-    driven_by: Callable[[Setting], Driver] | None = None,
-) -> Truth:
-    """Drive the machine of a machine file for so long. `progress` is told the seconds driven.
-
-    driven_by: instead of the scenario's own driver. Raises ValueError where the machine is none that can be
-    driven, and, which are such too, CannotBeDriven where the scenario asks too much of it and NotInstalled
-    where the spatial plant lacks its package.
-    """
-    scenario = scenario or Scenario()
-    setting = setting_of(machine, seed, seconds, scenario)
-    driver = (
-        driver_of(scenario, setting.believed, setting.time, seed) if driven_by is None else driven_by(setting)
-    )
-    if scenario.plant == "spatial":
-        from tilth.simulator.spatial_run import drive_spatial  # it imports this module
-
-        return drive_spatial(setting, driver, progress)
-    states, theta = _integrate(setting.rig, driver, setting.land, setting.soil, setting.time, progress)
-    return setting.truth(setting.time, 0.0, states, theta)
 
 
 def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) -> Setting:
@@ -253,7 +222,7 @@ def _roll_sensor(scenario: Scenario, mount: Mount, seed: int) -> dict[str, float
     }
 
 
-def _integrate(
+def integrate(
     rig: Rig,
     driver: Driver,
     land: Terrain,

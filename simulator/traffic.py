@@ -26,10 +26,11 @@ from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount, Word
 from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.wheel_angle import compile_sensor
+from tilth.simulator.drive import drive
 from tilth.simulator.other_traffic import DEVICES, Sent, other_frames
 from tilth.simulator.receivers import Report, reports, star_fire_like, wheel_readings
 from tilth.simulator.scenario import Scenario
-from tilth.simulator.tractor import Setting, Truth, drive
+from tilth.simulator.tractor import Setting, Truth
 from tilth.simulator.wheel_speed import wheel_speeds
 
 FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
@@ -50,7 +51,7 @@ Contents = tuple[int, bytes, int]
 def simulate(
     machine: Machine, seed: int, seconds: float, scenario: Scenario | None = None
 ) -> Iterator[Frame]:
-    """Frames of a simulated run; its truth is `tractor.drive` of the same arguments."""
+    """Frames of a simulated run; its truth is `drive` of the same arguments."""
     return traffic(machine, drive(machine, seed, seconds, scenario))
 
 

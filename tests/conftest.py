@@ -42,8 +42,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of this checkout."""
     folder, root = tmp_path_factory.mktemp("wheel"), ROOT
+    apart = folder / "apart.cfg"  # else what an earlier build left in the checkout would be in the wheel
+    apart.write_text(f"[build]\nbuild_base = {folder / 'build'}\n", encoding="utf-8")
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)]
-    built = subprocess.run(build, capture_output=True, text=True, check=False)
+    own = {**os.environ, "DIST_EXTRA_CONFIG": str(apart)}
+    built = subprocess.run(build, capture_output=True, text=True, check=False, env=own)
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
     (path,) = folder.glob("*.whl")
     return path

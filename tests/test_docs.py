@@ -1,4 +1,4 @@
-"""What the documentation names exists: paths, names, links, commands, symbols; each module has its test."""
+"""What the documentation names exists: paths, names, links, commands, symbols."""
 
 import argparse
 import ast
@@ -23,7 +23,6 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 NAMED = re.compile(r"([\w./-]+\.\w+): (\w+)")
 README_LINES = 80
-LONG = 80  # lines of a module that wants a test file
 
 
 TOPS = {*folders(), "bench", "docs", "examples", "tests"}
@@ -152,7 +151,7 @@ def test_each_symbol_is_defined_once() -> None:
             assert found.get(parameter.symbol) == parameter.name, parameter.name
 
 
-# CONTRIBUTING: examples that fit the code, and the table of tests.
+# CONTRIBUTING: examples that fit the code.
 
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 DIFFS = re.findall(r"^```diff\n(.*?)^```", CONTRIBUTING, re.M | re.S)
@@ -204,36 +203,3 @@ def test_the_example_of_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out == "3\n"
     with pytest.raises(CommandFailed):
         names["run"](parser.parse_args(["count", str(tmp_path)]))
-
-
-def _modules() -> list[str]:
-    found = [path for place in folders().values() for path in place.rglob("*.py")]
-    return sorted(str(path.relative_to(ROOT)) for path in found if "_pb2" not in path.name)
-
-
-def _held() -> dict[str, list[str]]:
-    """Module → test files, of the table."""
-    table = CONTRIBUTING.partition("## Which test holds a module")[2]
-    rows = [line.split("|")[1:3] for line in table.splitlines() if line.startswith("| `")]
-    return {module: CODE.findall(tests) for modules, tests in rows for module in CODE.findall(modules)}
-
-
-def _own_test(module: str) -> Path:
-    path = ROOT / "tests" / module.replace("examples/adaptive_guidance", "examples")
-    return path.with_name(f"test_{path.name}")
-
-
-@pytest.mark.parametrize("module", _modules())
-def test_each_long_module_has_its_test(module: str) -> None:
-    lines = len((ROOT / module).read_text(encoding="utf-8").splitlines())
-    if lines > LONG and not _own_test(module).exists():
-        assert module in _held(), "give it a test file of its name, or a line in the table of CONTRIBUTING.md"
-
-
-def test_the_table_of_tests_is_true() -> None:
-    for module, tests in _held().items():
-        assert (ROOT / module).exists(), module
-        assert not _own_test(module).exists(), (
-            f"{module} has a test file of its name: take it out of the table"
-        )
-        assert tests and all((ROOT / test).exists() for test in tests), tests

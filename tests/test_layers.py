@@ -1,11 +1,13 @@
 """The straight line of layers, and what the two inner ones must not know."""
 
 import ast
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 from paths import ROOT
+
+from tilth.deploy.imports import Arrows, arrows, circle, sources
 
 LAYERS = (
     "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor",
@@ -27,7 +29,6 @@ ROOMS = {
         "report",
         "calibration",
         "sensitivity",
-        "dissertation",
     ),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
@@ -86,7 +87,8 @@ def _faults(layer: str, source: str, module: str = "") -> list[str]:
     outer = LAYERS[LAYERS.index(layer) + 1 :]
     if layer in HEARS_ZENOH_ONLY or (layer == "adaptive_guidance" and module in CONTROLLER):
         outer += ("logger", "replay", "simulator", "analysis")
-    found = [name for name in _imports(tree) if f"{name}.".startswith(tuple(f"tilth.{o}." for o in outer))]
+    barred = ("studies.", *(f"tilth.{o}." for o in outer))
+    found = [name for name in _imports(tree) if f"{name}.".startswith(barred)]
     if layer in PURE:
         found += [name for name in _imports(tree) if name.split(".")[0] in IMPURE]
         for node in ast.walk(tree):
@@ -122,12 +124,42 @@ def test_imports_go_left_and_the_core_is_pure(path: Path) -> None:
         ("logger", "can", "from tilth.logger.log import runs"),
         ("logger", "log", "import tilth.logger.daemon"),
         ("replay", "readers", "from tilth.replay.offline import replay"),
-        ("analysis", "", "from tilth.analysis.dissertation import page"),
-        ("simulator", "spatial", "from tilth.simulator.tractor import drive"),
+        ("analysis", "", "from tilth.analysis.sensitivity import outputs"),
+        ("simulator", "spatial", "from tilth.simulator.tractor import draw"),
     ],
 )
 def test_the_check_sees_a_wrong_door(folder: str, room: str, source: str) -> None:
     assert _wrong_doors(folder, room, source)
+
+
+def _between_files(modules: Mapping[str, str]) -> Arrows:
+    """Module → those that it imports anywhere in it: at its head, in a function, for a type only."""
+
+    def file(name: str) -> str | None:
+        while name and name not in modules and f"{name}.__init__" not in modules:
+            name = name.rpartition(".")[0]
+        return name if name in modules else f"{name}.__init__" if name else None
+
+    return arrows(modules, file)
+
+
+def test_no_two_files_import_each_other() -> None:
+    assert circle(_between_files(sources())) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("schemas.machine", "def late():\n    from tilth.schemas.plausible import doubts"),
+        ("schemas.machine", "if TYPE_CHECKING:\n    from tilth.schemas import plausible_wheel"),
+        ("simulator.noise", "import tilth.simulator.drive"),
+        ("analysis.runs.run", "import tilth.analysis"),  # a package's own file
+    ],
+)
+def test_a_circle_between_files_is_found(module: str, source: str) -> None:
+    modules = sources()
+    found = circle(_between_files({**modules, module: f"{modules[module]}\n{source}\n"}))
+    assert module in found
 
 
 def _of_the_models(source: str) -> list[str]:
@@ -158,6 +190,7 @@ def test_the_spatial_plant_shares_no_equation_with_the_estimators() -> None:
         ("replay", "from tilth.simulator import traffic"),
         ("simulator", "from tilth.analysis import plots"),
         ("monitor", "from tilth.logger import status"),
+        ("cli", "from studies.dissertation import page"),
     ],
 )
 def test_the_check_sees_what_it_is_for(layer: str, source: str) -> None:
@@ -170,8 +203,8 @@ LONGEST_FUNCTION = 60  # lines, of a function that nobody generates
 def test_functions_are_short() -> None:
     long = [
         f"{path.relative_to(ROOT)}: {node.name}"
-        for path in _modules()
-        if not path.name.endswith("rolling_kernels.py")
+        for path in [*_modules(), *(ROOT / "studies").rglob("*.py")]
+        if "generated" not in path.parts
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (node.end_lineno or 0) - node.lineno >= LONGEST_FUNCTION

@@ -9,7 +9,7 @@ from paths import ROOT
 
 PACKAGES = (
     "schemas", "estimator", "logger", "replay", "simulator", "analysis", "client", "monitor", "cli", "deploy",
-    "examples",
+    "examples", "studies",
 )  # fmt: skip
 SHARED: Mapping[str, str] = {
     "WheelAngle": "a section of the machine file, by its published schema, and what that sensor measures",

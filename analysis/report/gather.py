@@ -16,7 +16,7 @@ from tilth.analysis.report.curves import (
 )
 from tilth.analysis.report.document import plain
 from tilth.analysis.report.origin import origin_of
-from tilth.analysis.runs.run import MARK, RECOMMENDED, Run
+from tilth.analysis.runs.run import RECOMMENDED, Run
 from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment, all_segments, tells
 from tilth.analysis.runs.table import Table
 from tilth.estimator.filters import unknowns
@@ -241,8 +241,3 @@ def _nuisances(run: Run) -> list[dict[str, Any]]:
             "prior": mean[k], "prior_sd": sd[k],
         })  # fmt: skip
     return found
-
-
-def marks_of(facts: dict[str, Any]) -> list[dict[str, Any]]:
-    """The events of a run that an operator made."""
-    return [event for event in facts["events"] if event["kind"] == MARK]

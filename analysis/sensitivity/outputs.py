@@ -19,7 +19,7 @@ from tilth.analysis.rig_report import steady_turn
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.linear_analysis import discretise, eigenvalues, scan, settling_time, system
-from tilth.estimator.models.manoeuvres import MANOEUVRES, START_S, manoeuvre_named
+from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.regulator import regulator
 
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 STEP_S: Final = 0.01
 WHEEL_ANGLE: Final = math.radians(10.0)
 STEP: Final = "step"  # the dissertation's manoeuvre
-STEERINGS: Final = tuple(row.name for row in MANOEUVRES)
 SEED: Final = 1  # of a manoeuvre that is drawn
 SHORTEST_S: Final = 20.0  # of another manoeuvre than the step, if nothing is said
 SPEEDS: Final = (1.0, 4.5, 7.5)  # m/s
@@ -95,7 +94,7 @@ class Case(NamedTuple):
     wheel: Array  # (samples,)
     angle: float
     gain: Array  # (states of the model with its actuator,)
-    steering: str = STEP  # of STEERINGS
+    steering: str = STEP  # of MANOEUVRES, by name
 
     @property
     def samples(self) -> int:

@@ -55,7 +55,7 @@ OVERALL: Final = "overall"
 
 class GlobalPlan(NamedTuple):
     """What is computed. rig: gives what is not varied. seconds: simulated at each point. outputs: whose
-    sensitivities, and whose mean. steering: of outputs.STEERINGS."""
+    sensitivities, and whose mean. steering: of MANOEUVRES, by name."""
 
     model: str
     rig: Rig

@@ -25,7 +25,6 @@ class Standing(NamedTuple):
     who: tuple[int, ...]  # receiver of the file at each place, as Changes.who
     sure: bool  # whether the drive tells it; else who is as the file says
     reason: str  # why not
-    rigid_m: tuple[float, ...]  # sd of the distances in the pairs of the file, m
 
 
 def standing(drive: DriveGrid, machine: Machine) -> Standing:
@@ -33,24 +32,21 @@ def standing(drive: DriveGrid, machine: Machine) -> Standing:
     same = (0, 1, 2, 3)
     moving = drive.complete & (_speed(drive) > MOVING)
     if np.count_nonzero(moving) < FEWEST:
-        return Standing(same, False, "the four receivers were hardly heard together while the rig moved", ())
+        return Standing(same, False, "the four receivers were hardly heard together while the rig moved")
     at, velocity = drive.at[moving], drive.velocity[moving]
     spread = {pair: _spread(at, velocity, pair) for pair in combinations(range(4), 2)}
     totals = [float(np.hypot(spread[a], spread[b])) for a, b in PAIRINGS]
     best = int(np.argmin(totals))
-    rigid = (spread[0, 1], spread[2, 3])
     others = [total for k, total in enumerate(totals) if k != best]
     if min(others) < CLEARLY * totals[best]:
-        return Standing(
-            same, False, "without turns nobody can tell which two receivers are on one body", rigid
-        )
+        return Standing(same, False, "without turns nobody can tell which two receivers are on one body")
     ahead = velocity.mean(axis=1)
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     one, other = PAIRINGS[best]
     lead = ((at[:, one].mean(axis=1) - at[:, other].mean(axis=1)) * ahead).sum(axis=1)
     tractor, implement = (one, other) if np.median(lead) > 0.0 else (other, one)
     who = [*_turned(machine, at, ahead, tractor, 0), *_turned(machine, at, ahead, implement, 2)]
-    return Standing(tuple(who), True, "", rigid)
+    return Standing(tuple(who), True, "")
 
 
 def _speed(drive: DriveGrid) -> Array:

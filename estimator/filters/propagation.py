@@ -60,7 +60,7 @@ from tilth.estimator.filters.unknowns import (
     AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
     UNKNOWNS,
-    Transform,
+    ActsAs,
 )
 from tilth.estimator.models import rolling
 from tilth.estimator.models.rolling import (
@@ -101,8 +101,8 @@ ACTS_ON: Final = np.array([PARAMETERS.index(row.acts_on) if row.acts_on else -1 
 TRANSFORM: Final = np.array([int(row.transform) for row in UNKNOWNS])
 LEAST: Final = np.array([row.least for row in UNKNOWNS])
 IN_LINEAR: Final = np.array([row.linear for row in UNKNOWNS])
-FACTOR: Final = int(Transform.FACTOR)
-SUM: Final = int(Transform.SUM)
+FACTOR: Final = int(ActsAs.FACTOR)
+SUM: Final = int(ActsAs.SUM)
 
 
 class Plant(NamedTuple):

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Prior = tuple[float, float]  # mean, sd
 
 
-class Transform(IntEnum):
+class ActsAs(IntEnum):
     """How an unknown acts on a parameter of the motion model."""
 
     NONE = 0  # on none: sensors, ground, geometry
@@ -39,7 +39,7 @@ class Unknown(NamedTuple):
     name: str
     meaning: str  # with its unit
     prior: Callable[[Machine], Prior]  # sd 0: the machine file gives it as exact, and it stays fixed
-    transform: Transform = Transform.NONE
+    transform: ActsAs = ActsAs.NONE
     acts_on: str = ""  # of rolling_terms.PARAMETERS
     least: float = -math.inf  # of the parameter
     linear: bool = False  # the linear model has it as well
@@ -108,15 +108,15 @@ def _level(typical: float, log_sd: float) -> Callable[[Machine], Prior]:
 
 def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
     """Of how the bodies roll: a factor on what rig_setup.nominal_roll says."""
-    return Unknown(name, meaning, _told(0.0, sd), Transform.FACTOR, acts_on, needs_steering=True)
+    return Unknown(name, meaning, _told(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
 
 
 def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
     """A height, not below the ground."""
-    return Unknown(name, meaning, _told(0.0, sd), Transform.SUM, acts_on, 0.0, needs_steering=True)
+    return Unknown(name, meaning, _told(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
 
 
-_VALUE: Final = Transform.VALUE
+_VALUE: Final = ActsAs.VALUE
 _PAIR_SD = _of_body(lambda m, of, body: math.hypot(math.radians(body.pair_yaw_sd), _turned(m, of)))
 _LEVER_SD = _of_body(lambda m, of, body: _survey(m, of) if body.lever_sd is None else body.lever_sd)
 _CG_SD = _of_body(lambda m, of, body: body.cg_sd)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.linear_analysis import discretise, outputs_of, simulate, system
 from tilth.estimator.models.parameters import Rig
-from tilth.estimator.models.steady_turn import steady_turn
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
@@ -172,19 +171,3 @@ def bound(white: Array, names: Sequence[str]) -> Bound:
     rank = int(known.sum())
     condition = float(sizes[0] / sizes[-1]) if rank == len(names) else float("inf")
     return Bound(tuple(names), np.where(open_, np.inf, np.sqrt(variance)), white.T @ white, rank, condition)
-
-
-def steady_sensitivities(rig: Rig, speed: float) -> Array:
-    """d log(gain) / d log(C) of steady turning, shape (3, 3).
-
-    Rows: yaw rate, articulation, lateral velocity per wheel angle. Columns: C_af, C_ar, C_ai.
-    """
-
-    def logs(log_c: Array) -> Array:
-        row = np.array([[*np.exp(log_c), rig.m_t, rig.m_i, speed, 1.0, 0.0, 0.0]])
-        v, r, lam = steady_turn(row, *rig.geometry[:5].tolist())[0]
-        return np.log(np.abs([r, lam, v]))
-
-    at = np.log(rig.theta[:3])
-    nudges = np.eye(3) * STEP
-    return np.column_stack([(logs(at + n) - logs(at - n)) / (2 * STEP) for n in nudges])

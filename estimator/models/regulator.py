@@ -1,4 +1,4 @@
-"""Linear quadratic regulator for a model, with or without the steering actuator, over speed.
+"""Linear quadratic regulator for a model, with or without the steering actuator.
 
 Source: Karkee (2009), eqs. 5.31 and 5.32: u_c = -K x with the least integral of x'Qx + u'Ru.
 """
@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_continuous_are
 
-from tilth.estimator.models.actuator import Actuator
-from tilth.estimator.models.family import Model
-from tilth.estimator.models.linear_analysis import Complex, System, eigenvalues, system
-from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.linear_analysis import Complex, System, eigenvalues
 
 Array = NDArray[np.float64]
 
@@ -26,15 +23,6 @@ class Regulator(NamedTuple):
     gain: Array  # (n,)
     poles: Complex  # (n,) of A - B K
     cost: Array  # (n, n): x' cost x is what is still to come from x
-
-
-class Schedule(NamedTuple):
-    """Gains over speed, plain data."""
-
-    model: str
-    states: tuple[str, ...]
-    speeds: Array  # (q,) ascending, m/s
-    gains: Array  # (q, n)
 
 
 def regulator(sys: System, q: float | Array = 1.0, r: float = 800.0) -> Regulator:
@@ -55,27 +43,6 @@ def regulator(sys: System, q: float | Array = 1.0, r: float = 800.0) -> Regulato
         ) from None
     gain = (b.T @ cost / r)[0]
     return Regulator(sys.speed, sys.states, gain, eigenvalues(sys.a - b * gain), cost)
-
-
-def schedule(
-    model: Model,
-    rig: Rig,
-    speeds: Sequence[float],
-    *,
-    actuator: Actuator | None = None,
-    q: float | Array = 1.0,
-    r: float = 800.0,
-) -> Schedule:
-    """Gains at each of those speeds (m/s, ascending). Raises ValueError, as `regulator`."""
-    made = [regulator(system(model, rig, u, actuator=actuator), q, r) for u in speeds]
-    return Schedule(
-        model.name, made[0].states, np.array(speeds, np.float64), np.array([m.gain for m in made])
-    )
-
-
-def gain_at(plan: Schedule, speed: float) -> Array:
-    """The gain at a speed, shape (n,): linear between the schedule's, held beyond its ends."""
-    return np.array([np.interp(speed, plan.speeds, column) for column in plan.gains.T])
 
 
 def gain_on(states: Sequence[str], gain: Array, target: Sequence[str]) -> Array:

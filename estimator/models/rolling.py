@@ -8,8 +8,8 @@ force of the driven wheels it takes; what an implement's rolling resistance pull
 wheels. The two wheels of an axle slip each by itself, as far as `two_track` says. Valid for driving forward,
 to 35 degrees of the wheels and 60 of articulation.
 
-Source: Kane's equations, in symbols in deploy/motion_equations.py. rolling_kernels.py is written from them:
-values and exact derivatives. Names of states, inputs and parameters: rolling_terms.py.
+Source: Kane's equations, in symbols in deploy/motion_equations.py. generated/rolling_kernels.py is written
+from them: values and exact derivatives. Names of states, inputs and parameters: rolling_terms.py.
 """
 
 from typing import Final, NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
-from tilth.estimator.models.rolling_kernels import motion, motion_slopes, parameter_slopes
+from tilth.estimator.models.generated.rolling_kernels import motion, motion_slopes, parameter_slopes
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
 Array = NDArray[np.float64]

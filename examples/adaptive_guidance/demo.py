@@ -46,7 +46,8 @@ from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import SIMULATED, DemoError, on_loopback
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import as_json

@@ -27,10 +27,11 @@ from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose
 from tilth.schemas.machine import Machine
+from tilth.simulator.drive import drive
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.steered_rig import LiveDriver
-from tilth.simulator.tractor import Setting, Truth, drive
+from tilth.simulator.tractor import Setting, Truth
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,8 @@ from tilth.adaptive_guidance.plan import Work
 from tilth.analysis import plots
 from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import STEP_S, Ground, Scenario, Soil, SoilChange
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ from tilth.replay.readers.any_log import metadata, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, Record
 from tilth.replay.readers.mcap_reader import MACHINE
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_toml import parse_machine
 
 PEEKED = 2000  # records among which the buses of a log are looked for
 NO_RECEIVER = "none of the machine file's receivers is heard in it"

@@ -16,7 +16,7 @@ from estimation_table import Bench
 from scipy.stats import binom
 
 from tilth.estimator.filters.unknowns import AT
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 SCALE = 0.15  # of 120 s
 NAME = "spatial_random"

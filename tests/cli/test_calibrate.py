@@ -1,51 +1,32 @@
 """`tilth calibrate` from a log: numbers within their sds, files kept."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, with_exact_lengths
+from calibrated_drive import DRIVE, simulated_drive
+from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
 from paths import ROOT
 
 from tilth.analysis.calibration.machine_text import rewritten
-from tilth.analysis.calibration.reading import read
-from tilth.analysis.calibration.run import steering
 from tilth.cli import main
 from tilth.estimator.calibration.calibrate import _Looked
 from tilth.estimator.calibration.calibrate import _looked as _look_at
 from tilth.estimator.calibration.changes import Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.steering_response import NEVER_STEERED, SteeringResponse
+from tilth.estimator.calibration.steering_response import NEVER_STEERED
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.decode import Decoder, encode, frames_of
-from tilth.schemas.flow import Frame, Measurement, Word
-from tilth.schemas.machine import Machine, parse_machine
-from tilth.simulator.scenario import Scenario, parse_scenario
-from tilth.simulator.simulate import SimulationInput, simulate_to
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Measurement
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 
 pytestmark = pytest.mark.long
 
 
 PICTURE = ROOT / "docs/pictures/page-demo.png"
-DRIVE = """
-seconds = 160.0
-noise = 0.5
-speed = [
-    [12.0, 0.0], [16.0, 3.0], [22.0, 1.8], [16.0, 3.5], [26.0, 1.4], [26.0, 1.4], [20.0, 1.8], [22.0, 4.0],
-]
-steering = [
-    [12.0, 0.0], [16.0, 0.0], [22.0, -25.0], [16.0, 0.0], [26.0, 20.0], [26.0, -22.0],
-    [5.0, 26.0], [5.0, -26.0], [5.0, 26.0], [5.0, -26.0], [22.0, "random"],
-]
-[soil]
-grip = 0.7
-rolling = 0.06
-[ground]
-slope_deg = 1.5
-"""
 BAD = Changes(
     late=np.full(4, 0.05), forward=np.array([0.15, -0.1]), aside=np.array([0.1, 0.1]),
     pair=np.radians([-2.0, 2.0]), hitch=np.array([0.15, -0.1]), wheel_zero=np.radians(3.0), wheel_gain=1.1,
@@ -57,17 +38,9 @@ WRONG = rewritten(
 )  # fmt: skip
 
 
-def _simulate(folder: Path, text: str) -> Path:
-    scenario: Scenario = parse_scenario(text)
-    log = folder / "drive.mcap"
-    source = SimulationInput(with_exact_lengths(MACHINE), MACHINE_TEXT, scenario, text, 3, scenario.seconds)
-    simulate_to(source, log, lambda what, at_s: None)
-    return log
-
-
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _simulate(tmp_path_factory.mktemp("drive"), DRIVE)
+    return simulated_drive(tmp_path_factory.mktemp("drive"), DRIVE)
 
 
 def _true(drive: Path) -> dict[str, Any]:
@@ -127,31 +100,6 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     assert "100 ms" in page and "e+0" not in page
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_how_the_wheels_follow_is_told_by_the_wheel_angle_of_the_found_file(drive: Path, sign: int) -> None:
-    """Commands that the wheels follow after 0.15 s, time constant 0.3 s; the sensor's sign may be wrong."""
-    truth = np.genfromtxt(f"{drive}.truth.csv", delimiter=",", names=True)
-    sensor = MACHINE.wheel_angle.model_copy(update={"sign": sign * MACHINE.wheel_angle.sign})
-    heard = read(
-        [drive], MACHINE.model_copy(update={"wheel_angle": sensor}), {}, print, lambda done, of: None
-    )
-    base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
-    asked = truth["delta"] + 0.3 * np.gradient(truth["delta"], truth["t_ns"] * 1e-9)
-    for t in np.arange(1.0, 158.0, 0.1):
-        at_ns = heard.first_ns + round(t * 1e9)
-        angle = float(np.interp(at_ns + 0.15e9, truth["t_ns"], asked))
-        words: dict[str, Word] = {"command_status": "intended"}
-        words["commanded_curvature_per_m"] = math.tan(angle) / base
-        ((can_id, data),) = frames_of(44288, encode(44288, words), 0x1C, 0xF0)
-        heard.commands.take(Frame(at_ns, at_ns, "can0", can_id, True, False, data))
-    told = steering(heard, MACHINE, Changes(wheel_sign=sign))
-    assert isinstance(told, SteeringResponse), told
-    held = 0.05  # s: a command is half its interval old in the mean
-    assert told.dead_time == pytest.approx(0.15 - held, abs=0.03)
-    assert told.time_constant == pytest.approx(0.3, abs=0.03)
-    assert told.gain > 0.9
-
-
 def _looked(machine: Machine, log: Path) -> _Looked:
     decoder, heard = Decoder(machine), list[Measurement]()
     for frame in frames(log):
@@ -174,7 +122,7 @@ def test_at_one_speed_what_looks_like_a_late_receiver_is_not_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Levers and hitch were 10 cm off there with sds of 1 cm, and latencies 50 ms with sds of 6."""
-    log, file, out = _simulate(tmp_path, ONE_SPEED), tmp_path / "wrong.toml", tmp_path / "out.toml"
+    log, file, out = simulated_drive(tmp_path, ONE_SPEED), tmp_path / "wrong.toml", tmp_path / "out.toml"
     file.write_text(WRONG, encoding="utf-8")
     assert main(["calibrate", str(log), "--machine", str(file), "--out", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -193,7 +141,7 @@ def test_at_one_speed_what_looks_like_a_late_receiver_is_not_told(
 
 def test_a_wrong_roll_correction_leaves_nothing_in_the_places(tmp_path: Path) -> None:
     """Where the setting is found to be wrong, geometry is looked at once more: the hitch was 3 cm off."""
-    log = _simulate(tmp_path, DRIVE.replace("slope_deg = 1.5", "slope_deg = 4.0"))
+    log = simulated_drive(tmp_path, DRIVE.replace("slope_deg = 1.5", "slope_deg = 4.0"))
     right = _looked(MACHINE, log)
     for k in (1, 2):
         corrected = tuple(not MACHINE.receiver[i].roll_corrected if i == k else None for i in range(4))

@@ -3,18 +3,13 @@
 import json
 import socket
 import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import pytest
-import zenoh
+from calibration_shown import STANDS, computed, fold_of, shown_of
 from client_daemon import until
 from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
-from loopback import PATIENCE_S
 from rich.console import Console
-from stage import Stage
 
 from tilth.cli import main
 from tilth.cli.calibrate_computing import EVERY_S, LEAST_S, SOON_S, BackgroundEstimates
@@ -22,27 +17,21 @@ from tilth.cli.calibrate_screen import line, panel, without_seconds
 from tilth.client.calibration import shown as screen
 from tilth.client.calibration.shown import (
     ALL_DRIVEN,
-    DRIVING,
     FINISHED,
     FINISHING,
     STOPPED,
     ComputedSoFar,
     ParkedSenders,
-    shown,
 )
-from tilth.client.calibration.wires import ENCODING
-from tilth.client.link import open_session
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.stage_words import PARK_S, STAGES
-from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+from tilth.estimator.calibration.stage_words import PARK_S
+from tilth.estimator.calibration.verdict import NOT_TOLD
 from tilth.schemas.invocation import started_as
-from tilth.schemas.proto import tilth_pb2 as pb
 
 pytestmark = pytest.mark.long
 
 
-STANDS: Plan = ((10, 0.0, 0),)
 DRIVES: Plan = ((LEAST_S + 20, 3.0, 0),)
 
 
@@ -67,71 +56,10 @@ def test_wrong_use_is_a_sentence(words: list[str], said: str, capsys: pytest.Cap
     assert said in capsys.readouterr().err
 
 
-def _statuses(session: zenoh.Session) -> list[pb.Status]:
-    replies = session.get("tilth/jd7930-parker500/replay/status", timeout=PATIENCE_S)
-    return [pb.Status.FromString(reply.ok.payload.to_bytes()) for reply in replies if reply.ok]
-
-
-@pytest.mark.parametrize(
-    ("phase", "refused"), [(DRIVING, True), (FINISHING, True), (FINISHED, False), (STOPPED, False)]
-)
-def test_one_that_is_at_work_is_left_alone(
-    phase: str, refused: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with Stage() as stage, open_session(stage.endpoint) as other, ThreadPoolExecutor() as pool:
-        ended = threading.Event()
-
-        def show() -> None:
-            state = pb.CalibrationState(machine="jd7930-parker500", phase=phase).SerializeToString()
-            while not ended.wait(0.1):
-                other.put("tilth/jd7930-parker500/replay/calibration", state, encoding=ENCODING)
-
-        showing = pool.submit(show)
-        stage.order(log_file="/nowhere/daemon.mcap")
-        try:
-            until(lambda: any(one.log_file for one in _statuses(other)))
-            assert main(["calibrate", "--live", "--connect", stage.endpoint]) == 2
-        finally:
-            ended.set()
-            showing.result()
-    said = capsys.readouterr().err
-    assert ("is at work already" if refused else "/nowhere/daemon.mcap: the daemon writes this log") in said
-
-
-def _fold(plan: Plan) -> stages.StageFold:
-    return stages.take_all(stages.initial(MACHINE), measurements(plan))
-
-
-def _shown(fold: stages.StageFold, answer: dict[str, Any], phase: str = DRIVING, trouble: str = "") -> Any:
-    return shown("rig", fold, ComputedSoFar(answer), (), trouble, phase)
-
-
-def _answer(**changes: Any) -> dict[str, Any]:
-    rows = [
-        {
-            "name": number.name, "status": TOLD, "sd": number.prior_sd / 20, "prior_sd": number.prior_sd,
-            "wanted_sd": number.wanted_sd, "moved": number.prior_sd / 3, "tell": "",
-        }
-        for number in NUMBERS
-    ]  # fmt: skip
-    return {"numbers": rows, "faults": [{"kind": "swapped", "text": "two are exchanged"}], **changes}
-
-
-def test_a_driver_is_always_told_something() -> None:
-    for plan in (STANDS, DRIVES, GUIDED):
-        fold = _fold(plan)
-        for answer in ({}, {"refused": "RTK was never fixed"}, _answer(), _answer(good=True)):
-            state = _shown(fold, answer)
-            assert state.text and state.computed and len(state.stages) == len(STAGES)
-            assert all(stage.what and stage.why and 0.0 <= stage.share <= 1.0 for stage in state.stages)
-    assert _shown(_fold(STANDS), {}, trouble="Nothing is heard.").happening == "Nothing is heard."
-    assert "RTK" in _shown(_fold(STANDS), {"refused": "RTK was never fixed"}).told[0]
-
-
 def test_numbers_are_shown_as_before_and_now() -> None:
-    answer = _answer()
+    answer = computed()
     answer["numbers"][0]["status"] = NOT_TOLD
-    state = _shown(_fold(STANDS), answer)
+    state = shown_of(fold_of(STANDS), answer)
     assert list(state.found) == ["two are exchanged"]
     assert [row.words for row in state.numbers] == [number.words for number in NUMBERS]
     assert state.numbers[0].change == "stays as it is"
@@ -147,7 +75,7 @@ LEFT = [
 
 def test_what_is_left_and_how_the_wheels_follow_are_shown_and_read() -> None:
     words = "Steering follows its commands after 0.12 ± 0.02 s."
-    state = _shown(_fold(STANDS), _answer(residuals={"kinds": LEFT}, steering_words=words))
+    state = shown_of(fold_of(STANDS), computed(residuals={"kinds": LEFT}, steering_words=words))
     assert [(one.words, one.ratio, one.more) for one in state.left] == [
         ("positions", 0.9, False),
         ("turn rates", 2.4, True),
@@ -159,22 +87,22 @@ def test_what_is_left_and_how_the_wheels_follow_are_shown_and_read() -> None:
     with console.capture() as drawn:
         console.print(panel(state))
     assert words in drawn.get() and "turn rates" in drawn.get()
-    assert not _shown(_fold(STANDS), {}).left, "none before an estimate"
+    assert not shown_of(fold_of(STANDS), {}).left, "none before an estimate"
 
 
 @pytest.mark.parametrize("phase", [FINISHING, FINISHED, STOPPED])
 def test_the_end_has_its_own_sentence(phase: str) -> None:
-    state = _shown(_fold(STANDS), {}, phase)
+    state = shown_of(fold_of(STANDS), {}, phase)
     assert state.text == screen.PHASE_TEXT[phase] and ALL_DRIVEN not in state.text and not state.happening
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 30), (60, 20)])
 def test_the_panel_fits_and_the_keys_are_always_there(width: int, height: int) -> None:
-    answer = _answer()
+    answer = computed()
     for row in answer["numbers"][::2]:
         row.update(status="rough", tell="drive slow circles to both sides, at three angles of the wheels")
     for given in (answer, {"refused": "the drive has rows only: " + "drive circles " * 20}):
-        state = _shown(_fold(GUIDED), given)
+        state = shown_of(fold_of(GUIDED), given)
         state.notes.extend(["a log does not count, " + "as is said here " * 10] * 3)
         console = Console(width=width, height=height, color_system=None)
         with console.capture() as drawn:
@@ -200,11 +128,11 @@ def test_who_sends_is_said_once_the_rig_has_been_parked() -> None:
 
 
 def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands() -> None:
-    fold = _fold(STANDS)
-    silent = _shown(fold, {}, trouble="Nothing of the rig has been heard for 7 s: is the bus silent?")
+    fold = fold_of(STANDS)
+    silent = shown_of(fold, {}, trouble="Nothing of the rig has been heard for 7 s: is the bus silent?")
     assert "\n  Nothing of the rig has been heard for 7 s" in line(silent)
-    assert "This counts for: Park." not in line(_shown(fold, {})), "which changes with each bend"
-    state = _shown(fold, {})
+    assert "This counts for: Park." not in line(shown_of(fold, {})), "which changes with each bend"
+    state = shown_of(fold, {})
     told = []
     for took in range(3):
         state.computed = f"Computing with 65 s of driving, for {took} s now."
@@ -216,7 +144,7 @@ def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands(
 def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path) -> None:
     started_as(["tilth"], [sys.executable, "-P", "-m", "tilth.cli.background"])
     estimates = BackgroundEstimates(["--machine", str(FILE)])
-    standing, driving = _fold(STANDS), _fold(DRIVES)
+    standing, driving = fold_of(STANDS), fold_of(DRIVES)
     estimates.turn(standing, [])
     assert not estimates.so_far.busy and "begins after 65 s more" in estimates.so_far.text
     missing = tmp_path / "gone.mcap"
@@ -249,7 +177,7 @@ def test_the_next_estimate_is_counted_down_to_and_begins(
     answer: dict[str, str], more_s: float, said: str
 ) -> None:
     """65 s are enough for the first; what told nothing is tried again soon."""
-    fold = _fold(STANDS)
+    fold = fold_of(STANDS)
 
     def turned(driven_s: float) -> ComputedSoFar:
         fold.tally.moving = round(driven_s / stages.TICK_S)
@@ -267,7 +195,7 @@ def test_the_next_estimate_is_counted_down_to_and_begins(
 
 
 def test_an_estimate_that_was_asked_for_early_keeps_nobody_waiting() -> None:
-    fold = _fold(STANDS)
+    fold = fold_of(STANDS)
     started_as(["tilth"], [sys.executable, "-c", 'print(\'{"refused": "less than a minute"}\')'])
     estimates = BackgroundEstimates([])
     fold.tally.moving = round(30.0 / stages.TICK_S)

@@ -18,7 +18,7 @@ from tilth.client.link import ENDPOINT, open_session
 from tilth.deploy import keys
 from tilth.estimator.calibration.stage_words import PARK_S
 from tilth.logger.clock import Clock
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytestmark = pytest.mark.long

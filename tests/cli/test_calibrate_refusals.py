@@ -14,7 +14,7 @@ from tilth.cli import main
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Fault, Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate

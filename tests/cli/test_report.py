@@ -14,10 +14,6 @@ from paths import ROOT
 from report_run import WrittenRun, write_run
 from small_disk import TILTH, on_a_small_disk
 
-from tilth.analysis.fit.fitting import Wanted
-from tilth.analysis.report.answers import fewer
-from tilth.analysis.runs.run import open_runs
-from tilth.analysis.runs.segments import MARKED, STEP, DrivenSegment
 from tilth.cli import main
 
 pytestmark = pytest.mark.long
@@ -191,26 +187,3 @@ def test_help_needs_no_matplotlib() -> None:
     code += "try: main(['report', '-h'])\nfinally: print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("False\n")
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "most", "kept"),
-    [
-        (STEP, "", None, [3, 4, 5, 6]),
-        (STEP, "", 2, [5, 6]),
-        (MARKED, "west step", None, [3, 4, 5, 6]),
-        (MARKED, "experiment plan run 1 step replicate 1 of 1 try 1 seed 1", None, [1, 2, 3, 4, 5, 6]),
-        (MARKED, "experiment plan run 1 step replicate 1 of 1 try 1 seed 1", 1, [6]),
-    ],
-)
-def test_all_runs_of_a_plan_are_fitted_and_of_other_driving_what_steers_most(
-    log: Path, kind: str, name: str, most: int | None, kept: list[int]
-) -> None:
-    (run,) = open_runs(log)
-    wanted = [
-        Wanted(run, 1, k, DrivenSegment(kind, 10.0 * k, 10.0 * k + 8.0, 4.0, -0.01 * k, name))
-        for k in range(1, 7)
-    ]
-    chosen, notes = fewer(wanted, most)
-    assert [one.number for one in chosen] == kept
-    assert bool(notes) == (len(kept) < 6)

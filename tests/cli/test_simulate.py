@@ -18,10 +18,11 @@ from tilth.estimator.pose.geometry import to_plane
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.rig import machine_in
 from tilth.schemas.flow import PARAMETERS, Pose
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import host_clock, simulate
 
 SCENARIOS = ROOT / "examples" / "scenarios"

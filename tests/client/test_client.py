@@ -19,7 +19,7 @@ from tilth.estimator.models import relaxation
 from tilth.estimator.models.parameters import TABLE_5_1, rig_of
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Combination, text_reason
 from tilth.schemas.sentences import sentence

@@ -24,7 +24,7 @@ from tilth.client import Client, Latest, Staleness
 from tilth.client.link import open_session
 from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.flow import Event
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 RULE = Staleness(silence_s=1.0, data_s=math.inf)
 KEY = f"tilth/{NAME}/soil_tire"

@@ -17,7 +17,6 @@ from client_daemon import LOG_SD, THETA, Publisher, estimate
 from loopback import PATIENCE_S, free_port
 from pymavlink.dialects.v20 import common
 
-from tilth.cli import main
 from tilth.client import Staleness
 from tilth.client.latest import judge
 from tilth.client.mavlink import AGE, SUFFIXES, numbers
@@ -173,22 +172,3 @@ def test_before_the_first_estimate_all_are_nan_and_names_fit_the_message() -> No
     assert {named[name + "_st"] for name in PARAMETERS} == {float(Status.UNESTIMATED)}
     assert all(math.isnan(number) for name, number in named.items() if not name.endswith("_st"))
     assert max(map(len, named)) <= 10 and len(named) == PER_TICK - 2 <= 58
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("--to", "udpin:0.0.0.0:14550"), "it sends only; give udpout:HOST:PORT"),
-        (("--to", "/dev/ttyACM0"), "a serial port is reached through mavlink-router or MAVProxy"),
-        (("--to", "udpout:127.0.0.1:0"), "give udpout:HOST:PORT"),
-        (("--to", "udpout:127.0.0.1:14550", "--system", "256"), "give a number from 1 to 255"),
-        (("--to", "udpout:127.0.0.1:14550", "--machine", "a/b"), "give its name in the machine file"),
-        (("--to", "udpout:127.0.0.1:14550", "--connect", "nonsense"), "an endpoint looks like"),
-    ],
-)
-def test_wrong_use_is_told_in_one_line(
-    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(("mavlink", *words)) == 2
-    error = capsys.readouterr().err
-    assert expected in error and error.count("\n") == 1

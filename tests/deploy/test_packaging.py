@@ -31,6 +31,7 @@ def test_the_wheel_is_complete(wheel: Path) -> None:
         if path.suffix in SHIPPED and "__pycache__" not in path.parts
     }
     assert tree - names == set()
+    assert not [name for name in names if "studies" in name or "dissertation/" in name]
     assert {name for name in names if name.startswith("tilth/schemas/proto/")} >= {
         "tilth/schemas/proto/tilth.proto"
     }

@@ -23,6 +23,7 @@ from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import predictor
 from tilth.estimator.kernel_digest import NotDigestible
 from tilth.estimator.models import nonlinear
+from tilth.estimator.models.generated import rolling_kernels
 
 CONSTANTS = """
 from enum import Enum, IntEnum
@@ -272,6 +273,15 @@ def test_the_digest_follows_a_constant_three_calls_down(monkeypatch: pytest.Monk
     assert digest(nonlinear.integrate.function) == before
     monkeypatch.setattr(nonlinear, "ROLLING_SPEED", 0.2)
     assert digest(nonlinear.integrate.function) != before
+
+
+def test_the_digest_follows_what_is_generated(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = digest(predictor.run_filter.function)
+    written = rolling_kernels.motion.function
+    code = written.__code__
+    other = tuple(2.5 * item if isinstance(item, float) else item for item in code.co_consts)
+    monkeypatch.setattr(written, "__code__", code.replace(co_consts=other))
+    assert digest(predictor.run_filter.function) != before
 
 
 def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:

@@ -26,7 +26,8 @@ from tilth.schemas.flow import (
     Status,
 )
 from tilth.schemas.machine import Machine
-from tilth.simulator.tractor import Fault, Reclaim, Scenario, drive
+from tilth.simulator.drive import drive
+from tilth.simulator.scenario import Fault, Reclaim, Scenario
 from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()

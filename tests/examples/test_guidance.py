@@ -19,7 +19,8 @@ from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate, Pose, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.messages import row
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import Ground, Scenario, Soil, SoilChange

@@ -29,8 +29,8 @@ from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 pytestmark = pytest.mark.long

@@ -32,7 +32,8 @@ from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Accepted, Event, Frame, Status
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.sentences import sentence
 from tilth.simulator.traffic import simulate

@@ -24,7 +24,6 @@ from loopback import PATIENCE_S, messages, session
 from tilth.cli import main
 from tilth.client.link import open_session
 from tilth.schemas.channels import CHANNEL, CHANNELS
-from tilth.schemas.invocation import installing
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
@@ -233,33 +232,6 @@ def _opened(rig: FieldRig) -> Any:
 
     until(tried)
     return found[0]
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (("--port", "65536"), "give a number from 0 to 65535"),
-        (("--host", "203.0.113.1", "--port", "0"), "give others"),
-        (("--connect", "nonsense"), "an endpoint looks like"),
-        (("--machine", "a/b"), "give its name in the machine file"),
-    ],
-)
-def test_wrong_use_is_told_in_one_line(
-    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(("foxglove", *words)) == 2
-    error = capsys.readouterr().err
-    assert expected in error and error.count("\n") == 1
-
-
-def test_without_the_extra_it_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    monkeypatch.delitem(sys.modules, "tilth.monitor.foxglove_server", raising=False)
-    assert main(("foxglove",)) == 2
-    error = capsys.readouterr().err
-    assert installing("foxglove") in error and error.count("\n") == 1
 
 
 def test_a_taken_port_is_told(capsys: pytest.CaptureFixture[str]) -> None:

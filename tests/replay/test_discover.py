@@ -18,8 +18,9 @@ from tilth.replay.discover import BusSurvey, Findings
 from tilth.replay.machine_draft import FILL_IN, draft
 from tilth.replay.wheel_search import WheelCandidate, candidates
 from tilth.schemas.flow import Frame, Mount
-from tilth.schemas.machine import Bus, Machine, parse_machine
-from tilth.simulator.tractor import Fault, Scenario
+from tilth.schemas.machine import Bus, Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.scenario import Fault, Scenario
 from tilth.simulator.traffic import simulate
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"

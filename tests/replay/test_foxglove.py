@@ -5,7 +5,6 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,8 @@ from paths import ROOT
 from scipy.spatial.transform import Rotation
 
 from tilth.estimator.fold import initial, step
-from tilth.estimator.pose.body_frames import body_frames
 from tilth.logger.log.mcap_log import LogWriter, RunPart
-from tilth.schemas.flow import PARAMETERS, BodyPose, Mount, Pose
+from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.simulator.traffic import simulate
 
 LAYOUT = ROOT / "deploy/foxglove/tilth.json"
@@ -193,25 +191,3 @@ def test_the_panel_of_the_bodies_follows_a_frame_that_there_is(messages_of: dict
     frames = set(_placed(messages_of["/drawing/frames"][-1].transforms))
     assert panel["followTf"] in frames and panel["layers"]["ground"]["frameId"] in frames
     assert set(panel["topics"]) == {"/drawing/bodies"}
-
-
-NOWHERE = BodyPose(*[None] * 13)
-
-
-@pytest.mark.parametrize(
-    ("tractor", "implement", "frames"),
-    [
-        (True, True, ["tractor", "implement", "tractor_front_left", "tractor_front_right"]),
-        (True, False, ["tractor", "tractor_front_left", "tractor_front_right"]),
-        (False, True, ["implement"]),
-        (False, False, None),
-    ],
-)
-def test_a_body_whose_place_is_not_known_is_nowhere(
-    tractor: bool, implement: bool, frames: list[str] | None
-) -> None:
-    somewhere = replace(NOWHERE, x=1.0, y=2.0, heading=0.3)
-    first, second = (somewhere if known else NOWHERE for known in (tractor, implement))
-    pose = Pose(START_NS, 43.5, -83.4, first, second, None, None, 0.1, 0.01, 1, None, 0.0, 4, ())
-    given = body_frames(MACHINE, pose)
-    assert (given and [one.child for one in given.transforms]) == frames

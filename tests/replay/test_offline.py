@@ -21,7 +21,7 @@ from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame, Publication
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.simulator.traffic import simulate

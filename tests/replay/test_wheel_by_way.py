@@ -11,8 +11,9 @@ from tilth.replay.wheel_by_way import WheelFound, WheelMessages, find, reading_a
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, WheelAngle
 from tilth.schemas.wheel_angle import RUDDER
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import parse_scenario
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
 
 OWN = MACHINE.wheel_angle.id

@@ -11,7 +11,8 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
 from tilth.schemas.decode import REASONS, ROUTES, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Message
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.messages import PGNS
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA
 from tilth.schemas.words import WORDS

@@ -9,7 +9,8 @@ from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import AddressClaim, Frame, Mount, Position
 from tilth.schemas.identity import split_name
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 
 TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
 MS = 1_000_000

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paths import ROOT
 
-from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_toml import parse_machine
 
 TEXT = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
 

@@ -3,8 +3,8 @@
 import pytest
 from logs import MACHINE, MACHINE_TEXT
 
-from tilth.schemas.machine import parse_machine
 from tilth.schemas.machine_difference import differing, differing_keys
+from tilth.schemas.machine_toml import parse_machine
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from paths import ROOT
 from tilth.schemas import can_id, flow
 from tilth.schemas.decode import REASONS, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.measures import MAKERS
 from tilth.schemas.messages import PGNS, Pgn
 from tilth.schemas.words import WORDS

@@ -18,7 +18,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import Frame
 from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Implement, Machine, MachineError, Receiver, Tractor, Tyre, WheelAngle
-from tilth.schemas.machine import parse_machine as parse
+from tilth.schemas.machine_toml import parse_machine as parse
 from tilth.schemas.plausible import doubts, refuse_impossible, unusual
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate

@@ -10,7 +10,8 @@ from paths import ROOT
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, encode
 from tilth.schemas.flow import Frame, WheelAngle
-from tilth.schemas.machine import Machine, MachineError, parse_machine
+from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.wheel_angle import WheelAngleSensor, compile_sensor
 
 TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()

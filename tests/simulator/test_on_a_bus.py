@@ -19,7 +19,8 @@ from tilth.logger.clock import Clock
 from tilth.replay.discover import BusSurvey, listen
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Bus, Machine, parse_machine
+from tilth.schemas.machine import Bus, Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.wheel_angle import compile_sensor
 from tilth.simulator.on_a_bus import Watch, play, stays_here, watch_of
 from tilth.simulator.scenario import parse_scenario

@@ -7,7 +7,9 @@ import pytest
 from paths import ROOT
 
 from tilth.estimator.models.parameters import rig_of
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.noise import generator
 from tilth.simulator.pilots import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
 from tilth.simulator.scenario import (
@@ -20,7 +22,7 @@ from tilth.simulator.scenario import (
     Scenario,
     Soil,
 )
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 FIRM = Soil(grip=0.7, rolling=0.06)

@@ -7,24 +7,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import can
-import numpy as np
 import pytest
-import zenoh
 from loopback import PATIENCE_S
 
-from tilth.adaptive_guidance.demo import run_guidance, table
-from tilth.adaptive_guidance.plan import Work
-from tilth.client.link import open_session
-from tilth.logger.display import NoDisplay
-from tilth.replay.readers.any_log import frames
-from tilth.schemas.can_id import split
 from tilth.schemas.decode import encode, frames_of
-from tilth.schemas.flow import Event, Word
-from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.flow import Word
 from tilth.simulator.scenario import Scenario, as_json, from_json
 from tilth.simulator.steering import COMMAND, REFUSALS
 
@@ -105,43 +95,3 @@ def test_it_obeys_one_of_two_controllers_refuses_what_it_cannot_do_and_outlives_
     assert (fact["commands"], fact["let_go"], fact["no_frame"], fact["stopped"]) == (1, 1, 5, False)
     assert len(places) == 25
     assert 2.0 < places[-1][0] - places[0][0] < 7.0
-
-
-class Heard(NoDisplay):
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def event(self, event: Event) -> None:
-        self.told.append(event.text)
-
-
-def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    display, received, pages = Heard(), list[bytes](), list[zenoh.Session]()
-
-    def watch(endpoint: str) -> None:
-        pages.append(open_session(endpoint))  # as the live page has it
-        pages[0].declare_subscriber(
-            "tilth/*/replay/event", lambda sample: received.append(sample.payload.to_bytes())
-        )
-
-    # The usual endpoint may be taken by another test's daemon before that of the demo opens.
-    listen = "tcp/127.0.0.1:0"
-    # Long enough for a busy computer to open all sessions before it ends.
-    guided = run_guidance(1, tmp_path, display, watch=watch, work=Work(rows=1, length=60.0), listen=listen)
-    pages[0].close()
-    assert "pipe" not in capfd.readouterr().err.lower()  # all processes have said their last word
-    messages = [event.text for event in map(pb.Event.FromString, received) if event.kind == "guidance"]
-    assert "the controller steers" in messages and set(messages) <= set(display.told)
-    assert guided.commands["refused"] == {}
-    assert guided.commands["commands"] >= 5  # a busy computer is late
-    assert "the controller steers" in display.told
-    assert np.abs(guided.adapting.error).max() < 0.3
-    assert guided.figure is not None and guided.figure.exists()
-    assert table(guided).row_count == 2
-    (log,) = guided.summary.log_files
-    read = list(frames(log))
-    assert len(read) == guided.summary.recorded
-    wishes = [frame for frame in read if frame.extended and split(frame.can_id).pgn == COMMAND]
-    assert len(wishes) >= guided.commands["commands"]

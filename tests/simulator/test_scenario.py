@@ -13,7 +13,7 @@ from tilth.estimator.models.manoeuvres import MANOEUVRES
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Mount
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.receivers import FAULTS
 from tilth.simulator.scenario import (
     DrivenManoeuvre,

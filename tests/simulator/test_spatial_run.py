@@ -13,8 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from tilth.cli import main
 from tilth.estimator.pose.geometry import to_plane
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import SPATIAL
+from tilth.simulator.drive import drive
 from tilth.simulator.receivers import ORIGIN_DEG, Report, reports
 from tilth.simulator.scenario import (
     Fieldwork,
@@ -30,7 +32,7 @@ from tilth.simulator.scenario import (
     parse_scenario,
 )
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
-from tilth.simulator.tractor import Truth, draw, drive
+from tilth.simulator.tractor import Truth, draw
 
 TEXT = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
 STEERING = ((2.0, 0.0), (5.0, 5.0), (5.0, -3.0))

@@ -12,11 +12,13 @@ from paths import ROOT
 
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Position, Velocity, WheelAngle, Word, YawRate
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.steering import ADDRESS, COMMAND, REFUSALS, TIMEOUT_S, Steering
-from tilth.simulator.tractor import Setting, Truth, drive
+from tilth.simulator.tractor import Setting, Truth
 from tilth.simulator.traffic import traffic
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"

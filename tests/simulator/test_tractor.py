@@ -13,8 +13,10 @@ from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import geometry_of, rig_of
 from tilth.estimator.pose.geometry import lever, to_plane
 from tilth.schemas.flow import PARAMETERS, FixType, Mount
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator import tractor
+from tilth.simulator.drive import drive
 from tilth.simulator.receivers import ORIGIN_DEG, Report, reports, wheel_readings
 from tilth.simulator.scenario import (
     STEP_S,
@@ -28,7 +30,7 @@ from tilth.simulator.scenario import (
     SurveyErrors,
     Wheel,
 )
-from tilth.simulator.tractor import BodyTrack, Truth, draw, drive
+from tilth.simulator.tractor import BodyTrack, Truth, draw
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 QUIET = Scenario(speed_sd=0.0, noise=0.0, steering=((2.0, 0.0), (12.0, 8.0), (3.0, -5.0)))
@@ -252,7 +254,7 @@ def test_reported_velocity_is_that_of_the_reported_point(machine: Machine, rough
 
 def test_survey_errors_are_within_what_the_scenario_says(machine: Machine) -> None:
     scenario = Scenario(survey=SurveyErrors(cg_sd=0.03, lever_sd=0.02, pair_sd_deg=0.3))
-    collected = [tractor.drive(machine, seed, 0.05, scenario) for seed in range(40)]
+    collected = [drive(machine, seed, 0.05, scenario) for seed in range(40)]
     for key, sd in (("cg_forward_tractor", 0.03), ("right_implement_rear", 0.02)):
         drawn = np.array([truth.nuisances[key] for truth in collected])
         assert drawn.std() == pytest.approx(sd, rel=0.35)

@@ -22,11 +22,12 @@ from tilth.schemas.flow import (
     WheelAngle,
     YawRate,
 )
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.other_traffic import DEVICES, ROWS
 from tilth.simulator.receivers import reports
 from tilth.simulator.scenario import STEP_S, Fault, Reclaim, Scenario, Wheel
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import simulate
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"

@@ -11,10 +11,11 @@ from paths import ROOT
 
 from tilth.cli import main
 from tilth.replay.offline import ReplayOutputs, replay
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Fieldwork, Scenario, WheelBasedSpeed, parse_scenario
-from tilth.simulator.tractor import Truth, drive
+from tilth.simulator.tractor import Truth
 from tilth.simulator.wheel_speed import LIFTED_M, MOST_SLIP, TURNING, slip, wheel_speeds
 
 pytestmark = pytest.mark.long

@@ -24,7 +24,8 @@ from tilth.schemas.flow import (
     WheelAngle,
     YawRate,
 )
-from tilth.schemas.machine import Machine, Receiver, parse_machine
+from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.machine_toml import parse_machine
 
 ORIGIN_DEG = (43.5, -83.4)
 START_NS = 1_777_881_600_000_000_000

@@ -18,7 +18,7 @@ from ordered import Ordered, ready, take_orders
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.reasons import Code, Reason
 
 NAME = "jd7930-parker500"

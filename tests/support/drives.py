@@ -14,7 +14,8 @@ from tilth.estimator import fold
 from tilth.estimator.fold import State, initial, step
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose, Publication, Status
 from tilth.schemas.machine import Machine
-from tilth.simulator.tractor import Scenario, draw
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
 Array = NDArray[np.float64]

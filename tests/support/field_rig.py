@@ -16,11 +16,11 @@ from loopback import PATIENCE_S, machine_text, udp_bus
 
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import on_loopback
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.socketcand_server import open_server, play
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import traffic
 
 ADDRESS_CLAIM = 0xEE00

@@ -19,7 +19,7 @@ from paths import ROOT
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 SPACING_NS = 500_000
 BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames

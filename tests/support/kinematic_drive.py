@@ -20,7 +20,8 @@ from tilth.schemas.flow import (
     WheelAngle,
     YawRate,
 )
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 
 FILE: Path = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 MACHINE: Machine = parse_machine(FILE.read_text(encoding="utf-8"))

@@ -22,7 +22,8 @@ from mcap.stream_reader import StreamReader
 from paths import ROOT
 
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()

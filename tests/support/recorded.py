@@ -8,7 +8,7 @@ from logs import MACHINE, MACHINE_TEXT, SECOND, Live, record
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.flow import Event, Frame, Publication
-from tilth.simulator.tractor import Scenario
+from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
 SECONDS = 52.0

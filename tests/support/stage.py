@@ -34,7 +34,7 @@ from tilth.schemas.flow import (
     Status,
     known_flags,
 )
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
 

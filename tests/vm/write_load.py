@@ -28,7 +28,7 @@ def main(folder: Path, sector: str = "") -> None:
     from tilth.logger.clock import Clock
     from tilth.logger.log.run_log import Recording
     from tilth.schemas.flow import Frame
-    from tilth.schemas.machine import parse_machine
+    from tilth.schemas.machine_toml import parse_machine
 
     text = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.1\nkeep_free_megabytes = 1\nchunk_kilobytes = 16")

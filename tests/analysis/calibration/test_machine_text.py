@@ -9,7 +9,7 @@ from tilth.estimator.calibration.changes import KINGPIN_DISTANCE_M, Changes, app
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.priors import NUMBER
 from tilth.replay.wheel_by_way import WheelWord, reading_as
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 TEXT = FILE.read_text(encoding="utf-8")
 SAME = {mount.value: mount.value for mount in MOUNTS}

@@ -12,7 +12,7 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.replay.readers.rig import Say, bus_names
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import Frame, Position
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import simulate

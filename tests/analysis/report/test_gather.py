@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from report_run import ANGLE, SECONDS, SHARE, SPEED, VALUES, WRITTEN, WrittenRun, write_run
 
-from tilth.analysis.report.gather import facts_of, marks_of
-from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.report.gather import facts_of
+from tilth.analysis.runs.run import MARK, Run, open_runs
 from tilth.analysis.runs.segments import between
 from tilth.schemas.flow import PARAMETERS
 
@@ -44,7 +44,7 @@ def test_given_segments_replace_those_found(run: Run) -> None:
 
 
 def test_marks_and_changes_of_soil_have_their_places(facts: dict[str, Any], run: Run) -> None:
-    (mark,) = marks_of(facts)
+    (mark,) = (event for event in facts["events"] if event["kind"] == MARK)
     at = int(np.argmin(abs(run.poses.t_s - mark["t_s"])))
     assert mark["text"] == WRITTEN
     assert (mark["x_m"], mark["y_m"]) == pytest.approx(

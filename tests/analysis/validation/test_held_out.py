@@ -8,7 +8,7 @@ from logs import MACHINE
 from recorded import STEPS, recorded, shared_cache
 
 import tilth.analysis
-from tilth.analysis.dissertation import chapter7
+from studies.dissertation import chapter7
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.validation import held_out
 from tilth.analysis.validation.held_out import Subset, predictable, subsets

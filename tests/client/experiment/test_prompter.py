@@ -41,10 +41,10 @@ from tilth.client.experiment.sight import FieldPlace, Seen, corner_of, in_plane
 from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.experiment import Rectangle, parse_plan
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
-from tilth.simulator.tractor import drive
 
 TEXT = (ROOT / "examples/experiments.toml").read_text(encoding="utf-8")
 PLAN = parse_plan(TEXT)

@@ -16,10 +16,11 @@ from tilth.replay.steering_commands import SteeringCommands
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, WheelAngle, Word
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
+from tilth.simulator.drive import drive
 from tilth.simulator.noise import gauss_markov
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.steered_rig import LiveDriver
-from tilth.simulator.tractor import Setting, drive
+from tilth.simulator.tractor import Setting
 
 pytestmark = pytest.mark.long
 

@@ -18,13 +18,9 @@ from tilth.estimator.methods.consistency import CONTRADICTION, Finding
 from tilth.estimator.methods.findings import KEYS
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.models.parameters import rig_of, static_loads
-from tilth.estimator.pose import motion_check, wheel_check
-from tilth.estimator.pose.motion_check import MotionCheck
-from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
     Attitude,
-    BodyPose,
     Estimate,
     Event,
     Frame,
@@ -36,7 +32,8 @@ from tilth.schemas.flow import (
     Status,
     Velocity,
 )
-from tilth.schemas.machine import Machine, parse_machine
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import sentence
@@ -174,105 +171,6 @@ def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
 
 
 # One check at a time.
-
-
-def pose_of(u: float, r: float, wheel: float | None) -> Pose:
-    body = BodyPose(0.0, 0.0, 0.02, 0.0, 0.003, u, 0.0, 0.03, 0.03, r, 0.005, 0.0, 0.01)
-    return Pose(0, 43.5, -83.4, body, body, 0.0, 0.004, wheel, 0.002, 1, None, 0.01, 4, ())
-
-
-@pytest.mark.parametrize(
-    ("factor", "key"),
-    [
-        (1.0, ""), (0.5, ""), (2.0, ""), (-1.0, "wheel_angle.sign"), (-0.5, "wheel_angle.sign"),
-        (4.0, "wheel_angle.scale"), (57.3, "wheel_angle.scale"), (0.3, "wheel_angle.scale"),
-        (1 / 57.3, "wheel_angle.scale"), (0.0, "wheel_angle.scale"),
-    ],
-)  # fmt: skip
-def test_wheel_angle_against_yaw_rate(factor: float, key: str) -> None:
-    machine, state = demo_machine(), WheelCheck()
-    rng = np.random.default_rng(1)
-    for k in range(150):
-        r = 0.2 * math.sin(0.2 * k)
-        angle = factor * math.atan(2.9 * r / 4.0) + rng.normal(0.0, 0.002)
-        wheel_check.observe(state, machine, pose_of(4.0, r, angle))
-    assert wheel_check.verdict(state)[0] == key
-    assert ("radians" in wheel_check.verdict(state)[1]) == (factor in (57.3, 1 / 57.3))
-
-
-@pytest.mark.parametrize("lag_s", [0.0, 0.15, 0.3])
-def test_a_chirp_in_which_the_yaw_rate_lags_accuses_nobody(lag_s: float) -> None:
-    """From 0.1 to 1.2 Hz in 40 s, as drivers are asked for."""
-    machine, state = demo_machine(), WheelCheck()
-    rng = np.random.default_rng(3)
-
-    def angle(t: float) -> float:
-        return 0.09 * math.sin(2 * math.pi * (0.1 + 1.1 * t / 80.0) * t)
-
-    for k in range(200):
-        t = 0.2 * k
-        rate = 4.0 * math.tan(angle(max(t - lag_s, 0.0))) / 2.9 + rng.normal(0.0, 0.002)
-        wheel_check.observe(state, machine, pose_of(4.0, rate, angle(t)))
-        assert wheel_check.verdict(state) == ("", "")
-
-
-def test_the_wheels_say_nothing_on_straight_rows_at_standstill_and_in_reverse() -> None:
-    machine, state = demo_machine(), WheelCheck()
-    for u, r, wheel in ((4.0, 0.001, -0.001), (0.2, 0.2, -0.3), (-2.0, 0.2, 0.3), (4.0, 0.1, None)):
-        for _ in range(100):
-            wheel_check.observe(state, machine, pose_of(u, r, wheel))
-    assert wheel_check.verdict(state) == ("", "")
-
-
-def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05) -> Iterator[Pose]:
-    """Two minutes of turns at 4 m/s: the way over the speed, roll per m/s^2, the implement's roll."""
-    rng = np.random.default_rng(2)
-    x = y = psi = 0.0
-    for k in range(600):
-        r = 0.35 * math.sin(0.05 * k)
-        psi += 0.2 * r
-        x, y = x + 0.2 * 4.0 * speed * math.cos(psi), y + 0.2 * 4.0 * speed * math.sin(psi)
-        pose = pose_of(4.0, r, None)
-        tractor = replace(
-            pose.tractor, x=x + rng.normal(0.0, 0.02), y=y + rng.normal(0.0, 0.02), heading=psi,
-            roll=0.05 + gradient * 4.0 * r + rng.normal(0.0, 0.01),
-        )  # fmt: skip
-        implement = replace(tractor, roll=lean_i + rng.normal(0.0, 0.01))
-        yield replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "texts"),
-    [
-        ({}, ()), ({"speed": 1.06}, ()), ({"speed": 1.3}, ("1.30 times as far",) * 2),
-        ({"speed": 0.5}, ("0.50 times as far",) * 2), ({"gradient": 0.03}, ()),
-        ({"gradient": 0.1}, ("roll follows its turns",)), ({"gradient": -0.1}, ("as no vehicle leans",)),
-        ({"lean_i": 0.15}, ()), ({"lean_i": -0.2}, ("lean apart by +14°",)),
-    ],
-)  # fmt: skip
-def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], texts: tuple[str, ...]) -> None:
-    state = MotionCheck()
-    for pose in on_a_slope(**wrong):
-        motion_check.observe(state, pose)
-    found = list(motion_check.found(state).values())
-    assert len(found) == len(texts)
-    assert all(part in text for part, text in zip(texts, found, strict=True)), found
-
-
-@pytest.mark.parametrize("slope_deg", [3.0, -5.0])
-def test_a_slope_that_is_turned_round_on_is_no_lean(slope_deg: float) -> None:
-    """Straight up a field and back: only the turn goes across the slope, and only it has side force."""
-    state, psi = MotionCheck(), 0.0
-    for k in range(225):
-        r = math.pi / 12.0 if 125 <= k < 185 else 0.0  # 180 degrees in 12 s
-        psi += 0.2 * r
-        pose = pose_of(2.5, r, None)
-        roll = math.radians(slope_deg) * math.sin(psi)
-        bodies = (replace(body, heading=psi, roll=roll) for body in (pose.tractor, pose.implement))
-        tractor, implement = bodies
-        pose = replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
-        motion_check.observe(state, pose)
-        assert not any("follows its turns" in text for text in motion_check.found(state).values())
 
 
 def wrongly(what: str) -> Callable[[Measurement], Measurement]:

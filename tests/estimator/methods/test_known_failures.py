@@ -39,7 +39,8 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Estimate, Flag, Frame, Measurement, Mount, Pose, Status
 from tilth.schemas.flow import Velocity as VelocityMeasurement
 from tilth.schemas.flow import YawRate as YawRateMeasurement
-from tilth.simulator.tractor import Fault, draw
+from tilth.simulator.scenario import Fault
+from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
 pytestmark = pytest.mark.long

@@ -11,34 +11,22 @@ import pytest
 from circle import START_NS, demo_machine
 from filterpy.kalman import update as filterpy_update
 from linear_tyres import linear_tyres
-from numpy.typing import NDArray
+from settled import MACHINE, ROLLING, point_of, seen, settled
 
 from tilth.estimator.filters import steady_outputs, unknowns
-from tilth.estimator.filters.propagation import empty_plant, set_parameters
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.states import X_PUSH, X_ROLL, Point
 from tilth.estimator.filters.steady_outputs import (
     CONSTANTS,
-    INPUTS,
-    OUTPUTS,
-    largest_slip,
-    linearised,
     outputs,
 )
 from tilth.estimator.methods import steady_state
-from tilth.estimator.models import nonlinear, rolling, rolling_terms
-from tilth.estimator.models.parameters import Rig, rig_of
-from tilth.estimator.record.steady_driving import SETTLING, SETTLING_S, SteadySample
+from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
-from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import combination_words, sentence
 
-Array = NDArray[np.float64]
-
-MACHINE = demo_machine()
 TRUTH = (200e3, 560e3, 150e3)
 SD = {"yaw_rate": 0.004, "heading": 0.006, "velocity": 0.04, "wheel": 0.002, "roll": 0.006}
 TURNS = (0.0, 0.14, 0.0, -0.14, 0.1, -0.12, 0.13, -0.1)  # rad, 12 s each
@@ -190,57 +178,13 @@ def test_the_files_uncertainty_is_in_the_published_sd(old: str, sure: str, unsur
     assert (sds[1] - sds[0]).max() > 0.012
 
 
-ROLLING = {"roll_f": 0.06, "roll_r": 0.06, "roll_i": 0.06}
 GRIP = {"grip_f": 0.7, "grip_r": 0.7, "grip_i": 0.7}
 HEADLAND = ((14.0, 2.1), (-25.0, 2.1), (32.0, 2.1), (25.0, 3.0), (-32.0, 3.0), (14.0, 3.0))
 """Degrees of the wheels and m/s."""
 
 
-def settled(rig: Rig, degrees: float, speed: float) -> dict[str, float]:
-    """States of the nonlinear model after 30 s at a constant wheel angle."""
-    driven = nonlinear.inputs_of(3000, delta=math.radians(degrees), speed=speed)
-    states = nonlinear.simulate(rig, driven, nonlinear.running(speed), 0.01)[-1]
-    return dict(zip(nonlinear.STATES, states.tolist(), strict=True))
-
-
 LOW: Final = {"h_t": 0.0, "h_i": 0.0, "h_h": 0.0, "w_f": 1e-6, "w_r": 1e-6, "w_i": 1e-6}
 """A rig that does not lean, and whose wheels are amid their axles: there the planar model is exact."""
-
-
-def point_of(**known: float) -> Array:
-    """CONSTANTS at the machine file's, but for those that are known, (n,)."""
-    mean, _ = unknowns.prior(MACHINE)
-    return np.array([known.get(name, float(mean[unknowns.AT[name]])) for name in CONSTANTS])
-
-
-def driven_on(
-    point: Array, x: Array, speed: float, delta: float, slope: float | Array, seconds: float
-) -> dict[str, float]:
-    """States of the rolling model so many seconds after x, (12,), at a constant wheel angle, rad. slope: of
-    the ground across, rad, or of that under either body, (2,)."""
-    setup, at = rig_setup(MACHINE), unknowns.prior(MACHINE)[0]
-    at[[unknowns.AT[name] for name in CONSTANTS]] = point
-    known = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))
-    plant, step = empty_plant(setup, 0), 0.005
-    set_parameters(known, setup, plant.p)
-    x, w, rate = x.copy(), np.zeros(rolling.N_INPUTS), np.zeros(len(rolling_terms.STATES))
-    for name, value in (("delta", delta), ("u", speed)):
-        w[rolling_terms.INPUTS.index(name)] = value
-    w[rolling_terms.INPUTS.index("gravity_t") :][:2] = GRAVITY * np.sin(slope)
-    for _ in range(round(seconds / step)):
-        rolling.rates(x, w, plant.p, plant.motion, rate)
-        x += step * rate
-    return dict(zip(rolling_terms.STATES, x.tolist(), strict=True))
-
-
-def settled_rolling(point: Array, speed: float, delta: float, slope: float) -> dict[str, float]:
-    """States of the rolling model a minute after it began to turn."""
-    return driven_on(point, np.zeros(len(rolling_terms.STATES)), speed, delta, slope, 60.0)
-
-
-def seen(at: dict[str, float]) -> Array:
-    """steady_outputs.OUTPUTS of states, (3,)."""
-    return np.array([at["r_t"], at["psi_t"] - at["psi_i"], at["v"]])
 
 
 @pytest.fixture
@@ -263,75 +207,6 @@ def test_what_it_expects_is_what_the_nonlinear_model_settles_to(degrees: float, 
         point = point_of(rolling=0.06, curvature=curvature, parallel=0.0)
         found = outputs(point[None], np.array([[at["u"], math.radians(degrees), 0.0, 0.0, 0.0]]), MACHINE)[0]
         assert found == pytest.approx(seen(at), rel=5e-5)
-
-
-@pytest.mark.parametrize(
-    ("known", "inputs"),
-    [
-        ({"wheel_zero": 0.01, "rolling": 0.05, "curvature": 1.2}, (2.5, 0.45, 0.02, -0.03, 0.05)),
-        ({"wheel_gain": 0.03, "camber": 0.3, "cg_t": 0.1, "lever_t": 0.2}, (1.6, -0.5, 0.07, 0.07, -0.08)),
-        ({"d": 0.1, "e": 0.3, "curvature": 0.6, "parallel": 0.5}, (4.5, 0.12, -0.05, 0.0, 0.01)),
-    ],
-)
-def test_its_jacobian_is_that_of_the_outputs(known: dict[str, float], inputs: tuple[float, ...]) -> None:
-    point = point_of(**known)
-    given = dict.fromkeys(SteadySample.__dataclass_fields__, 0.0)
-    sample = SteadySample(**(given | dict(zip(INPUTS, inputs, strict=True))))
-    z, over_constants, over_inputs = linearised(point, sample, MACHINE)
-    assert z == pytest.approx(outputs(point[None], np.array([inputs]), MACHINE)[0], abs=1e-12)
-    whole, n = np.concatenate([point, inputs]), len(point)
-    for k, found in enumerate(np.hstack([over_constants, over_inputs]).T):
-        nudge = 1e-4 * (np.arange(len(whole)) == k)
-        rows = np.array([whole + nudge, whole - nudge])
-        after, before = outputs(rows[:, :n], rows[:, n:], MACHINE)
-        assert found == pytest.approx((after - before) / 2e-4, abs=1e-6)
-
-
-TURNS_AT_ALL_ANGLES: Final = ((4.0, 4.5), (-14.0, 3.0), (22.0, 2.1), (-30.0, 1.6), (32.0, 2.1))
-"""Degrees of the wheels and m/s."""
-
-
-@pytest.mark.parametrize("slope", [0.0, math.radians(4.0)])
-@pytest.mark.parametrize(("degrees", "speed"), TURNS_AT_ALL_ANGLES)
-def test_what_it_expects_is_what_the_rolling_model_settles_to(
-    degrees: float, speed: float, slope: float
-) -> None:
-    """Both bodies roll on their tyres until nothing changes; what is measured is slope and lean."""
-    point, delta = point_of(rolling=0.06, camber=0.2, parallel=0.4), math.radians(degrees)
-    at = settled_rolling(point, speed, delta, slope)
-    measured = np.array([[speed, delta, slope + at["phi_t"], slope + at["phi_i"], 0.0]])
-    assert outputs(point[None], measured, MACHINE)[0] == pytest.approx(seen(at), rel=1e-5)
-
-
-@pytest.mark.parametrize(("degrees", "speed"), TURNS_AT_ALL_ANGLES)
-def test_the_largest_slip_is_that_of_the_tyres(degrees: float, speed: float) -> None:
-    zero, delta = 0.02, math.radians(degrees)
-    at = settled_rolling(point_of(), speed, delta, 0.0)
-    given: dict[str, float] = dict.fromkeys(SteadySample.__dataclass_fields__, 0.0)
-    given |= dict(zip(OUTPUTS[:2], seen(at)[:2].tolist(), strict=True))
-    sample = SteadySample(**(given | {"u": speed, "v": at["v"], "wheel_angle": delta + zero}))
-    largest = max(abs(at[f"alpha_{axle}"]) for axle in "fri")
-    assert largest_slip(sample, zero, MACHINE) == pytest.approx(largest, rel=1e-4)
-    assert largest_slip(replace(sample, v=None), zero, MACHINE) == 0.0
-
-
-@pytest.mark.parametrize("folding", [0.06, -0.06])
-@pytest.mark.parametrize(("degrees", "speed"), TURNS_AT_ALL_ANGLES)
-def test_a_rig_that_folds_goes_on_as_expected(degrees: float, speed: float, folding: float) -> None:
-    """From the turn that is expected at some folding the rolling model drives on for half a second. What is
-    expected there, at the folding that is left, is where it is: to a tenth of what folding makes out."""
-    point, delta = point_of(rolling=0.06, camber=0.2), math.radians(degrees)
-    turn = steady_outputs._solved(point, np.array([speed, delta, 0.0, 0.0, folding]), MACHINE)[0].x
-    slopes = -turn[X_ROLL : X_ROLL + 2]  # measured roll is 0
-    at = driven_on(point, turn[:X_PUSH], speed, delta, slopes, 0.5)
-    measured = [speed, delta, slopes[0] + at["phi_t"], slopes[1] + at["phi_i"]]
-    without, left = (
-        outputs(point[None], np.array([[*measured, rate]]), MACHINE)[0] - seen(at)
-        for rate in (0.0, at["r_t"] - at["r_i"])
-    )
-    assert abs(without[1]) > 0.02
-    assert abs(left[1]) < 0.1 * abs(without[1])
-    assert np.abs(left[[0, 2]]).max() < 5e-4
 
 
 @pytest.mark.usefixtures("low")
@@ -454,26 +329,6 @@ def test_nothing_is_learned_until_slip_has_followed_the_wheels() -> None:
     # 3 s after a change of the wheel angle, and a block of 1 s
     assert 3.8 < min(usable) < 4.7
     assert max(usable) > 11.3
-
-
-@pytest.mark.parametrize(("degrees", "speed"), [(6.0, 2.0), (-18.0, 2.0), (25.0, 2.2), (32.0, 2.0)])
-def test_a_rig_that_still_folds_is_understood(degrees: float, speed: float) -> None:
-    """In a slow turn an eighth of the way or more is left when the first block may begin; by the rate of
-    folding all but two fifths of it are foreseen."""
-    rig = linear_tyres(rig_of(MACHINE))._replace(**ROLLING)
-    driven = nonlinear.inputs_of(3000, delta=math.radians(degrees), speed=speed)
-    run = nonlinear.simulate(rig, driven, nonlinear.running(speed), 0.01)
-    at = {name: run[:, k] for k, name in enumerate(nonlinear.STATES)}
-    k = round(max(SETTLING * rig.towed_length / speed, SETTLING_S) / 0.01)
-    articulation = at["psi_t"] - at["psi_i"]
-    point = point_of(rolling=0.06, curvature=0.0, parallel=0.0)
-    known = [at["u"][k], math.radians(degrees), 0.0, 0.0]
-    left, foreseen = (
-        outputs(point[None], np.array([[*known, folding]]), MACHINE)[0, 1] - articulation[k]
-        for folding in (0.0, at["r_t"][k] - at["r_i"][k])
-    )
-    assert abs(left) > 0.12 * abs(articulation[k])
-    assert abs(foreseen) < 0.4 * abs(left)
 
 
 @pytest.mark.parametrize("degrees", [12.0, 25.0])

@@ -16,19 +16,36 @@ from tilth.estimator.models.identifiability import (
     bound,
     cramer_rao,
     sensitivities,
-    steady_sensitivities,
     whitened,
 )
 from tilth.estimator.models.linear_analysis import discretise, outputs_of, simulate, system
 from tilth.estimator.models.manoeuvres import MANOEUVRES, Manoeuvre, manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig
+from tilth.estimator.models.steady_turn import steady_turn
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
 
 RELAXATION = model_named("relaxation")
 DT = 0.02
+STEP = 1e-4
 TIME: Array = np.arange(1501, dtype=np.float64) * DT
+
+
+def steady_sensitivities(rig: Rig, speed: float) -> Array:
+    """d log(gain) / d log(C) of steady turning, shape (3, 3).
+
+    Rows: yaw rate, articulation, lateral velocity per wheel angle. Columns: C_af, C_ar, C_ai.
+    """
+
+    def logs(log_c: Array) -> Array:
+        row = np.array([[*np.exp(log_c), rig.m_t, rig.m_i, speed, 1.0, 0.0, 0.0]])
+        v, r, lam = steady_turn(row, *rig.geometry[:5].tolist())[0]
+        return np.log(np.abs([r, lam, v]))
+
+    at = np.log(rig.theta[:3])
+    nudges = np.eye(3) * STEP
+    return np.column_stack([(logs(at + n) - logs(at - n)) / (2 * STEP) for n in nudges])
 
 
 def steady_bound(rig: Rig, speeds: Sequence[float], outputs: Sequence[int] = (0, 1, 2)) -> Bound:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from linear_tyres import linear_tyres
+from loaded_rig import loaded
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
@@ -14,9 +15,10 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate as simulate_linear
 from tilth.estimator.models.linear_analysis import steady_gains
 from tilth.estimator.models.nonlinear import STATES, derivative, inputs_of, running, simulate, wheels
-from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, loaded, static_loads
+from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, static_loads
 
 Array = NDArray[np.float64]
+
 
 FREE = TABLE_5_1._replace(roll_f=0.0, roll_r=0.0, roll_i=0.0)  # nothing brakes but slip
 COASTING = linear_tyres(FREE)._replace(

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from linear_tyres import linear_tyres
+from loaded_rig import loaded
 from paths import ROOT
 
 from tilth.estimator.models.parameters import (
@@ -15,12 +16,11 @@ from tilth.estimator.models.parameters import (
     Parameter,
     Rig,
     checked,
-    loaded,
     rig_of,
     static_loads,
 )
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 

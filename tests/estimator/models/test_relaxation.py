@@ -18,7 +18,7 @@ from tilth.estimator.models.relaxation import (
     input_matrix,
     system_matrix,
 )
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 
 REFERENCE = SHARED / "reference" / "model_values.json"
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"

@@ -10,7 +10,7 @@ from circle import demo_machine
 from tilth.estimator.fold import initial, step
 from tilth.estimator.pose.log_time import LogTime, take_stamp
 from tilth.schemas.flow import Event, Frame
-from tilth.simulator.tractor import Scenario
+from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
 START = 1_700_000_000.0

@@ -53,9 +53,10 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.reasons import Code
+from tilth.simulator.drive import drive
 from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
 from tilth.simulator.scenario import Ground, Scenario, SurveyErrors
-from tilth.simulator.tractor import AT, Truth, drive
+from tilth.simulator.tractor import AT, Truth
 
 Array = NDArray[np.float64]
 Change = Callable[[Pose], Pose]

@@ -24,8 +24,8 @@ from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Accepted, Estimate, Event, Frame, Status
 from tilth.schemas.machine import Machine
+from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, SoilChange
-from tilth.simulator.tractor import drive
 from tilth.simulator.traffic import host_clock, traffic
 
 Array = NDArray[np.float64]

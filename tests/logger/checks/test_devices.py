@@ -11,7 +11,7 @@ from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.schemas.can_id import join, split
 from tilth.schemas.decode import claim
 from tilth.schemas.flow import Frame, Mount
-from tilth.schemas.machine import parse_machine
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Fault, Scenario
 from tilth.simulator.traffic import simulate
 

@@ -1,0 +1,150 @@
+"""How the tracker's filter moves mean and covariance."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from stretches import ACTIVE, READINGS, SETUP, Array, half_a_stretch, moved, somewhere
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.propagation import (
+    set_slopes,
+)
+from tilth.estimator.filters.states import (
+    DT,
+    N_STATES,
+    SLOPE_LENGTH,
+    X_ALPHA,
+    X_PAIR,
+    X_POSITION,
+    X_PSI,
+    X_PUSH,
+    X_R,
+    X_ROLL,
+    X_SLOPE,
+    X_SLOPE_RATE,
+    X_UNEVEN,
+    X_V,
+)
+from tilth.estimator.filters.states import SLOPES as SLOPE_STATES
+from tilth.estimator.filters.transition import empty_transition
+from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.models import nonlinear
+from tilth.estimator.models.parameters import GEOMETRY
+
+PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1, X_POSITION, X_POSITION + 1]
+"""The states that the planar model has too, in its order of `simulated`."""
+LOW = SETUP._replace(
+    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, k_f=1e30)
+)
+"""Everything at the ground: then no force leans a body."""
+HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber", "shrink")]
+
+
+def at_the_ground(point: Array) -> Array:
+    out = point.copy()
+    out[HEIGHTS] = 0.0
+    return out
+
+
+def slopes_move(speed: float) -> Array:
+    """(4, 4): d/dt of both cross slopes and their rates. Both are critically damped, the tractor's to nothing
+    over SLOPE_LENGTH, the implement's to the tractor's over half of the way from CG to axle each time."""
+    c, d, e = LOW.geometry[2:5]
+    own, behind = speed / SLOPE_LENGTH, 2.0 * speed / (c + d + e)
+    return np.array([
+        [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0],
+        [-(own**2), 0.0, -2.0 * own, 0.0], [behind**2, -(behind**2), 0.0, -2.0 * behind],
+    ])  # fmt: skip
+
+
+def test_the_implement_meets_the_cross_slope_of_the_tractor_where_its_wheels_come_to_it() -> None:
+    step = empty_transition.interpreted()(0, 0, 1)
+    c, d, e = LOW.geometry[2:5]
+    for speed in (1.5, 2.0, 4.5):
+        set_slopes.interpreted()(speed, LOW, step)
+        np.testing.assert_allclose(step.slope, expm(DT * slopes_move(speed)), atol=1e-6)
+        followed = np.array([0.0, 0.0, 0.0, 0.0])
+        late = 0.0
+        for _ in range(round(60.0 / speed / DT)):
+            followed[[0, 2]] = 1.0, 0.0  # from here on the tractor is on a slope
+            late += (1.0 - followed[1]) * DT * speed
+            followed = step.slope @ followed
+        assert late == pytest.approx(c + d + e, rel=0.03)  # m, the mean delay of a step
+
+
+def simulated(x: Array, point: Array, readings: Array) -> Array:
+    """x[PLANAR] after as many ticks, less one, by the nonlinear model at 4.5 m/s with LOW's heights."""
+    geometry = unknowns.geometry(LOW.geometry, point)
+    changes = dict(zip(GEOMETRY, geometry, strict=True)) | dict.fromkeys(
+        ("roll_f", "roll_r", "roll_i"), point[AT["rolling"]]
+    )
+    grips = dict.fromkeys(("grip_f", "grip_r", "grip_i"), 1.0 / point[AT["curvature"]])
+    rig = LOW.rig._replace(**changes, **grips)
+    time = DT * np.arange(len(readings))
+    slopes = np.array([expm(t * slopes_move(4.5)) @ x[list(SLOPE_STATES)] for t in time]).T
+    inputs = nonlinear.inputs_of(
+        len(readings),
+        delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
+        speed=4.5,
+        gravity_t=slopes[0],
+        gravity_i=slopes[1],
+    )
+    start = nonlinear.running(4.5)
+    start[:4], start[5:11] = x[[X_POSITION, X_POSITION + 1, X_PSI, X_PSI + 1]], x[PLANAR[:6]]
+    held = rig._replace(drive_gain=2e6, drive_limit=1e9)  # the speed stays, by whatever force that takes
+    states = nonlinear.simulate(held, inputs, start, DT, soil=np.exp(point[SIX]), linear=True)
+    return np.asarray(states[-1, [5, 6, 7, 8, 9, 10, 2, 3, 0, 1]], np.float64)
+
+
+def test_with_everything_at_the_ground_the_mean_moves_as_the_nonlinear_model_does() -> None:
+    x, point = somewhere(1)
+    x[X_ROLL:X_PSI] = x[X_PUSH:X_SLOPE] = x[X_UNEVEN:X_SLOPE_RATE] = 0.0
+    point = at_the_ground(point)
+    after = moved(x, point, READINGS, 20, 5, LOW)
+    late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
+    true = simulated(x, point, READINGS[20:26] - late)
+    assert np.max(np.abs(true - x[PLANAR])) > 0.01
+    np.testing.assert_allclose(after[PLANAR[:8]], true[:8], atol=2e-4)
+    np.testing.assert_allclose(after[X_POSITION : X_POSITION + 2], true[8:], atol=2e-3)
+    np.testing.assert_allclose(after[X_ROLL:X_PSI], 0.0, atol=1e-12)
+
+
+def test_the_covariance_moves_as_small_changes_do() -> None:
+    x, point = somewhere(2)
+    n = len(point)
+    covariance = np.zeros((n, n))
+    covariance[ACTIVE, ACTIVE] = 1.0
+    after, P_xx, P_xtheta = half_a_stretch(x, point, covariance, np.eye(N_STATES))
+    by_x, by_point = np.zeros((N_STATES, N_STATES)), np.zeros((N_STATES, n))
+    for j in range(N_STATES):
+        nudge = 1e-6 * np.eye(N_STATES)[j]
+        by_x[:, j] = (moved(x + nudge, point) - after) / 1e-6
+    for k in ACTIVE:
+        nudge = 1e-6 * np.eye(n)[k]
+        by_point[:, k] = (moved(x, point + nudge) - after) / 1e-6
+    scale = np.abs(by_point).max(axis=0) + 1e-3
+    # One set of slopes serves three ticks: what relaxation lengths do while slip grows is right to an eighth.
+    np.testing.assert_allclose(P_xtheta / scale, by_point / scale, atol=0.12)
+    whole = by_x @ by_x.T + by_point @ by_point.T
+    sd = np.sqrt(np.diag(whole))
+    np.testing.assert_allclose(P_xx / np.outer(sd, sd), whole / np.outer(sd, sd), atol=0.1)
+
+
+def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
+    far = []
+    for seed in range(12):
+        x, point = somewhere(seed)
+        covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
+        steered = x.copy()
+        steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
+        steered[X_PUSH:X_PAIR] = 0.0
+        own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+        by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
+        there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+        scale = np.abs(there).max(axis=0)
+        far.append(np.abs((by_steering - there) / scale).max())
+        assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)
+    # They are of the steered state but for where the Jacobian over the state was taken, which is once.
+    assert np.median(far) < 0.15 and max(far) < 0.4

@@ -1,0 +1,35 @@
+"""What a driver is shown of a calibration."""
+
+from typing import Any
+
+from kinematic_drive import MACHINE, Plan, measurements
+
+from tilth.client.calibration.shown import (
+    DRIVING,
+    ComputedSoFar,
+    shown,
+)
+from tilth.estimator.calibration import stages
+from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.verdict import TOLD
+
+STANDS: Plan = ((10, 0.0, 0),)
+
+
+def fold_of(plan: Plan) -> stages.StageFold:
+    return stages.take_all(stages.initial(MACHINE), measurements(plan))
+
+
+def shown_of(fold: stages.StageFold, answer: dict[str, Any], phase: str = DRIVING, trouble: str = "") -> Any:
+    return shown("rig", fold, ComputedSoFar(answer), (), trouble, phase)
+
+
+def computed(**changes: Any) -> dict[str, Any]:
+    rows = [
+        {
+            "name": number.name, "status": TOLD, "sd": number.prior_sd / 20, "prior_sd": number.prior_sd,
+            "wanted_sd": number.wanted_sd, "moved": number.prior_sd / 3, "tell": "",
+        }
+        for number in NUMBERS
+    ]  # fmt: skip
+    return {"numbers": rows, "faults": [{"kind": "swapped", "text": "two are exchanged"}], **changes}

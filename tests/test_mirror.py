@@ -1,0 +1,72 @@
+"""tests/ mirrors the folders: where the tests of a module are follows from where the module is."""
+
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+import pytest
+from paths import ROOT
+
+from tilth.deploy.imports import folders, imported, sources
+
+LONG = 80  # lines of a module that wants a test
+TESTS = ROOT / "tests"
+
+
+def place(module: str) -> Path:
+    """Where the test file of its own name would be."""
+    top, *rest = module.removesuffix(".__init__").split(".")
+    folder = Path(folders()[top].relative_to(ROOT), *rest[:-1]) if rest else Path()
+    mirrored = PurePosixPath(folder).as_posix().replace("examples/adaptive_guidance", "examples")
+    return TESTS / mirrored / f"test_{rest[-1] if rest else top}.py"
+
+
+def named(module: str) -> bool:
+    """Whether a test file, or a folder of test files, has its name in the mirrored folder."""
+    own = place(module)
+    return own.exists() or any((own.parent / own.stem.removeprefix("test_")).glob("test_*.py"))
+
+
+def uses(names: frozenset[str], module: str) -> bool:
+    return any(f"{name}.".startswith(f"{module.removesuffix('.__init__')}.") for name in names)
+
+
+def held(module: str, modules: Mapping[str, frozenset[str]], tests: Mapping[Path, frozenset[str]]) -> bool:
+    """By a test file of its name; by a test of the mirrored folder that imports it; or as a part: a module of
+    its own folder, itself held in one of these ways, imports it. Given is what each imports."""
+
+    def directly(one: str) -> bool:
+        folder = place(one).parent
+        return named(one) or any(folder in path.parents and uses(names, one) for path, names in tests.items())
+
+    room = module.rpartition(".")[0]
+    beside = [one for one, names in modules.items() if one.rpartition(".")[0] == room and uses(names, module)]
+    return directly(module) or any(directly(one) for one in beside if one != module)
+
+
+SOURCES = {name: text for name, text in sources().items() if "_pb2" not in name and ".generated." not in name}
+MODULES = {name: frozenset(imported(text)) for name, text in SOURCES.items()}
+FILES = {path: frozenset(imported(path.read_text(encoding="utf-8"))) for path in TESTS.rglob("test_*.py")}
+
+
+@pytest.mark.parametrize("module", [name for name, text in SOURCES.items() if text.count("\n") > LONG])
+def test_each_long_module_has_its_test_in_the_mirrored_folder(module: str) -> None:
+    assert held(module, MODULES, FILES), (
+        f"give it {place(module).relative_to(ROOT)}, or import it in another test of that folder"
+    )
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)
+def test_each_folder_of_tests_mirrors_one(folder: Path) -> None:
+    mirrored = folder.relative_to(TESTS)
+    assert (ROOT / mirrored).is_dir() or mirrored.parts[:1] == ("vm",)
+
+
+def test_the_check_sees_a_module_without_a_test() -> None:
+    new = "logger.log.planted"
+    planted = {**MODULES, new: frozenset[str]()}
+    asked = frozenset({f"{new}.something"})
+    assert not held(new, planted, FILES)
+    assert not held(new, planted, {**FILES, TESTS / "cli/test_planted.py": asked})
+    assert held(new, planted, {**FILES, TESTS / "logger/log/test_other.py": asked})
+    assert held(new, {**planted, "logger.log.runs": asked}, FILES)
+    assert not held(new, {**planted, "logger.daemon": asked}, FILES)
