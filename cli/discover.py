@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import json
-import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -19,6 +18,7 @@ from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import LogError
 from tilth.replay.turn_rates import in_words
+from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
@@ -106,11 +106,18 @@ def parse_buses(specifications: Sequence[str]) -> list[Bus]:
         if not (interface and channel and colon):
             raise WrongUse(f"--bus {given}: write INTERFACE:CHANNEL[,key=value…], such as socketcan:can0")
         bitrate = values.pop("bitrate", 250_000)
-        plain = re.fullmatch(r"[A-Za-z0-9_.-]+", channel) and channel not in [bus.name for bus in buses]
-        name = channel if plain else f"can{len(buses)}"
+        names = [bus.name for bus in buses]
+        plain = bus_name(channel, names) == channel
+        name = channel if plain else bus_name(f"can{len(buses)}", names)
         try:
             buses.append(
-                Bus(name=name, interface=interface, channel=channel, bitrate=bitrate, options=values)
+                Bus(
+                    name=bus_name(name, names),
+                    interface=interface,
+                    channel=channel,
+                    bitrate=bitrate,
+                    options=values,
+                )
             )
         except ValidationError as error:
             raise WrongUse(f"--bus {given}: {error.errors()[0]['msg']}") from None

@@ -17,6 +17,7 @@ from typing import BinaryIO, Final, NamedTuple
 from mcap.writer import MCAP0_MAGIC
 
 from tilth.replay.readers import can_logs, captures, ebl, mcap_reader, ros_log, stream, text
+from tilth.replay.readers.gateway_text import SIGNAL_K
 from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, OtherKind, Record, RunPlace
 from tilth.replay.readers.table_text import KVASER_ROW, layout_of
 from tilth.schemas.bus_name import bus_name
@@ -132,6 +133,7 @@ def _mcap(log: OpenLog, stream: BinaryIO) -> Iterator[Record]:
 
 
 _ASC = re.compile(r"(date\s.*\d:\d\d|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
+_TRC = re.compile(r";\$FILEVERSION|\s*\d+\)\s+\d+(?:\.\d+)?\s+\S")  # 1.0 begins with its comments
 _CSV = re.compile(r"timestamp,arbitration_id,extended,remote,error,dlc,data\s*$")
 _GVRET = re.compile(r'"?time ?stamp"?[,;\t]"?id"?[,;\t]"?extended', re.IGNORECASE)
 _CANEDGE = re.compile(r'"?TimestampEpoch"?[,;\t|]', re.IGNORECASE)
@@ -143,9 +145,10 @@ MCAP: Final = "MCAP"
 KINDS: Final = (
     Kind(MCAP, _mcap, (MCAP0_MAGIC,), by_path=True, listed="its own .mcap logs"),
     *(Kind(form.name, text.lines, line=form.pattern.match) for form in text.FORMS if form.name),
+    Kind("Signal K", text.lines, line=SIGNAL_K.match, listed="Signal K's log of raw data"),
     Kind("ASC", text.asc, line=_ASC.match),
     Kind("BLF", can_logs.blf, (b"LOGG",)),
-    Kind("TRC", text.trc, line=re.compile(r";\$FILEVERSION").match),
+    Kind("TRC", text.trc, line=_TRC.match),
     Kind("MF4", can_logs.mf4, (b"MDF     ", b"UnFinMF "), by_path=True),
     Kind("CSV", text.table, line=_CSV.match, listed="the CSV files of python-can"),
     Kind("SavvyCAN", text.table, line=_GVRET.match, listed="SavvyCAN (GVRET)"),

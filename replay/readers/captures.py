@@ -1,8 +1,8 @@
 """Captures of network tools: pcap and pcapng of SocketCAN, of one interface or of all (`tcpdump -i any`).
 
 A packet is an identifier with flags as linux/can.h has them but most significant byte first, a length, a byte
-of flags, two of nothing, and the data. Of all interfaces, a head is before it (LINUX_SLL, LINUX_SLL2), and the
-identifier is in the byte order of the computer that wrote the file. Stamps are the capture's own.
+of flags, two of nothing, and the data. Of all interfaces, a head is before it (LINUX_SLL, LINUX_SLL2), and
+the identifier is in the byte order of the computer that wrote the file. Stamps are the capture's own.
 """
 
 import struct

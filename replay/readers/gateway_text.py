@@ -45,7 +45,7 @@ IKONVERT_STATUS: Final = re.compile(r"(?:\$PDGY,[^$!]*|!PDGY,\d{1,8},\d{1,3},[A-
 """What it says of itself, and what it was given to send: that tells no source."""
 SIGNAL_K: Final = re.compile(r"\d{13};\w{1,20};")
 """What Signal K's log of raw data puts before what it has heard: when, and what that is."""
-NMEA_0183: Final = re.compile(r"(?:\\[^\\]*\\)?[$!][A-Z0-9]{4,8},[^$]*$|\{.*\}\s*$")
+NMEA_0183: Final = re.compile(r"(?:\\[^\\]*\\)?[$!](?!PDGY)[A-Z0-9]{4,8},[^$]*$|\{.*\}\s*$")
 """Sentences of NMEA 0183 and Signal K's own messages, which such a log holds too."""
 
 

@@ -127,10 +127,12 @@ class Table:
             if (found := layout_of(line)) is not None:
                 layout = found
             elif layout is not None and not _is_comment(line):
-                cells = _cells(line, layout)
-                if len(cells) > layout.places["id"]:
-                    identifiers.append(cells[layout.places["id"]])
-                    octets += cells[layout.data[0] :] if len(layout.data) > 1 else _octets(cells, layout)
+                try:
+                    row = _split(line, layout)
+                except (LookupError, ValueError):
+                    continue  # of the head
+                identifiers.append(row.get("id", ""))
+                octets += row.get("data", "").split()
         self.id_base = self.id_base or (10 if _is_decimal(identifiers, LAST_ID) else 16)
         self.data_base = self.data_base or (10 if _is_decimal(octets, 255) else 16)
 
@@ -160,14 +162,22 @@ class Table:
     def whole(self, line: str) -> bool:
         """Whether a line that gave a frame is known to be whole without its end."""
         layout = self.layout
-        if layout is None or not layout.places.keys() & {"dlc", "length"} or layout.end > layout.data[-1]:
+        if layout is None or layout.end > layout.data[-1]:
             return False
+        row = _split(line, layout)
+        told = row.get("length") or row.get("dlc")
+        if not told:
+            return False
+        if layout.base_64:
+            return True  # its length was right
         if layout.separator is None:
-            return len(line.split()[-1]) == 2 and self.data_base == 16
+            return self.data_base == 16 and len(line.split()[-1]) == 2
         cells = _cells(line, layout)
-        last = cells[-1].split()[-1:] if len(layout.data) == 1 else cells[-1:]
-        after = len(cells) > layout.data[0] + 1 and not cells[-1]
-        return after or layout.base_64 or (self.data_base == 16 and len(last) == 1 and len(last[0]) % 2 == 0)
+        last = layout.data[max(0, min(int(told), len(layout.data)) - 1)] if int(told) else layout.data[0] - 1
+        if len(cells) > last + 1:
+            return True  # something follows
+        digits = sum(map(len, row["data"].split()))
+        return self.data_base == 16 and digits == 2 * int(told) > 0
 
     def _remember(self, line: str) -> None:
         """What a head says beside its columns."""
@@ -201,7 +211,7 @@ class Table:
 
     def _row(self, line: str) -> Frame | str:
         assert self.layout is not None
-        row = _by_blanks(line, self.layout) if self.layout.separator is None else _by_marks(line, self.layout)
+        row = _split(line, self.layout)
         if row.get("error", "").lower() == "errorframe":
             row["id"], row["data"] = "0", ""
         t_ns = self._stamp(row["time"]) if "time" in row else self.clock.nothing()
@@ -303,14 +313,6 @@ def _cells(line: str, layout: Layout) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(layout.separator)]
 
 
-def _octets(cells: list[str], layout: Layout) -> list[str]:
-    """Of data that stand in one column, or behind it between blanks."""
-    if layout.separator is not None:
-        return cells[layout.data[0]].split() if len(cells) > layout.data[0] else []
-    row = _by_blanks(" ".join(cells), layout) if len(cells) > 3 else {}
-    return row.get("data", "").split()
-
-
 def _is_decimal(numbers: list[str], last: int) -> bool:
     """Whether these are decimal: not one has a hexadecimal digit, and as such some were too large."""
     bare = [number.lower().removesuffix("x") for number in numbers if number]
@@ -323,6 +325,11 @@ def _number(text: str, base: int) -> int:
     return int(text, 16) if text.startswith("0x") else int(text, base)
 
 
+def _split(line: str, layout: Layout) -> dict[Role, str]:
+    """What a row holds. Raises LookupError for one that is too short."""
+    return _by_blanks(line, layout) if layout.separator is None else _by_marks(line, layout)
+
+
 def _by_marks(line: str, layout: Layout) -> dict[Role, str]:
     cells = _cells(line, layout)
     row: dict[Role, str] = {role: cells[at] for role, at in layout.places.items() if at < len(cells)}
@@ -333,8 +340,6 @@ def _by_marks(line: str, layout: Layout) -> dict[Role, str]:
         row["data"] = " ".join(cells[first:])
     else:
         row["data"] = cells[first]
-    if row.get("time") == "":
-        raise ValueError("no time")
     return row
 
 
@@ -359,7 +364,7 @@ def _by_blanks(line: str, layout: Layout) -> dict[Role, str]:
                 row["flags"] += " rtr"
             break
         data.append(cell)
-    length = int(row["dlc"])
+    length = int(row["dlc"][:3])
     row["data"] = " ".join(data[: length if length <= 8 else 64])
     return row
 
