@@ -50,7 +50,7 @@ _CREATED: Final = re.compile(r"\s*(?:Memorator Binary logfile created at|DateTim
 _STARTED: Final = re.compile(r"\*\*\*START DATE AND TIME ([^*]*\d)[^*]*\*\*\*")
 _MODE: Final = re.compile(r"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
 _CL_STARTED: Final = re.compile(r"#\s*Time:\s*(\d{8})T\d{6}")
-_COMMENTS: Final = ("#", "//", ";", "===", "***")
+_COMMENTS: Final = ("#", "//", "===", "***")
 _HEX: Final = re.compile("[0-9A-Fa-f]+")
 
 
@@ -64,6 +64,7 @@ class Layout:
     unit_ns: int = 0  # of the times; 0: not said
     whole_ns: int = 0  # of times that are whole numbers; 0: their size tells
     base_64: bool = False
+    spills: bool = False  # the data are in its last column: further bytes may be in further cells
 
     @property
     def end(self) -> int:
@@ -100,7 +101,8 @@ def layout_of(line: str) -> Layout | None:
         return None  # prose
     unit = unit_ns(names[places["time"]]) if "time" in places else 0
     gvret = "time" in places and plain(names[places["time"]]) == "timestamp" and len(data) > 1
-    return Layout(separator, places, data, unit, 1_000 if gvret else 0, bare.lower() == _BASE_64)
+    last = data[-1] == len(names) - 1 and len(data) == 1
+    return Layout(separator, places, data, unit, 1_000 if gvret else 0, bare.lower() == _BASE_64, last)
 
 
 @dataclass(slots=True)
@@ -124,6 +126,8 @@ class Table:
         identifiers: list[str] = []
         octets: list[str] = []
         for line in lines:
+            if not line.endswith("\n"):
+                continue  # it may be cut
             if (found := layout_of(line)) is not None:
                 layout = found
             elif layout is not None and not _is_comment(line):
@@ -133,8 +137,9 @@ class Table:
                     continue  # of the head
                 identifiers.append(row.get("id", ""))
                 octets += row.get("data", "").split()
-        self.id_base = self.id_base or (10 if _is_decimal(identifiers, LAST_ID) else 16)
-        self.data_base = self.data_base or (10 if _is_decimal(octets, 255) else 16)
+        self.id_base = 10 if _is_decimal(identifiers, LAST_ID) else 16
+        short = self.id_base == 10 and all(map(str.isdecimal, octets)) and 1 in map(len, octets)
+        self.data_base = 10 if short or (_is_decimal(octets, 255) and max(map(len, octets)) < 4) else 16
 
     def take(self, line: str) -> Frame | str | None:
         """The frame of a line, or why it has none; None of what is no row. Raises ValueError."""
@@ -174,10 +179,9 @@ class Table:
             return self.data_base == 16 and len(line.split()[-1]) == 2
         cells = _cells(line, layout)
         last = layout.data[max(0, min(int(told), len(layout.data)) - 1)] if int(told) else layout.data[0] - 1
-        if len(cells) > last + 1:
+        if len(cells) > last + 1 and not (layout.spills and int(told)):
             return True  # something follows
-        digits = sum(map(len, row["data"].split()))
-        return self.data_base == 16 and digits == 2 * int(told) > 0
+        return self.data_base == 16 and sum(map(len, _tokens(row["data"]))) == 2 * int(told) > 0
 
     def _remember(self, line: str) -> None:
         """What a head says beside its columns."""
@@ -235,8 +239,7 @@ class Table:
     def _data(self, text: str) -> bytes:
         if self.data_base == 10:
             return bytes(map(int, text.split()))
-        tokens = re.sub(r"0x|[-:\[\]]", " ", text.lower()).split()
-        return bytes.fromhex("".join(f"0{token}" if len(token) == 1 else token for token in tokens))
+        return bytes.fromhex("".join(f"0{token}" if len(token) == 1 else token for token in _tokens(text)))
 
     def _stamp(self, text: str) -> int:
         """Of a cell that holds a time."""
@@ -279,6 +282,11 @@ class Table:
             self.origin_ns += passed_ns
             return self.origin_ns
         return self.origin_ns + passed_ns if self.mode == "ABSOLUTE" else self.clock.at(passed_ns)
+
+
+def _tokens(data: str) -> list[str]:
+    """Hexadecimal numbers of one byte or more, without what is between them and 0x."""
+    return re.sub(r"0x|[-:\[\]]", " ", data.lower()).split()
 
 
 def _is_comment(line: str) -> bool:
@@ -336,7 +344,7 @@ def _by_marks(line: str, layout: Layout) -> dict[Role, str]:
     first = layout.data[0]
     if len(layout.data) > 1:
         row["data"] = " ".join(cells[at] for at in layout.data if at < len(cells))
-    elif first == layout.end and len(cells) > first + 1:  # further bytes in further columns
+    elif layout.spills:
         row["data"] = " ".join(cells[first:])
     else:
         row["data"] = cells[first]

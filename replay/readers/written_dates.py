@@ -60,7 +60,7 @@ def utc_ns(text: str) -> int:
 
     Of numbers alone the day is before the month, but for 2026-10-05 and where there is no such month.
     """
-    words = text.replace(",", " ").split()
+    words = [word.strip(",") for word in text.split()]
     clocks = [match for match in map(_CLOCK.match, words) if match]
     if len(clocks) != 1:
         raise ValueError("no time of day")
