@@ -48,8 +48,9 @@ def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     link &= _LINK_TYPE
     if link not in _LINKS:
         raise OtherKind(f"{log.path}: a capture of link type {link}, {_NOT_OF_CAN}")
+    packets = _Packets()
     for stamp_ns, packet in _records(log, stream, order, unit_ns):
-        yield from _usable(log, _linked(link, order, packet, stamp_ns, "can0"))
+        yield from _usable(log, packets.frame(link, order, packet, stamp_ns, "can0"))
 
 
 def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
@@ -76,22 +77,28 @@ def _usable(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
         log.skip(found)
 
 
-def _linked(link: int, order: str, packet: bytes, t_ns: int, bus: str) -> Frame | str:
-    """The frame of a packet of one of the _LINKS, or why it is none."""
-    if link == SOCKETCAN:
-        return _frame(packet, t_ns, bus)
-    protocol_at, interface_at, size = COOKED[link]
-    if len(packet) < size + 4:
-        return "short_packet"
-    if int.from_bytes(packet[protocol_at : protocol_at + 2], "big") not in _CAN_PROTOCOLS:
-        return "other_packet"
-    if interface_at is not None:
-        bus = f"if{int.from_bytes(packet[interface_at : interface_at + 4], 'big')}"
-    identifier, rest = packet[size : size + 4], packet[size + 4 :]
-    swapped = identifier[::-1]
-    # Some libraries write it the other way round: one of the two is no identifier.
-    here, other = (swapped, identifier) if order == "<" else (identifier, swapped)
-    return _frame((here if _is_identifier(here) or not _is_identifier(other) else other) + rest, t_ns, bus)
+@dataclass(slots=True)
+class _Packets:
+    """Finds the frames in packets of any of the _LINKS, most of which are alike."""
+
+    turned: int = 0  # more identifiers were in the other byte order than the file's: some libraries do that
+
+    def frame(self, link: int, order: str, packet: bytes, t_ns: int, bus: str) -> Frame | str:
+        """The frame of a packet, or why it is none."""
+        if link == SOCKETCAN:
+            return _frame(packet, t_ns, bus)
+        protocol_at, interface_at, size = COOKED[link]
+        if len(packet) < size + 4:
+            return "short_packet"
+        if int.from_bytes(packet[protocol_at : protocol_at + 2], "big") not in _CAN_PROTOCOLS:
+            return "other_packet"
+        if interface_at is not None:
+            bus = f"if{int.from_bytes(packet[interface_at : interface_at + 4], 'big')}"
+        identifier, rest = packet[size : size + 4], packet[size + 4 :]
+        both = (identifier[::-1], identifier) if order == "<" else (identifier, identifier[::-1])
+        straight, turned = map(_is_identifier, both)
+        self.turned += turned - straight
+        return _frame(both[self.turned > 0 if straight == turned else turned] + rest, t_ns, bus)
 
 
 def _is_identifier(octets: bytes) -> bool:
@@ -134,6 +141,7 @@ class _CaptureSection:
     order: str = "<"
     interfaces: list[_Interface] = field(default_factory=list)
     links: set[int] = field(default_factory=set)  # of the whole file
+    packets: _Packets = field(default_factory=_Packets)
 
 
 def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -213,4 +221,5 @@ def _packet(section: _CaptureSection, kind: int, body: bytes) -> Frame | str:
     at = struct.calcsize(layout)
     units = high << 32 | low
     t_ns = interface.offset_s * 1_000_000_000 + units * 1_000_000_000 // interface.per_s
-    return _linked(interface.link, section.order, body[at : at + length], t_ns, interface.bus)
+    packet = body[at : at + length]
+    return section.packets.frame(interface.link, section.order, packet, t_ns, interface.bus)

@@ -44,7 +44,9 @@ _COMMON: Final = {  # what definitions leave out
     "Frame": "std_msgs/Header header\nuint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\n"
     "uint8[8] data",
 }
-_FIELD: Final = re.compile(r"\s*([A-Za-z][\w/]*)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)\s*(?:[^=\s].*)?$")
+_FIELD: Final = re.compile(
+    r"\s*([A-Za-z][\w/]*)(?:<=\d+)?(\[(?:<=)?\d*\])?\s+([A-Za-z]\w*)(?:\s+[^=\s].*)?\s*$"
+)
 _LATE_NS: Final = SECOND  # from the stamp in a message to when it was logged, at most
 _DEEPEST: Final = 8  # messages within one another
 

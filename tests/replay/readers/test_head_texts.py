@@ -15,6 +15,7 @@ from tilth.replay.readers.written_dates import utc_ns
 from tilth.schemas.flow import Frame
 
 T = EPOCH_S * SECOND
+LATER = T + SECOND // 2
 GIVEN = SHARED / "data" / "strangers"
 AFTERNOON = 1_791_212_773_191_000_000  # 5 October 2026, 15:06:13.191
 
@@ -91,8 +92,12 @@ def rows(count: int = 20) -> list[Frame]:
     ]  # fmt: skip
 
 
-ASC_DATES = ("Tue Nov 14 10:13:20 pm 2023", "Tue Nov 14 22:13:20.000 2023", "Die Nov 14 22:13:20.000 nachm 2023",
-             "mar. nov. 14 22:13:20.000 2023")  # fmt: skip
+ASC_DATES = (
+    "Tue Nov 14 10:13:20 pm 2023",
+    "Tue Nov 14 22:13:20.000 2023",
+    "Die Nov 14 22:13:20.000 nachm 2023",
+    "mar. nov. 14 22:13:20.000 2023",
+)
 
 
 @pytest.mark.parametrize("date", ASC_DATES)
@@ -111,15 +116,15 @@ def test_an_asc_date_that_cannot_be_read_is_said_and_costs_no_frame(tmp_path: Pa
 
 HEAD = "date Tue Nov 14 22:13:20 2023\nbase hex  timestamps absolute\nno internal events logged\n"
 ASC_LINES: tuple[tuple[str, Frame | str | None], ...] = (
-    ("0.5 1  18FEF31Cx  Rx   d 2 11 27", frame(T + SECOND // 2, 0x18FEF31C, "1127")),
-    ("0.5 1  123  Tx   d 0", frame(T + SECOND // 2, 0x123, "", extended=False)),
+    ("0.5 1  18FEF31Cx  Rx   d 2 11 27", frame(LATER, 0x18FEF31C, "1127")),
+    ("0.5 1  123  Tx   d 0", frame(LATER, 0x123, "", extended=False)),
     ("0.5 1  18FEF31Cx  Rx   r", "remote_frame"),
     ("0.5 1  18FEF31Cx  Rx   r 8", "remote_frame"),
-    ("0.5 2  ErrorFrame  ECC: 10100010", frame(T + SECOND // 2, 0, "", "can1", error=True)),
-    ("0.5 CANFD  1 Rx  18FEF31Cx  name  1 0 2 2 11 27 130000 130 200000", frame(T + SECOND // 2, 0x18FEF31C, "1127")),
-    ("0.5 CANFD  2 Rx  123  0 0 2 2 11 27 130000", frame(T + SECOND // 2, 0x123, "1127", "can1", extended=False)),
+    ("0.5 2  ErrorFrame  ECC: 10100010", frame(LATER, 0, "", "can1", error=True)),
+    ("0.5 CANFD  1 Rx  18FEF31Cx  name  1 0 2 2 11 27 130000 130 200000", frame(LATER, 0x18FEF31C, "1127")),
+    ("0.5 CANFD  2 Rx  123  0 0 2 2 11 27 130000", frame(LATER, 0x123, "1127", "can1", extended=False)),
     ("0.5 CANFD  1 Rx  18FEF31Cx  1 0 9 12 " + "11 " * 12, "can_fd_frame"),
-    ("0.5 1  18FEF31Cx  Rx   d f 11 27 11 27 11 27 11 27", frame(T + SECOND // 2, 0x18FEF31C, "1127" * 4)),
+    ("0.5 1  18FEF31Cx  Rx   d f 11 27 11 27 11 27 11 27", frame(LATER, 0x18FEF31C, "1127" * 4)),
     ("0.5 1  18FEF31Cx  Rx   d 8 11 27", "unreadable_line"),
     ("0.5 1  18FEF31Cx  TxRq   d 2 11 27", "other_event"),
     ("0.5 1  Statistic: D 0 R 0 XD 10 XR 0 E 0 O 0 B 3.1%", "other_event"),
@@ -142,7 +147,7 @@ def test_lines_of_asc(line: str, wanted: Frame | str | None, tmp_path: Path) -> 
 
 def test_asc_in_decimal(tmp_path: Path) -> None:
     (tmp_path / "x").write_text(f"{HEAD.replace('hex', 'dec')} 0.5 1 419361564x Rx d 3 255 0 17\n")
-    assert list(frames(tmp_path / "x")) == [frame(T + SECOND // 2, 0x18FEF31C, "FF0011")]
+    assert list(frames(tmp_path / "x")) == [frame(LATER, 0x18FEF31C, "FF0011")]
 
 
 def test_what_trigger_blocks_count_from(tmp_path: Path) -> None:
