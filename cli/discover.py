@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from tilth.cli import WrongUse, duration
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
-from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError
 from tilth.replay.turn_rates import in_words
 from tilth.schemas.bus_name import bus_name
@@ -77,7 +77,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _logged(logs: Sequence[Path]) -> Iterator[Frame]:
     for path in logs:
-        yield from frames(path)
+        log = open_log(path)
+        yield from (record for record in log.records if isinstance(record, Frame))
+        for text in log.lacks():
+            _say(f"{path}: {text}")
 
 
 def _live_frames(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:

@@ -64,7 +64,7 @@ def _text(path: Path, what: str, otherwise: str = "") -> str:
     if raw.startswith(_LOG_STARTS):
         raise MachineError(f"{path}: a log, not a {what}; to read it: {command('replay', str(path))}")
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise MachineError(f"{path}: the {what} is text in UTF-16; save it as UTF-8")
+        raise MachineError(f"{path}: the {what} is UTF-16, not UTF-8 text; save it as UTF-8")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -118,9 +118,9 @@ class _Cursor:
         size = struct.calcsize(code)
         step = min(size, self.widest)
         self.at += (self.start - self.at) % step
-        (value,) = struct.unpack_from(self.order + code, self.data, self.at)
+        found: tuple[int | float] = struct.unpack_from(self.order + code, self.data, self.at)
         self.at += size
-        return value
+        return found[0]
 
     def octets(self, count: int) -> bytes:
         found = self.data[self.at : self.at + count]
@@ -170,11 +170,10 @@ def _of_json(data: bytes) -> dict[str, Any]:
             if isinstance(value, dict) and not value.keys() & {"sec", "secs"}:
                 inner.append(value)
             elif isinstance(value, dict):
-                found[name] = int(value.get("sec", value.get("secs"))) * SECOND + int(
-                    next((value[key] for key in ("nanosec", "nsec", "nsecs") if key in value), 0)
-                )
+                parts = [value[key] for key in ("sec", "secs", "nanosec", "nsec", "nsecs") if key in value]
+                found[name] = int(parts[0]) * SECOND + sum(map(int, parts[1:]))
             elif role_of(name) == "data":
-                found[name] = base64.b64decode(value) if isinstance(value, str) else bytes(value)
+                found[name] = base64.b64decode(value) if isinstance(value, str) else bytes([*value])
             else:
                 found[name] = value
     return found

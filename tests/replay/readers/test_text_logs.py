@@ -116,7 +116,7 @@ def test_buses_have_names_that_a_machine_file_can_give(name: str, tmp_path: Path
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_text_in_utf_16_is_refused_by_name(encoding: str, tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes("\ufeff(1.0) can0 123#00\n".encode(encoding))
-    with pytest.raises(ForeignLog, match="UTF-16.*save it as UTF-8"):
+    with pytest.raises(ForeignLog, match=r"UTF-16.*save it as UTF-8"):
         list(frames(tmp_path / "x"))
 
 
