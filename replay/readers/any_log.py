@@ -109,7 +109,7 @@ def _renamed(log: OpenLog, records: Iterator[Record]) -> Iterator[Record]:
         if isinstance(record, Frame):
             name = names.get(record.bus)
             if name is None:
-                if not names:
+                if not names and log.form not in _SINCE_1970:
                     log.began(record.t_ns)
                 name = names[record.bus] = bus_name(record.bus, names.values())
             if name != record.bus:
@@ -142,6 +142,7 @@ _KVASER = re.compile(rf"\s*(Kvaser Memorator Log|Time\s+Chan\s+Identifier)|{KVAS
 _BUSMASTER = re.compile(r"\*\*\*(BUSMASTER|PROTOCOL CAN|<Time>)")
 
 MCAP: Final = "MCAP"
+_SINCE_1970: Final = (text.FORMS[0].name, "CSV", "SQLite", "pcap", "pcapng", "EBL", ros_log.FORM)
 KINDS: Final = (
     Kind(MCAP, _mcap, (MCAP0_MAGIC,), by_path=True, listed="its own .mcap logs"),
     *(Kind(form.name, text.lines, line=form.pattern.match) for form in text.FORMS if form.name),

@@ -1,6 +1,7 @@
 """Columns of tables and fields of messages that hold CAN frames: what they are called, and what they mean."""
 
 import re
+from functools import lru_cache
 from typing import Final, Literal
 
 from tilth.schemas.flow import Frame
@@ -20,7 +21,7 @@ NAMES: Final[dict[Role, str]] = {  # role -> names in plain lower-case letters
     "length": "len length datalength datalen size bytecount",
     "data": "data databytes payload datahex datafield",
 }
-_ROLES: Final = {name: role for role, names in NAMES.items() for name in names.split()}
+_ROLES: Final[dict[str, Role]] = {name: role for role, names in NAMES.items() for name in names.split()}
 _TIME: Final = re.compile(
     r"(?:time(?:stamps?|offset|epoch)?|timestampepoch|epoch|epochtime|unixtime|(?:abs|rel|system)time|datetime)"
     r"(?:in)?(ns|nanoseconds?|us|usec|microseconds?|ms|msec|milliseconds?|s|secs?|seconds?)?"
@@ -40,6 +41,7 @@ def plain(name: str) -> str:
     return re.sub("[^a-z0-9]", "", name.lower().replace("µ", "u").replace("μ", "u"))
 
 
+@lru_cache(maxsize=1024)
 def role_of(name: str) -> Role | None:
     """What a column or field of this name holds."""
     bare = plain(name)

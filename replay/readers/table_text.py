@@ -88,13 +88,13 @@ def layout_of(line: str) -> Layout | None:
         separator = None
     else:
         names = [name.strip().strip('"') for name in bare.split(separator)]
-    roles = [role_of(name) for name in names]
+    roles: list[Role | None] = [role_of(name) for name in names]
     places: dict[Role, int] = {}
     for at, role in enumerate(roles):
         if role is not None and role != "byte":
             places.setdefault(role, at)
     bytes_at = [at for at, role in enumerate(roles) if role == "byte"]
-    data = (places.pop("data"),) if "data" in places else tuple(bytes_at)
+    data = [places.pop("data")] if "data" in places else bytes_at
     if "id" not in places or not data or not places.keys() & {"time", "dlc", "length"}:
         return None
     if separator is None and not ("time" in places and places.keys() & {"dlc", "length"}):
@@ -102,7 +102,7 @@ def layout_of(line: str) -> Layout | None:
     unit = unit_ns(names[places["time"]]) if "time" in places else 0
     gvret = "time" in places and plain(names[places["time"]]) == "timestamp" and len(data) > 1
     last = data[-1] == len(names) - 1 and len(data) == 1
-    return Layout(separator, places, data, unit, 1_000 if gvret else 0, bare.lower() == _BASE_64, last)
+    return Layout(separator, places, tuple(data), unit, 1_000 if gvret else 0, bare.lower() == _BASE_64, last)
 
 
 @dataclass(slots=True)

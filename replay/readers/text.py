@@ -92,14 +92,14 @@ def _table(log: OpenLog, stream: BinaryIO, reader: Table) -> Iterator[Frame]:
 
 
 class _Reader(Protocol):
-    """Of lines that depend on those before them."""
+    """Of lines that depend on those before them.
 
-    def take(self, line: str) -> Frame | str | None:
-        """The frame of a line, or why it has none; None of heads and comments. Raises ValueError,
-        LookupError, OverflowError."""
+    take: the frame of a line, or why it has none; None of heads and comments. Raises ValueError, LookupError,
+    OverflowError. whole: whether a line that gave a frame is known to be whole without its end.
+    """
 
-    def whole(self, line: str) -> bool:
-        """Whether a line that gave a frame is known to be whole without its end."""
+    def take(self, line: str) -> Frame | str | None: ...
+    def whole(self, line: str) -> bool: ...
 
 
 def _under_head(lines: Iterable[str], log: OpenLog, reader: _Reader) -> Iterator[Frame]:
