@@ -1,4 +1,5 @@
-"""CAN frames in MCAP logs of ROS: can_msgs/Frame and its like, in CDR (ROS 2), ROS 1's encoding or JSON.
+"""CAN frames in MCAP logs of ROS: can_msgs/Frame and its like, in CDR (ROS 2), ROS 1's encoding, JSON or
+protobuf.
 
     std_msgs/Header header      t_ns: when it was logged; rx_ns: its stamp, where that is shortly before
     uint32 id
@@ -19,6 +20,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
@@ -179,6 +183,27 @@ def _of_json(data: bytes) -> dict[str, Any]:
     return found
 
 
+def _of_protobuf(message: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for described in message.DESCRIPTOR.fields:
+        value = getattr(message, described.name)
+        if described.message_type is None or described.is_repeated:
+            found[described.name] = value
+        elif described.message_type.full_name == "google.protobuf.Timestamp":
+            found[described.name] = value.seconds * SECOND + value.nanos
+        elif message.HasField(described.name):
+            found |= _of_protobuf(value)
+    return found
+
+
+def _protobuf_class(schema: Schema) -> Any:
+    """Raises DAMAGE, TypeError, LookupError for a description that is none."""
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(schema.name))
+
+
 _Decode = Callable[[bytes], dict[str, Any]]
 
 
@@ -190,6 +215,13 @@ def _decoder(channel: Channel, schema: Schema | None) -> _Decode | None:
         names = set(re.findall(rb'"(\w+)"\s*:', schema.data))
         roles = {role_of(name.decode()) for name in names}
         return _of_json if {"id", "data"} <= roles else None
+    if channel.message_encoding == "protobuf":
+        try:
+            of_class = _protobuf_class(schema)
+        except (*DAMAGE, TypeError, LookupError):
+            return None
+        roles = {role_of(described.name) for described in of_class.DESCRIPTOR.fields}
+        return (lambda data: _of_protobuf(of_class.FromString(data))) if {"id", "data"} <= roles else None
     try:
         definition = definition_of(schema)
     except ValueError:
@@ -233,6 +265,8 @@ def is_one(log: OpenLog) -> bool:
     try:
         for opcode, body in summarised(log.file, log.size):
             channels.definition(opcode, body)
+            if channels.own:
+                return False
         if not (channels.own or channels.decoders):
             for opcode, body in _records(log):
                 if opcode != Opcode.MESSAGE:

@@ -362,7 +362,7 @@ def ros(
     captured: Sequence[Frame],
     message: Callable[[Frame], bytes] = ros2_message,
     *,
-    definition: str = ROS2_FRAME + ROS_HEADER,
+    definition: str | bytes = ROS2_FRAME + ROS_HEADER,
     schema: tuple[str, str] = ("can_msgs/msg/Frame", "ros2msg"),
     encoding: str = "cdr",
     **options: Any,
@@ -373,7 +373,8 @@ def ros(
     writer.start(profile="ros2")
     other = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
     writer.add_message(writer.register_channel("/chatter", "cdr", other), 1, b"\0\1\0\0\1\0\0\0\0", 1)
-    number = writer.register_schema(schema[0], schema[1], definition.encode())
+    described = definition.encode() if isinstance(definition, str) else definition
+    number = writer.register_schema(*schema, described)
     channels: dict[str, int] = {}
     for f in captured:
         if f.bus not in channels:

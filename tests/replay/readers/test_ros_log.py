@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from google.protobuf import timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 from log_forms import EPOCH_S, ROS2_FRAME, ROS_HEADER, frame, ros, ros1_message, ros2_message
 from logs import SECOND, drained
 from mcap.writer import CompressionType
@@ -93,6 +97,37 @@ CASES: dict[str, tuple[Callable[[Frame], bytes], dict[str, Any]]] = {
     "JSON": (as_json, {"encoding": "json", "schema": ("CanFrame", "jsonschema"),
                        "definition": '{"properties": {"id": {}, "data": {}, "is_extended": {}}}'}),
 }  # fmt: skip
+
+
+def test_frames_in_protobuf_of_others(tmp_path: Path) -> None:
+    """With a class that only the file describes."""
+    kinds = FieldDescriptorProto
+    fields = (("timestamp", kinds.TYPE_MESSAGE, ".google.protobuf.Timestamp"), ("id", kinds.TYPE_UINT32, ""),
+              ("is_extended", kinds.TYPE_BOOL, ""), ("data", kinds.TYPE_BYTES, ""))  # fmt: skip
+    described = FileDescriptorProto(name="can.proto", package="vehicle", syntax="proto3")
+    described.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+    message = described.message_type.add(name="CanFrame")
+    for number, (name, kind, type_name) in enumerate(fields, 1):
+        message.field.add(
+            name=name, number=number, type=kind, label=kinds.LABEL_OPTIONAL, type_name=type_name or None
+        )
+    stamp = FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
+    files = FileDescriptorSet(file=[stamp, described])
+    pool = DescriptorPool()
+    for file in files.file:
+        pool.Add(file)
+    made = GetMessageClass(pool.FindMessageTypeByName("vehicle.CanFrame"))
+
+    def encode(f: Frame) -> bytes:
+        at = {"seconds": f.rx_ns // SECOND, "nanos": f.rx_ns % SECOND}
+        return made(timestamp=at, id=f.can_id, is_extended=f.extended, data=f.data).SerializeToString()
+
+    content = ros(rows(), encode, schema=("vehicle.CanFrame", "protobuf"), encoding="protobuf",
+                  definition=files.SerializeToString())  # fmt: skip
+    (tmp_path / "x.mcap").write_bytes(content)
+    found, log = drained(tmp_path / "x.mcap")
+    assert (found, log.skipped) == (rows(), {})
 
 
 @pytest.mark.parametrize("case", CASES)
