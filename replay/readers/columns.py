@@ -82,6 +82,8 @@ def frame_of(
 
     An identifier may carry the flags of linux/can.h. Raises ValueError where the data do not fit.
     """
+    if identifier < 0 or (length or 0) < 0 or (dlc or 0) < 0:
+        raise ValueError("a number below zero")
     if identifier > LAST_ID:
         extended, remote = bool(identifier & 0x80000000), bool(identifier & 0x40000000)
         error = error or bool(identifier & 0x20000000)

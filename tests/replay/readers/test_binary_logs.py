@@ -138,7 +138,9 @@ def test_captures_of_all_interfaces(order: str, host: str, link: int, tmp_path: 
     path = tmp_path / "x.pcap"
     path.write_bytes(cooked(CAPTURED, link, order, host))
     found, log = drained(path)
-    names = {"can0": "if0", "can1": "if1"} if link == 276 else dict.fromkeys(("can0", "can1"), "can0")
+    names: dict[str, str] = (
+        {"can0": "if0", "can1": "if1"} if link == 276 else dict.fromkeys(("can0", "can1"), "can0")
+    )
     assert found == [replace(f, bus=names[f.bus]) for f in CAPTURED]
     assert (log.form, log.truncated, log.skipped) == ("pcap", False, {})
     in_blocks = pcapng(CAPTURED[:1]).replace(b"\xe3\0\0\0", struct.pack("<I", link))

@@ -218,6 +218,8 @@ TRC_LINES = {
             ("     8)      1352.7  Rx         0100  8  00 01", "unreadable_line")),
     "1.2": (("     5)      1346.834  1  Warng  FFFFFFFF  4  00 00 00 04  BUSLIGHT", "other_event"),
             ("     6)      1349.222  1  Error      0008  4  00 19 08 08", "other_event"),
+            ("     7)      1352.743  1  Rx         -100  1  00", "unreadable_line"),
+            ("     7)      1352.743  1  Rx         0100  -1  00 00", "unreadable_line"),
             ("     7)      1352.743  1  Rx         0100  3  RTR", "remote_frame")),
     "1.3": (("     3)      1346.834 1  Warng FFFFFFFF -  4    00 00 00 04 BUSLIGHT", "other_event"),
             ("     4)      1349.222 1  Error     0008 -  4    00 19 08 08", "other_event"),
