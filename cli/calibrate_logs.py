@@ -77,7 +77,7 @@ def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
 def _unfilled_of(path: Path) -> list[tuple[int, str]]:
     """Lines of a draft without a value; none of what cannot be read, which was said already."""
     try:
-        return unfilled(path.read_text(encoding="utf-8"))
+        return unfilled(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError):
         return []
 

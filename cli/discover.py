@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import json
-import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,9 +15,10 @@ from pydantic import ValidationError
 from tilth.cli import WrongUse, duration
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
-from tilth.replay.readers.any_log import frames
+from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError
 from tilth.replay.turn_rates import in_words
+from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
@@ -77,7 +77,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _logged(logs: Sequence[Path]) -> Iterator[Frame]:
     for path in logs:
-        yield from frames(path)
+        log = open_log(path)
+        yield from (record for record in log.records if isinstance(record, Frame))
+        for text in log.lacks():
+            _say(f"{path}: {text}")
 
 
 def _live_frames(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:
@@ -106,11 +109,18 @@ def parse_buses(specifications: Sequence[str]) -> list[Bus]:
         if not (interface and channel and colon):
             raise WrongUse(f"--bus {given}: write INTERFACE:CHANNEL[,key=value…], such as socketcan:can0")
         bitrate = values.pop("bitrate", 250_000)
-        plain = re.fullmatch(r"[A-Za-z0-9_.-]+", channel) and channel not in [bus.name for bus in buses]
-        name = channel if plain else f"can{len(buses)}"
+        names = [bus.name for bus in buses]
+        plain = bus_name(channel, names) == channel
+        name = channel if plain else bus_name(f"can{len(buses)}", names)
         try:
             buses.append(
-                Bus(name=name, interface=interface, channel=channel, bitrate=bitrate, options=values)
+                Bus(
+                    name=bus_name(name, names),
+                    interface=interface,
+                    channel=channel,
+                    bitrate=bitrate,
+                    options=values,
+                )
             )
         except ValidationError as error:
             raise WrongUse(f"--bus {given}: {error.errors()[0]['msg']}") from None

@@ -211,7 +211,7 @@ def _fitting(args: argparse.Namespace, plan: ExperimentPlan, rig: Rig) -> Course
 
 def _read(path: Path) -> ExperimentPlan:
     try:
-        return parse_plan(path.read_text(encoding="utf-8"))
+        return parse_plan(path.read_text(encoding="utf-8-sig"))
     except PlanError as error:
         raise WrongUse(f"{path}: {error}") from None
     except UnicodeDecodeError:

@@ -126,7 +126,7 @@ def _say(text: str) -> None:
 def _source(args: argparse.Namespace) -> SimulationInput:
     """What is asked for. Raises WrongUse, MachineError."""
     try:
-        text = args.scenario.read_text(encoding="utf-8")
+        text = args.scenario.read_text(encoding="utf-8-sig")
         scenario = parse_scenario(text)
         machine, machine_text = _machine(args, scenario)
         check_mounts(scenario, [receiver.mount for receiver in machine.receiver])

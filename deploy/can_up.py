@@ -21,7 +21,7 @@ def main(words: list[str]) -> int:
         return 2
     interface, path = words[0], Path(words[1])
     try:
-        bitrate = bitrate_of(interface, tomllib.loads(path.read_text(encoding="utf-8")))
+        bitrate = bitrate_of(interface, tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except OSError as error:
         print(f"{path}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
         return 1

@@ -94,14 +94,14 @@ def install(box: Box, args: argparse.Namespace) -> None:
         _put_machine(args.machine, machine)
     if args.keys is not None:
         _put(args.keys, machine.with_name(KEYS), 0o640)
-        if tomllib.loads(machine.read_text(encoding="utf-8")).get("zenoh", {}).get("config") != KEYS:
+        if tomllib.loads(machine.read_text(encoding="utf-8-sig")).get("zenoh", {}).get("config") != KEYS:
             print(f'the keys are not used until {machine} says: [zenoh] config = "{KEYS}"')
     _switch(box, release)
 
 
 def _put_machine(source: Path, target: Path) -> None:
     """With the DBC file that it names, if any."""
-    dbc = tomllib.loads(source.read_text(encoding="utf-8")).get("wheel_angle", {}).get("dbc")
+    dbc = tomllib.loads(source.read_text(encoding="utf-8-sig")).get("wheel_angle", {}).get("dbc")
     if dbc is not None and not Path(dbc).is_absolute():
         _put(source.parent / dbc, target.parent / dbc)
     _put(source, target)

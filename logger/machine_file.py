@@ -1,5 +1,6 @@
 """Opens a machine file and the DBC file that it names."""
 
+import codecs
 import re
 import tomllib
 from pathlib import Path
@@ -9,6 +10,7 @@ from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
+_ANSI = "cp1252"  # as most tools for DBC files write them
 _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 
 
@@ -21,7 +23,7 @@ def read_machine(path: Path | str) -> tuple[Machine, str]:
     path = Path(path)
     text = _text(path, "machine file")
     dbc = _dbc_name(text)
-    dbc_text = None if dbc is None else _text(path.parent / dbc, "wheel_angle.dbc")
+    dbc_text = None if dbc is None else _text(path.parent / dbc, "wheel_angle.dbc", otherwise=_ANSI)
     try:
         machine = parse_machine(text, dbc_text)
     except MachineError as error:
@@ -51,20 +53,23 @@ def _dbc_name(text: str) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def _text(path: Path, what: str) -> str:
+def _text(path: Path, what: str, otherwise: str = "") -> str:
+    """A file's text, without the mark that some editors put before it. otherwise: what it is if not UTF-8."""
     try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise MachineError(f"{path}: {_not_text(path, what)}") from None
+        raw = path.read_bytes()
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise MachineError(
             f"{path}: the {what} cannot be read ({reason}); give the path of one that exists"
         ) from None
-
-
-def _not_text(path: Path, what: str) -> str:
-    with path.open("rb") as stream:
-        if stream.read(5).startswith(_LOG_STARTS):
-            return f"a log, not a {what}; to read it: {command('replay', str(path))}"
-    return f"the {what} is not UTF-8 text; save it as UTF-8"
+    if raw.startswith(_LOG_STARTS):
+        raise MachineError(f"{path}: a log, not a {what}; to read it: {command('replay', str(path))}")
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise MachineError(f"{path}: the {what} is UTF-16, not UTF-8 text; save it as UTF-8")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        if not otherwise:
+            raise MachineError(f"{path}: the {what} is not UTF-8 text; save it as UTF-8") from None
+        text = raw.decode(otherwise, "replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -1,5 +1,6 @@
 """Drafts a machine file from a survey of buses: it parses once every line marked FILL IN is filled in."""
 
+import json
 from collections.abc import Iterator, Sequence
 
 from tilth.replay.discover import BusDevice, Findings
@@ -64,9 +65,11 @@ def _bus(name: str, bus: Bus | None) -> str:
         lines.append("bitrate = 250000")
     else:
         channel = bus.channel if isinstance(bus.channel, int) else _quoted(bus.channel)
-        lines += [f'interface = "{bus.interface}"', f"channel = {channel}", f"bitrate = {bus.bitrate}"]
+        lines += [f"interface = {_quoted(bus.interface)}", f"channel = {channel}", f"bitrate = {bus.bitrate}"]
         if bus.options:
-            lines.append(f"options = {{ {', '.join(f'{k} = {_toml(v)}' for k, v in bus.options.items())} }}")
+            lines.append(
+                f"options = {{ {', '.join(f'{_quoted(k)} = {_toml(v)}' for k, v in bus.options.items())} }}"
+            )
     return "\n".join(lines) + "\n"
 
 
@@ -77,7 +80,8 @@ def _toml(value: str | int | float | bool) -> str:
 
 
 def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    """As a TOML string; JSON escapes what TOML wants escaped, but for the last of the control characters."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _receivers(findings: Findings) -> Iterator[str]:

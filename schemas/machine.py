@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from tilth.schemas.bus_name import BUS_NAME
 from tilth.schemas.flow import Mount
 
 
@@ -131,7 +132,7 @@ class Tyres(_Section):
 
 
 class Bus(_Section):
-    name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
+    name: str = Field(pattern=BUS_NAME)
     interface: str = Field(description="any python-can interface, mavlink among them")
     channel: str | int
     bitrate: int = Field(default=250_000, gt=0)

@@ -2,21 +2,28 @@
 
 Frames come in file order and are never sorted. Their t_ns are the log's own stamps: nanoseconds since 1970
 where it has a date, else since its zero; rx_ns is t_ns except in Tilth's own logs and in EBL. A bus has the
-name it has in the log, "can<channel>" where that is a number, "can0" where there is none. Remote frames, CAN
-FD frames longer than 8 bytes and frames whose stamp is before 1970 or after 2262 are counted in `skipped`.
+name it has in the log, with "_" for what a machine file cannot name, "can<channel>" where that is a number,
+"can0" where there is none. Remote frames, CAN FD frames longer than 8 bytes and frames whose stamp is before
+1970 or after 2262 are counted in `skipped`.
 """
 
 import re
 from collections.abc import Callable, Container, Iterator
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from mcap.writer import MCAP0_MAGIC
 
-from tilth.replay.readers import can_logs, captures, ebl, mcap_reader, stream, text
+from tilth.replay.readers import can_logs, captures, ebl, mcap_reader, ros_log, stream, text
+from tilth.replay.readers.gateway_text import SIGNAL_K
 from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, OtherKind, Record, RunPlace
+from tilth.replay.readers.table_text import KVASER_ROW, layout_of
+from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how a text in it begins
 _SNIFFED = 64 * 1024  # bytes looked at, comments not counted
 
 Reader = Callable[[OpenLog, BinaryIO], Iterator[Record]]
@@ -87,12 +94,27 @@ def _closing(log: OpenLog, records: Iterator[Record]) -> Iterator[Record]:
         try:
             first = next(records, None)
             if first is not None:
-                yield first
-                yield from records
+                records = chain([first], records)
+                yield from records if log.form == MCAP else _renamed(log, records)
             elif not log.truncated:
                 raise EmptyLog(f"{log.path}: no frame is in it")
         except OtherKind as error:
             raise ForeignLog(f"{error}; {readable()}") from None
+
+
+def _renamed(log: OpenLog, records: Iterator[Record]) -> Iterator[Record]:
+    """Of a log that another program wrote: with buses as a machine file can name them."""
+    names: dict[str, str] = {}
+    for record in records:
+        if isinstance(record, Frame):
+            name = names.get(record.bus)
+            if name is None:
+                if not names and log.form not in _SINCE_1970:
+                    log.began(record.t_ns)
+                name = names[record.bus] = bus_name(record.bus, names.values())
+            if name != record.bus:
+                record = replace(record, bus=name)
+        yield record
 
 
 class Kind(NamedTuple):
@@ -101,32 +123,41 @@ class Kind(NamedTuple):
     name: str
     read: Reader
     magics: tuple[bytes, ...] = ()
-    line: re.Pattern[str] | None = None
+    line: Callable[[str], object] | None = None
     by_path: bool = False  # needs the file itself, not a stream
     listed: str = ""  # to a person, if not by its name
 
 
 def _mcap(log: OpenLog, stream: BinaryIO) -> Iterator[Record]:
-    return mcap_reader.records(log)
+    return ros_log.frames(log) if ros_log.is_one(log) else mcap_reader.records(log)
 
 
-def _lines(log: OpenLog, stream: BinaryIO) -> Iterator[Record]:
-    with can_logs.text(log, stream) as lines:
-        yield from text.frames(lines, log)
-
-
-_ASC = re.compile(r"(date\s+\w+\s+\S|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
+_ASC = re.compile(r"(date\s.*\d:\d\d|base\s+(hex|dec)|begin\s+triggerblock)", re.IGNORECASE)
+_TRC = re.compile(r";\$FILEVERSION|\s*\d+\)\s+\d+(?:\.\d+)?\s+\S")  # 1.0 begins with its comments
 _CSV = re.compile(r"timestamp,arbitration_id,extended,remote,error,dlc,data\s*$")
+_GVRET = re.compile(r'"?time ?stamp"?[,;\t]"?id"?[,;\t]"?extended', re.IGNORECASE)
+_CANEDGE = re.compile(r'"?TimestampEpoch"?[,;\t|]', re.IGNORECASE)
+_CL2000 = re.compile(r"timestamp(.)type\1id\1data", re.IGNORECASE)
+_KVASER = re.compile(rf"\s*(Kvaser Memorator Log|Time\s+Chan\s+Identifier)|{KVASER_ROW.pattern}")
+_BUSMASTER = re.compile(r"\*\*\*(BUSMASTER|PROTOCOL CAN|<Time>)")
 
 MCAP: Final = "MCAP"
+_SINCE_1970: Final = (text.FORMS[0].name, "CSV", "SQLite", "pcap", "pcapng", "EBL", ros_log.FORM)
 KINDS: Final = (
     Kind(MCAP, _mcap, (MCAP0_MAGIC,), by_path=True, listed="its own .mcap logs"),
-    *(Kind(form.name, _lines, line=form.pattern) for form in text.FORMS if form.name),
-    Kind("ASC", can_logs.asc, line=_ASC),
+    *(Kind(form.name, text.lines, line=form.pattern.match) for form in text.FORMS if form.name),
+    Kind("Signal K", text.lines, line=SIGNAL_K.match, listed="Signal K's log of raw data"),
+    Kind("ASC", text.asc, line=_ASC.match),
     Kind("BLF", can_logs.blf, (b"LOGG",)),
-    Kind("TRC", can_logs.trc, line=re.compile(r";\$FILEVERSION")),
+    Kind("TRC", text.trc, line=_TRC.match),
     Kind("MF4", can_logs.mf4, (b"MDF     ", b"UnFinMF "), by_path=True),
-    Kind("CSV", can_logs.csv, line=_CSV, listed="the CSV files of python-can"),
+    Kind("CSV", text.table, line=_CSV.match, listed="the CSV files of python-can"),
+    Kind("SavvyCAN", text.table, line=_GVRET.match, listed="SavvyCAN (GVRET)"),
+    Kind("CANedge", text.table, line=_CANEDGE.match),
+    Kind("CL2000", text.table, line=_CL2000.match, listed="CL1000 to CL3000"),
+    Kind("Kvaser Memorator", text.kvaser, line=_KVASER.match, listed="the text of a Kvaser Memorator"),
+    Kind("BUSMASTER", text.table, line=_BUSMASTER.match, listed="BUSMASTER's log"),
+    Kind("table", text.table, line=layout_of, listed="tables whose header names time, identifier and data"),
     Kind("SQLite", can_logs.sqlite, (b"SQLite format 3\0",), by_path=True, listed="its SQLite files"),
     Kind("pcap", captures.pcap, tuple(captures.PCAP), listed="pcap and pcapng of SocketCAN"),
     Kind("pcapng", captures.pcapng, (captures.PCAPNG,), listed="pcap and pcapng of SocketCAN"),
@@ -155,6 +186,8 @@ def _kind(log: OpenLog) -> Kind:
 
 def _text_kind(log: OpenLog) -> Kind:
     """By the first lines of a text that are no comments."""
+    if log.file.seek(0) == 0 and not log.packed and log.file.read(2) in _UTF_16:
+        raise ForeignLog(f"{log.path}: text in UTF-16, as some Windows editors save it; save it as UTF-8")
     lines = stream.without_zeros(log, _stream(log))
     remaining = _SNIFFED
     comments = 0
@@ -162,7 +195,7 @@ def _text_kind(log: OpenLog) -> Kind:
     while remaining > 0 and (line := lines.readline(_SNIFFED)):
         text = line.decode("utf-8-sig", "replace")
         for kind in KINDS:
-            if kind.line is not None and kind.line.match(text):
+            if kind.line is not None and kind.line(text):
                 return kind
         if text.startswith(";") and ".trc" in log.path.suffixes:
             return _BY_NAME["TRC"]

@@ -1,25 +1,19 @@
-"""The logs that python-can reads: ASC, BLF, TRC, MF4, and its own CSV and SQLite.
+"""The binary logs that python-can reads: BLF, MF4, and its own SQLite.
 
 python-can gives float seconds; they are rounded to the microsecond, which is what survives in them.
-Importing it takes two seconds (it loads asammdf), so that is done where it is needed. Its text readers stop
-at the first line that they cannot read; here such a line is counted and reading goes on.
+Importing it takes two seconds (it loads asammdf), so that is done where it is needed.
 """
 
-import io
 import logging
-import re
 import sqlite3
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
-from datetime import UTC, datetime
-from functools import lru_cache
+from collections.abc import Iterator
 from io import BufferedReader
-from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
-from tilth.replay.readers.log import UNREADABLE, ForeignLog, OpenLog, OtherKind, stamp_fault
-from tilth.replay.readers.stream import without_zeros
+from tilth.replay.readers.columns import bus_of
+from tilth.replay.readers.log import NO_ZONE, UNREADABLE, ForeignLog, OpenLog, OtherKind, stamp_fault
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import installing
 
@@ -37,21 +31,7 @@ _DAMAGE = (
     struct.error,
     zlib.error,
 )
-_ASC_HEAD = ("date ", "base ", "begin ", "end ", "//", "internal ", "no internal ")
-_STAMPED = re.compile(r"\d+(\.\d+)?\s")
-# Types of lines that are no frames: bus state, error counters, errors, remarks; an identifier of bus state.
-_TRC_EVENTS = frozenset(("Warng", "Error", "Event", "ST", "EC", "ER", "EV", "FFFFFFFF"))
-_NO_FRAME = ("end", "//", ";")  # how lines begin that are no frame and may end a file without its line end
-
-Shift = Callable[[], float]
-
-
-def text(log: OpenLog, stream: BinaryIO) -> TextIO:
-    return io.TextIOWrapper(without_zeros(log, stream), encoding="utf-8-sig", errors="replace")
-
-
-def _no_shift() -> float:
-    return 0.0
+_LOCAL_TIME, _ZONE_TOLD = 1, 2  # time flags of an MF4 file
 
 
 def _frame(message: "can.Message", shift_s: float = 0.0) -> Frame | str:
@@ -66,142 +46,11 @@ def _frame(message: "can.Message", shift_s: float = 0.0) -> Frame | str:
     fault = stamp_fault(t_ns)
     if fault:
         return fault
-    channel = message.channel
-    bus = f"can{channel}" if isinstance(channel, int) else str(channel or "can0")
+    bus = bus_of("" if message.channel is None else str(message.channel))
     data = bytes(message.data)
     return Frame(
         t_ns, t_ns, bus, message.arbitration_id, message.is_extended_id, message.is_error_frame, data
     )
-
-
-class _Lines:
-    """Lines of a text log as the file that a reader of python-can expects, and the last one it was given.
-
-    A line from which the reader makes nothing is counted by what `silent` calls it; "" is one that may be so.
-    """
-
-    def __init__(self, log: OpenLog, stream: BinaryIO, silent: Callable[[str], str]) -> None:
-        self._log = log
-        self._lines = text(log, stream)
-        self._silent = silent
-        self._first: list[str] = []
-        self._settled = True  # it is known what became of the last one
-        self.last = ""
-        self.count = 0
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        if self._first:
-            return self._first.pop()
-        if not self._settled and not self.cut():
-            reason = self._silent(self.last)
-            if reason:
-                self._log.skip(reason)
-        self._settled = True
-        self.last = next(self._lines)
-        self._settled = False
-        self.count += 1
-        return self.last
-
-    def settle(self) -> None:
-        """The last one gave a message, or an error."""
-        self._settled = True
-
-    def begin_again(self) -> None:
-        """Before a reader is iterated once more: it takes the first line for a header."""
-        self._first.append("\n")
-
-    def cut(self) -> bool:
-        """Whether the last line lacks its end and is something of which a frame could be missing."""
-        return not self.last.endswith("\n") and not self.last.lower().startswith(_NO_FRAME)
-
-    def close(self) -> None:
-        self._lines.close()
-
-
-def _from_text(
-    log: OpenLog, lines: _Lines, reader: "Iterable[can.Message]", shift: Shift = _no_shift
-) -> Iterator[Frame]:
-    taken = ""  # the line of the last frame
-    count = -1
-    with closing(lines):
-        while lines.count > count:
-            count = lines.count
-            try:
-                for message in reader:
-                    lines.settle()
-                    found = _frame(message, shift())
-                    if lines.cut() and (found == UNREADABLE or lines.last[-2:-1].isspace()):
-                        break  # the last line lost bytes, or half of one
-                    if isinstance(found, Frame):
-                        taken = lines.last
-                        yield found
-                    else:
-                        log.skip(found)
-                break
-            except _DAMAGE:
-                lines.settle()
-                if not lines.cut():
-                    log.skip(UNREADABLE)
-                if taken:
-                    lines.begin_again()
-    log.truncated = log.truncated or (lines.cut() and lines.last is not taken)
-
-
-def asc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
-    """Vector's ASC. Its date has no zone: read as UTC, a log gives the same stamps everywhere."""
-    import can
-
-    lines = _Lines(log, stream, _silent_in_asc)
-    reader = can.ASCReader(cast(TextIO, lines), relative_timestamp=False)
-
-    def shift() -> float:
-        if reader.timestamps_format == "relative":
-            raise ForeignLog(
-                f"{log.path}: its time stamps count from the frame before; export it with absolute ones"
-            )
-        return _local_as_utc(reader.start_time)
-
-    return _from_text(log, lines, reader, shift)
-
-
-def _silent_in_asc(line: str) -> str:
-    """Headers and comments are nothing; what has a time stamp is an event of another kind."""
-    line = line.strip().lower()
-    if not line or line.startswith(_ASC_HEAD) or line.endswith("start of measurement"):
-        return ""
-    return "other_event" if _STAMPED.match(line) else UNREADABLE
-
-
-@lru_cache(maxsize=4)
-def _local_as_utc(start_s: float) -> float:
-    """What to add where python-can took a date for one of this computer's time zone, s."""
-    return datetime.fromtimestamp(start_s).replace(tzinfo=UTC).timestamp() - start_s if start_s else 0.0
-
-
-def trc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
-    """PEAK's TRC, as python-can reads it."""
-    import can
-
-    logging.getLogger("can.io.trc").setLevel(logging.ERROR)  # of lines that are counted here
-    lines = _Lines(log, stream, _silent_in_trc)
-    return _from_text(log, lines, can.TRCReader(cast(TextIO, lines)))
-
-
-def _silent_in_trc(line: str) -> str:
-    if line.isspace() or line.startswith(";"):
-        return ""
-    return "other_event" if _TRC_EVENTS.intersection(line.split()[1:4]) else UNREADABLE
-
-
-def csv(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
-    """python-can's CSV."""
-    import can
-
-    lines = _Lines(log, stream, lambda line: "")
-    return _from_text(log, lines, can.CSVReader(cast(TextIO, lines)))
 
 
 def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -221,6 +70,8 @@ def blf(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     logging.getLogger("can.io.blf").setLevel(logging.ERROR)
     try:
         reader = Reader(stream)
+        if reader.start_timestamp:
+            log.remark(NO_ZONE)  # it is a SYSTEMTIME
         count = 0
         for message in reader:
             found = _frame(message)
@@ -272,12 +123,31 @@ def mf4(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     try:
         # Fails on a file without its index, as MDF4 would with far more noise.
         count_channel_groups(cast(BufferedReader, log.file))
-        yield from _from_binary(log, can.MF4Reader(str(log.path)))
+        reader = can.MF4Reader(str(log.path))
+        yield from _from_binary(log, reader, _start_shift_s(log, reader))
     except (*_DAMAGE, MdfException):
         raise OtherKind(f"{log.path}: an MF4 file whose index is missing or damaged") from None
     finally:
         logger.removeHandler(ear)
     log.truncated = log.truncated or ear.incomplete_block
+
+
+def _start_shift_s(log: OpenLog, reader: "can.MF4Reader") -> float:
+    """What to add to the times of a file that tells its start in local time, s.
+
+    python-can takes that for this computer's. Where the file tells its zone, that is taken off; else the
+    start is read as UTC.
+    """
+    header = reader._mdf.header
+    flags = getattr(header, "time_flags", 0)
+    if not flags & _LOCAL_TIME:
+        return 0.0
+    if flags & _ZONE_TOLD:
+        start_s = header.abs_time / 1e9 - 60.0 * (header.tz_offset + header.daylight_save_time)
+    else:
+        log.remark(NO_ZONE)
+        start_s = header.abs_time / 1e9
+    return start_s - reader._start_timestamp
 
 
 def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -290,13 +160,15 @@ def sqlite(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         raise OtherKind(f"{log.path}: an SQLite file that python-can did not write") from None
 
 
-def _from_binary(log: OpenLog, reader: "can.MF4Reader | can.SqliteReader") -> Iterator[Frame]:
+def _from_binary(
+    log: OpenLog, reader: "can.MF4Reader | can.SqliteReader", shift_s: float = 0.0
+) -> Iterator[Frame]:
     """Frames up to the first damage, which is passed on where no frame came before it."""
     some = False
     with reader:
         try:
             for message in reader:
-                found = _frame(message)
+                found = _frame(message, shift_s)
                 some = True
                 if isinstance(found, Frame):
                     yield found

@@ -1,7 +1,8 @@
-"""Captures of network tools: pcap and pcapng with the link type of SocketCAN.
+"""Captures of network tools: pcap and pcapng of SocketCAN, of one interface or of all (`tcpdump -i any`).
 
 A packet is an identifier with flags as linux/can.h has them but most significant byte first, a length, a byte
-of flags, two of nothing, and the data. Stamps are the capture's own.
+of flags, two of nothing, and the data. Of all interfaces, a head is before it (LINUX_SLL, LINUX_SLL2), and
+the identifier is in the byte order of the computer that wrote the file. Stamps are the capture's own.
 """
 
 import struct
@@ -21,6 +22,10 @@ PCAP: Final = {  # how a file begins -> byte order, ns of a unit of its stamps
 PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
 
 SOCKETCAN: Final = 227  # link type
+COOKED: Final = {113: (14, None, 16), 276: (0, 4, 20)}  # -> where: protocol, interface; bytes of its head
+_LINKS: Final = (SOCKETCAN, *COOKED)
+_NOT_OF_CAN: Final = f"not of SocketCAN ({SOCKETCAN}) or of all interfaces ({', '.join(map(str, COOKED))})"
+_CAN_PROTOCOLS: Final = (0x0C, 0x0D, 0x0E)  # CAN, CAN FD, CAN XL
 _LINK_TYPE: Final = 0xFFFF  # its bits of a pcap's last word
 _MOST: Final = 1 << 24  # bytes of one packet or block; more is damage
 _PACKET: Final = struct.Struct(">IBB")
@@ -40,12 +45,12 @@ def pcap(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
         log.truncated = True
         return
     (link,) = struct.unpack_from(order + "I", header, 20)
-    if link & _LINK_TYPE != SOCKETCAN:
-        raise OtherKind(
-            f"{log.path}: a capture of link type {link & _LINK_TYPE}, not of SocketCAN ({SOCKETCAN})"
-        )
+    link &= _LINK_TYPE
+    if link not in _LINKS:
+        raise OtherKind(f"{log.path}: a capture of link type {link}, {_NOT_OF_CAN}")
+    packets = _Packets()
     for stamp_ns, packet in _records(log, stream, order, unit_ns):
-        yield from _usable(log, _frame(packet, stamp_ns, "can0"))
+        yield from _usable(log, packets.frame(link, order, packet, stamp_ns, "can0"))
 
 
 def _records(log: OpenLog, stream: BinaryIO, order: str, unit_ns: int) -> Iterator[tuple[int, bytes]]:
@@ -70,6 +75,36 @@ def _usable(log: OpenLog, found: Frame | str) -> Iterator[Frame]:
         yield found
     else:
         log.skip(found)
+
+
+@dataclass(slots=True)
+class _Packets:
+    """Finds the frames in packets of any of the _LINKS, most of which are alike."""
+
+    turned: int = 0  # more identifiers were in the other byte order than the file's: some libraries do that
+
+    def frame(self, link: int, order: str, packet: bytes, t_ns: int, bus: str) -> Frame | str:
+        """The frame of a packet, or why it is none."""
+        if link == SOCKETCAN:
+            return _frame(packet, t_ns, bus)
+        protocol_at, interface_at, size = COOKED[link]
+        if len(packet) < size + 4:
+            return "short_packet"
+        if int.from_bytes(packet[protocol_at : protocol_at + 2], "big") not in _CAN_PROTOCOLS:
+            return "other_packet"
+        if interface_at is not None:
+            bus = f"if{int.from_bytes(packet[interface_at : interface_at + 4], 'big')}"
+        identifier, rest = packet[size : size + 4], packet[size + 4 :]
+        both = (identifier[::-1], identifier) if order == "<" else (identifier, identifier[::-1])
+        straight, turned = map(_is_identifier, both)
+        self.turned += turned - straight
+        return _frame(both[self.turned > 0 if straight == turned else turned] + rest, t_ns, bus)
+
+
+def _is_identifier(octets: bytes) -> bool:
+    """Whether these, most significant first, may be an identifier with its flags."""
+    number = int.from_bytes(octets, "big")
+    return bool(number & (_EXTENDED | _ERROR)) or number & ~_REMOTE <= 0x7FF
 
 
 def _frame(packet: bytes, t_ns: int, bus: str) -> Frame | str:
@@ -106,6 +141,7 @@ class _CaptureSection:
     order: str = "<"
     interfaces: list[_Interface] = field(default_factory=list)
     links: set[int] = field(default_factory=set)  # of the whole file
+    packets: _Packets = field(default_factory=_Packets)
 
 
 def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
@@ -117,9 +153,9 @@ def pcapng(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
             _add_interface(section, body)
         elif kind in (_OLD_PACKET, _SIMPLE_PACKET, _PACKET_BLOCK):
             yield from _usable(log, _packet(section, kind, body))
-    if section.links and SOCKETCAN not in section.links:
+    if section.links and not section.links.intersection(_LINKS):
         links = ", ".join(map(str, sorted(section.links)))
-        raise OtherKind(f"{log.path}: a capture of link type {links}, not of SocketCAN ({SOCKETCAN})")
+        raise OtherKind(f"{log.path}: a capture of link type {links}, {_NOT_OF_CAN}")
 
 
 def _block(log: OpenLog, stream: BinaryIO, section: _CaptureSection) -> tuple[int, bytes] | None:
@@ -180,9 +216,10 @@ def _packet(section: _CaptureSection, kind: int, body: bytes) -> Frame | str:
     if number >= len(section.interfaces):
         return "packet_of_no_interface"
     interface = section.interfaces[number]
-    if interface.link != SOCKETCAN:
+    if interface.link not in _LINKS:
         return "other_link_type"
     at = struct.calcsize(layout)
     units = high << 32 | low
     t_ns = interface.offset_s * 1_000_000_000 + units * 1_000_000_000 // interface.per_s
-    return _frame(body[at : at + length], t_ns, interface.bus)
+    packet = body[at : at + length]
+    return section.packets.frame(interface.link, section.order, packet, t_ns, interface.bus)

@@ -7,6 +7,8 @@
                                                                        source, destination, priority, PGN
     !PDGY,127250,2,3,255,481.734,2C20AAAAAAE=                          iKonvert: PGN, priority, source,
                                                                        destination, its own clock, base64
+    1471172400153;A;2016-07-16T12:00:00.000Z,2,130306,…                Signal K: any of these, with its own
+                                                                       time, ms, and what kind it is
 
 A line of more than 8 bytes is a message that the gateway has assembled: one Frame with long data.
 """
@@ -41,6 +43,10 @@ IKONVERT: Final = re.compile(
 )
 IKONVERT_STATUS: Final = re.compile(r"(?:\$PDGY,[^$!]*|!PDGY,\d{1,8},\d{1,3},[A-Za-z0-9+/=]*)\s*$")
 """What it says of itself, and what it was given to send: that tells no source."""
+SIGNAL_K: Final = re.compile(r"\d{13};\w{1,20};")
+"""What Signal K's log of raw data puts before what it has heard: when, and what that is."""
+NMEA_0183: Final = re.compile(r"(?:\\[^\\]*\\)?[$!](?!PDGY)[A-Z0-9]{4,8},[^$]*$|\{.*\}\s*$")
+"""Sentences of NMEA 0183 and Signal K's own messages, which such a log holds too."""
 
 
 def plain_line(match: re.Match[str], clock: TextClock) -> Frame | str:
@@ -72,6 +78,10 @@ def ikonvert_line(match: re.Match[str], clock: TextClock) -> Frame | str:
     t_ns = int(match["s"]) * SECOND + (int(ms) * 1_000_000 if len(ms) <= 3 else nanoseconds(ms))
     priority, pgn, source, destination = map(int, match.group("priority", "pgn", "source", "destination"))
     return _message(t_ns, priority, pgn, source, destination, base64.b64decode(match["data"], validate=True))
+
+
+def other_line(match: re.Match[str], clock: TextClock) -> Frame | str:
+    return "other_event"
 
 
 def ikonvert_status(match: re.Match[str], clock: TextClock) -> Frame | str:

@@ -9,6 +9,9 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 UNREADABLE = "unreadable_line"
+NO_DATE = "it has no date: its times count from its own start"
+NO_ZONE = "its dates have no time zone; they are taken as UTC, though a computer's clock shows local time"
+_YEAR_NS = 365 * 86_400 * 1_000_000_000
 LATEST_NS = 2**63 - 1  # stamps are kept in 64 bits
 
 
@@ -94,6 +97,16 @@ class OpenLog:
 
     def skip(self, reason: str) -> None:
         self.skipped[reason] = self.skipped.get(reason, 0) + 1
+
+    def remark(self, text: str) -> None:
+        """Something that a person should know of it, said once."""
+        if text not in self.note:
+            self.note += f"; {text}" if self.note else text
+
+    def began(self, t_ns: int) -> None:
+        """The first frame of a log that another program wrote."""
+        if 0 <= t_ns < _YEAR_NS:
+            self.remark(NO_DATE)
 
     def lacks(self) -> list[str]:
         """What is missing in it, in sentences without its name."""

@@ -162,6 +162,6 @@ def no_frames(log: OpenLog) -> EmptyLog | ForeignLog:
     if MACHINE in metadata(log):
         return EmptyLog(f"{log.path}: no frame was recorded in it")
     return ForeignLog(
-        f"{log.path}: an MCAP file without the topics {CAN_TOPIC}<bus> of tilth.CanFrame; "
-        "only logs written by tilth can be replayed from MCAP"
+        f"{log.path}: an MCAP file without the topics {CAN_TOPIC}<bus> of tilth.CanFrame and without "
+        "can_msgs/Frame; only logs written by tilth or by ROS can be replayed from MCAP"
     )

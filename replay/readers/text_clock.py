@@ -25,10 +25,12 @@ class TextClock:
         self._last_ns = 0
         self._sum_ns = 0
         self.untimed = 0  # lines that told nothing; they are put at 0
+        self.zoneless = False  # some date had no zone
 
     def on(self, date: str, time_ns: int, zone: str | None = None) -> int:
         """Of a date, YYYY-MM-DD, and a time of that day. Raises ValueError."""
         midnight_ns = int(datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp()) * SECOND
+        self.zoneless = self.zoneless or not zone
         t_ns = midnight_ns + time_ns - _ahead_ns(zone)
         self._midnight_ns, self._last_ns = t_ns // DAY * DAY, t_ns % DAY
         return t_ns

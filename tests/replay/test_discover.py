@@ -10,12 +10,15 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from paths import ROOT
 
 from tilth.cli import WrongUse, main
 from tilth.cli.discover import parse_buses
 from tilth.replay.discover import BusSurvey, Findings
 from tilth.replay.machine_draft import FILL_IN, draft
+from tilth.replay.readers.any_log import frames
 from tilth.replay.wheel_search import WheelCandidate, candidates
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import Bus, Machine
@@ -25,6 +28,7 @@ from tilth.simulator.traffic import simulate
 
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 STEER = 0x18FF0B15
+SECOND = 1_000_000_000
 DRIVE = Scenario(steering=((3.0, 0.0), (6.0, 8.0), (6.0, -8.0)))
 
 
@@ -295,6 +299,68 @@ def test_a_log_is_looked_into(machine: Machine, tmp_path: Path, capsys: pytest.C
     assert "A00017000421E240" in output.out
     assert str(out) in output.err
     assert main(["discover", str(log), "--out", str(out)]) == 2  # never overwritten
+
+
+_NAMES = st.text(st.characters(codec="utf-8", exclude_categories=("Z", "C")), min_size=1, max_size=30).filter(
+    lambda name: name[0] not in "#(<\ufeff" and not name.isspace()
+)
+
+
+@pytest.fixture(scope="module")
+def short_drive(machine: Machine) -> list[Frame]:
+    return list(simulate(machine, 1, 3.0, DRIVE))
+
+
+@given(st.lists(_NAMES, min_size=2, max_size=2))
+@example(["/dev/ttyUSB0@115200", "/dev/ttyUSB1@115200"])
+@example(["a/b", "a.b"])
+@example(["a/b", "a_b"])
+@example(['"', "\\"])
+@settings(max_examples=15, deadline=None)
+def test_whatever_a_log_calls_its_buses_the_draft_parses(
+    machine: Machine, short_drive: list[Frame], tmp_path_factory: pytest.TempPathFactory, names: list[str]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "named.log"
+    by_bus = {f.can_id & 0xFF: names[f.can_id & 1] for f in short_drive}
+    path.write_text(
+        "".join(
+            f"({f.rx_ns / SECOND:.6f}) {by_bus[f.can_id & 0xFF]} {f.can_id:08X}#{f.data.hex()}\n"
+            for f in short_drive
+        ),
+        encoding="utf-8",
+    )
+    findings = _findings(frames(path))
+    drafted = parse_machine(_filled(draft(findings, [])))
+    assert {bus.name for bus in drafted.bus} == set(findings.buses)
+    assert len(findings.buses) == len(set(names))
+    assert {r.name for r in drafted.receiver} == {r.name for r in machine.receiver}
+
+
+_WORDS = st.text(max_size=20)
+
+
+@given(
+    st.lists(_WORDS.filter(lambda word: "," not in word), min_size=1, max_size=4),
+    st.text(min_size=1, max_size=9),
+    st.dictionaries(_WORDS, _WORDS | st.integers() | st.booleans() | st.floats(allow_nan=False), max_size=3),
+)
+@example(["/dev/ttyUSB0@115200", "can1"], "slcan", {"a b": 'x"\x7f\x00\n'})
+@settings(max_examples=60, deadline=None)
+def test_whatever_bus_is_listened_to_the_draft_parses(
+    found: Findings, channels: list[str], interface: str, options: dict[str, str | int | float | bool]
+) -> None:
+    pairs = "".join(f",{key}={value}" for key, value in options.items())
+    try:
+        buses = parse_buses([f"{interface}:{channel}{pairs}" for channel in channels])
+    except WrongUse:
+        return
+    heard = replace(
+        found,
+        buses=tuple(bus.name for bus in buses),
+        sources=tuple(replace(source, bus=buses[0].name) for source in found.sources),
+        wheel_angles=tuple(replace(c, bus=buses[0].name) for c in found.wheel_angles),
+    )
+    assert list(parse_machine(_filled(draft(heard, buses))).bus) == buses
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,16 @@
 """Writers of the forms of logs that nobody else here writes, after the forms' own documents."""
 
 import base64
+import io
 import struct
 import tempfile
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+import mcap.writer
 from logs import SECOND, messages, write_mcap, write_with_can
 
 from tilth.replay.readers.any_log import frames
@@ -162,6 +166,224 @@ def terminal(captured: Sequence[Frame]) -> bytes:
     )
 
 
+def savvycan(captured: Sequence[Frame], mark: str = ",") -> bytes:
+    """Times since 1970, µs."""
+    head = mark.join(("Time Stamp", "ID", "Extended", "Dir", "Bus", "LEN", *(f"D{n}" for n in range(1, 9))))
+    lines = [
+        mark.join((str(f.t_ns // 1000), f"{f.can_id:08X}", str(f.extended).lower(), "Rx", f.bus[3:],
+                   str(len(f.data)), *(f"{octet:02X}" for octet in f.data), ""))
+        for f in captured
+    ]  # fmt: skip
+    return "".join(f"{line}\n" for line in (head, *lines)).encode()
+
+
+def canedge(captured: Sequence[Frame], mark: str = ";") -> bytes:
+    lines = ["TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes"]
+    lines += [
+        f"{f.t_ns // SECOND}.{f.t_ns % SECOND // 1000:06d};{f.bus[3:]};{f.can_id:X};{f.extended:d};"
+        f"{len(f.data)};{len(f.data)};0;0;0;0;0;{f.data.hex().upper()}"
+        for f in captured
+    ]
+    return "".join(f"{line}\n" for line in lines).replace(";", mark).encode()
+
+
+def cl2000(captured: Sequence[Frame]) -> bytes:
+    """Its times have the day of the month and milliseconds; the head has the rest."""
+    dates = [datetime.fromtimestamp(f.t_ns / SECOND, UTC) for f in captured]
+    lines = ["# Logger type: CL2000", f"# Time: {dates[0]:%Y%m%dT%H%M%S}", '# Value separator: ";"']
+    lines.append("Timestamp;Type;ID;Data")
+    for f, date in zip(captured, dates, strict=True):
+        stamp = f"{date:%dT%H%M%S}{date.microsecond // 1000:03d}"
+        lines.append(f"{stamp};{f.extended:d};{f.can_id:x};{f.data.hex()}")
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def kvaser(captured: Sequence[Frame], base: str = "HEX", head: bool = True) -> bytes:
+    """As Kvaser's converter writes it; times since the date in its head."""
+    digits = ("X", "02X") if base == "HEX" else ("d", "3d")
+    first_ns = captured[0].t_ns // SECOND * SECOND
+    lines = [
+        "                              Kvaser Memorator Log",
+        "                              ====================",
+        "",
+        f"Memorator Binary logfile created at: {datetime.fromtimestamp(first_ns // SECOND, UTC):%F %H:%M:%S}",
+        "",
+        "Settings:",
+        f"   Format of data field: {base}",
+        f"   Format of id field:   {base}",
+        "   Timestamp Offset:     0.000000           s",
+        "   CAN channel:          1 2",
+        "",
+        "        Time Chan   Identifier Flags        DLC  Data                           Counter",
+        "=" * 86,
+    ] * head  # fmt: skip
+    for count, f in enumerate(captured):
+        passed = f.t_ns - first_ns
+        data = " ".join(f"{octet:{digits[1]}}" for octet in f.data)
+        lines.append(
+            f"{passed // SECOND:5d}.{passed % SECOND // 1000:06d}  {f.bus[3:]}  {f.can_id:{digits[0]}}"
+            f"{'x' if f.extended else ' '}   Rx          {len(f.data):3d}  {data:31} {count + 1:12d}"
+        )
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def busmaster(captured: Sequence[Frame]) -> bytes:
+    date = datetime.fromtimestamp(captured[0].t_ns // SECOND, UTC)
+    lines = [
+        "***BUSMASTER Ver 3.2.2***",
+        "***PROTOCOL CAN***",
+        "***NOTE: PLEASE DO NOT EDIT THIS DOCUMENT***",
+        "***[START LOGGING SESSION]***",
+        f"***START DATE AND TIME {date.day}:{date.month}:{date.year} {date:%H:%M:%S}:0***",
+        "***HEX***",
+        "***SYSTEM MODE***",
+        "***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***",
+    ]  # fmt: skip
+    for f in captured:
+        at = datetime.fromtimestamp(f.t_ns / SECOND, UTC)
+        lines.append(
+            f"{at:%H:%M:%S}:{at.microsecond // 100:04d} Rx {f.bus[3:]} 0x{f.can_id:03X} "
+            f"{'x' if f.extended else 's'} {len(f.data)} {f.data.hex(' ').upper()} "
+        )
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+DAYS_OF_1970 = 25569
+TRC_VERSIONS = ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")
+
+
+def trc(captured: Sequence[Frame], version: str = "1.2") -> bytes:
+    """As PEAK's document has each version."""
+    start_ns = captured[0].t_ns // SECOND * SECOND
+    head = [f";$FILEVERSION={version}", f";$STARTTIME={start_ns / SECOND / 86400 + DAYS_OF_1970:.10f};"]
+    date = datetime.fromtimestamp(start_ns // SECOND, UTC)
+    head = (
+        [";   C:\\TraceFile.trc", f";   Start time: {date:%d.%m.%Y %H:%M:%S}.000"]
+        if version == "1.0"
+        else head
+    )
+    columns = {"2.0": ";$COLUMNS=N,O,T,I,d,l,D", "2.1": ";$COLUMNS=N,O,T,B,I,d,R,L,D"}
+    lines = [*head, *columns.get(version, "").split()]
+    for n, f in enumerate(captured, 1):
+        ms = (f.t_ns - start_ns) / 1e6
+        identifier = f"{f.can_id:08X}" if f.extended else f"{f.can_id:04X}"
+        data = f"{len(f.data)}  {f.data.hex(' ').upper()} "
+        bus = f.bus[3:]
+        lines.append({
+            "1.0": f"{n:6d}) {ms:9.0f} {identifier} {data}",
+            "1.1": f"{n:6d}) {ms:11.1f}  Rx     {identifier:>8}  {data}",
+            "1.2": f"{n:6d}) {ms:13.3f} {bus}  Rx     {identifier:>8}  {data}",
+            "1.3": f"{n:6d}) {ms:13.3f} {bus}  Rx     {identifier:>8} -  {data}",
+            "2.0": f"{n:7d} {ms:13.3f} DT {identifier:>8} Rx {data}",
+            "2.1": f"{n:7d} {ms:13.3f} DT {bus} {identifier:>8} Rx -  {data}",
+        }[version])  # fmt: skip
+    return "".join(f"{line}\r\n" for line in lines).encode()
+
+
+def asc(
+    captured: Sequence[Frame], date: str = "Tue Nov 14 10:13:20 pm 2023", zero_ns: int = EPOCH_S * SECOND
+) -> bytes:
+    """As CANalyzer writes it, in the language of its computer."""
+    lines = [f"date {date}", "base hex  timestamps absolute", "internal events logged", "// version 9.0.0",
+             f"Begin Triggerblock {date}", "   0.000000 Start of measurement"]  # fmt: skip
+    for f in captured:
+        passed = f.t_ns - zero_ns
+        lines.append(
+            f"{passed // SECOND:4d}.{passed % SECOND // 1000:06d} {int(f.bus[3:]) + 1}  {f.can_id:X}"
+            f"{'x' * f.extended}       Rx   d {len(f.data)} {f.data.hex(' ').upper()}  Length = 270000"
+        )
+    return "".join(f"{line}\r\n" for line in [*lines, "End TriggerBlock"]).encode()
+
+
+def signal_k(captured: Sequence[Frame]) -> bytes:
+    """Signal K's log of a gateway that gives canboat's plain text."""
+    rows = []
+    for f in captured:
+        head, ms = can_id.split(f.can_id), f.t_ns // 1_000_000
+        data = f.data.hex(",")
+        date = datetime.fromtimestamp(f.t_ns / SECOND, UTC)
+        rows.append(
+            f"{ms};A;{date:%Y-%m-%dT%H:%M:%S}.{ms % 1000:03d}Z,{head.priority},{head.pgn},{head.source},"
+            f"{head.destination},{len(f.data)},{data}\n"
+        )
+    return "".join(rows).encode()
+
+
+def cooked(captured: Sequence[Frame], link: int = 276, order: str = "<", host: str = "") -> bytes:
+    """What `tcpdump -i any` writes; host: the byte order of identifiers, if not the file's."""
+    content = pcap([], order, link=link)
+    for f in captured:
+        seconds, ns = divmod(f.t_ns, SECOND)
+        number = int(f.bus[3:])
+        plain = packet(f)
+        body = struct.pack((host or order) + "I", int.from_bytes(plain[:4], "big")) + plain[4:]
+        heads = {113: struct.pack(">HHH8sH", 0, 280, 0, bytes(8), 0x0C),
+                 276: struct.pack(">HHIHBB8s", 0x0C, 0, number, 280, 0, 0, bytes(8))}  # fmt: skip
+        body = heads[link] + body
+        content += struct.pack(order + "IIII", seconds, ns // 1000, len(body), len(body)) + body
+    return content
+
+
+ROS2_FRAME = """std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+"""
+ROS_HEADER = """================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def ros2_message(f: Frame, order: str = "<") -> bytes:
+    """can_msgs/msg/Frame in CDR; rx_ns is its stamp."""
+    frame_id = b"can0\0"
+    body = struct.pack(order + "iII", f.rx_ns // SECOND, f.rx_ns % SECOND, len(frame_id)) + frame_id
+    body += bytes(-len(body) % 4)
+    body += struct.pack(order + "I???B", f.can_id, False, f.extended, f.error, len(f.data))
+    return bytes([0, order == "<", 0, 0]) + body + f.data.ljust(8, b"\0")
+
+
+def ros1_message(f: Frame) -> bytes:
+    head = struct.pack("<IIII", 7, f.rx_ns // SECOND, f.rx_ns % SECOND, 4) + b"can0"
+    flags = struct.pack("<I???B", f.can_id, False, f.extended, f.error, len(f.data))
+    return head + flags + f.data.ljust(8, b"\0")
+
+
+def ros(
+    captured: Sequence[Frame],
+    message: Callable[[Frame], bytes] = ros2_message,
+    *,
+    definition: str | bytes = ROS2_FRAME + ROS_HEADER,
+    schema: tuple[str, str] = ("can_msgs/msg/Frame", "ros2msg"),
+    encoding: str = "cdr",
+    **options: Any,
+) -> bytes:
+    """An MCAP log with a topic for each bus, and one of something else."""
+    out = io.BytesIO()
+    writer = mcap.writer.Writer(out, **{"chunk_size": 512, **options})
+    writer.start(profile="ros2")
+    other = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    writer.add_message(writer.register_channel("/chatter", "cdr", other), 1, b"\0\1\0\0\1\0\0\0\0", 1)
+    described = definition.encode() if isinstance(definition, str) else definition
+    number = writer.register_schema(*schema, described)
+    channels: dict[str, int] = {}
+    for f in captured:
+        if f.bus not in channels:
+            channels[f.bus] = writer.register_channel(f"/{f.bus}", encoding, number)
+        writer.add_message(channels[f.bus], f.t_ns, message(f), f.t_ns)
+    writer.finish()
+    return out.getvalue()
+
+
 CUT = {
     "candump -l": text_of(rows()),
     "candump": terminal(rows()),
@@ -170,6 +392,16 @@ CUT = {
     "EBL": ebl(rows(longest=43)),
     "pcap": pcap(rows()),
     "pcapng": pcapng(rows()),
+    "SavvyCAN": savvycan(rows()),
+    "CANedge": canedge(rows()),
+    "CL2000": cl2000(rows()),
+    "Kvaser Memorator": kvaser(rows()),
+    "BUSMASTER": busmaster(rows()),
+    "Signal K": signal_k(rows()),
+    "tcpdump -i any": cooked(rows()),
+    **{f"TRC {version}": trc(rows(), version) for version in TRC_VERSIONS},
+    "ASC": asc(rows()),
+    "MCAP of ROS": ros(rows()),
 }
 WRITTEN = ("asc", "trc", "csv", "blf", "mcap")
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import can
 import pytest
 from loopback import free_port, machine_text, rig, udp_bus
+from paths import SHARED
 
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
@@ -180,6 +181,40 @@ def test_a_dbc_file_is_found_beside_the_machine_file(tmp_path: Path) -> None:
     file.write_bytes(b"\xff\xfe")
     with pytest.raises(MachineError, match="not UTF-8"):
         read_machine(file)
+
+
+ANSI_DBC = DBC.replace('"deg"', '"°"') + 'CM_ SG_ 2566851349 Angle "Lenkwinkel der Vorderräder";\n'
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_files_as_windows_editors_save_them(encoding: str, end: str, tmp_path: Path) -> None:
+    text = machine_text(tmp_path, VIRTUAL)
+    text = text[: text.index("[wheel_angle]")] + WHEEL + text[text.index("[log]") :]
+    file = tmp_path / "m.toml"
+    mark = b"\xef\xbb\xbf" if encoding == "utf-8-sig" else b""
+    file.write_bytes(mark + text.replace("\n", end).encode())
+    (tmp_path / "was.dbc").write_bytes(ANSI_DBC.replace("\n", end).encode(encoding))
+    machine, same = read_machine(file)
+    assert machine.wheel_angle.dbc_text == ANSI_DBC and same == text
+    file.write_bytes(text.replace("# ", "# ä", 1).encode("cp1252") + "# ä\n".encode("cp1252"))
+    with pytest.raises(MachineError, match="not UTF-8 text; save it as UTF-8"):
+        read_machine(file)
+    for name in ("m.toml", "was.dbc"):
+        file.write_text(text)
+        (tmp_path / name).write_text(text, encoding="utf-16")
+        with pytest.raises(MachineError, match=f"{name}: the .* is UTF-16, not UTF-8"):
+            read_machine(file)
+
+
+@pytest.mark.parametrize("name", ["machine-bom.toml", "degrees-cp1252.toml", "degrees-utf8-bom.toml"])
+def test_given_files_of_windows_editors(name: str) -> None:
+    path = SHARED / "data" / "strangers" / "second" / name
+    if not path.exists():
+        pytest.skip("the given files are not on this computer")
+    machine, text = read_machine(path)
+    assert machine.name == "jd7930-parker500" and text.startswith("# The")
+    assert machine.wheel_angle.dbc is None or "Vorderräder" in (machine.wheel_angle.dbc_text or "")
 
 
 def test_a_log_or_an_unfinished_draft_is_no_machine_file(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import gzip
 import os
 import sqlite3
+import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from logs import DATA, SECOND, drained, messages, write_mcap, write_with_can
 
 from tilth.replay.readers import text
 from tilth.replay.readers.any_log import frames, open_log
-from tilth.replay.readers.log import EmptyLog, ForeignLog
+from tilth.replay.readers.log import NO_ZONE, EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
 
 # file, frames, first and last t_ns, buses, lines that are none
@@ -241,6 +243,55 @@ def test_a_cut_mf4_is_refused_in_one_sentence(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(ForeignLog, match="index is missing"):
         list(frames(path))
+
+
+ZONES = ("UTC", "America/New_York", "Asia/Kolkata", "Australia/Lord_Howe")
+
+
+@pytest.mark.parametrize("suffix", ["asc", "trc", "blf", "mf4"])
+def test_the_readers_zone_changes_nothing(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_with_can(tmp_path / f"x.{suffix}", messages(20))
+    found = []
+    try:
+        for zone in ZONES:
+            monkeypatch.setenv("TZ", zone)
+            time.tzset()
+            found.append(drained(path))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert all(rows == found[0][0] for rows, _ in found)
+    assert {log.note for _, log in found} == {NO_ZONE}
+
+
+@pytest.mark.parametrize(
+    ("flags", "minutes", "note"), [(1, 0, NO_ZONE), (0, 0, ""), (2, 90, ""), (3, 90, "")]
+)
+def test_the_start_of_an_mf4_in_local_time_or_with_its_zone(
+    flags: int, minutes: int, note: str, tmp_path: Path
+) -> None:
+    """As the header's block has it: ns, minutes of zone and of summer time, flags."""
+    content = bytearray(write_with_can(tmp_path / "x.mf4", messages(20)).read_bytes())
+    start = content.index(b"##HD") + 24 + 8 * 6
+    told_ns = 1_700_000_000 * SECOND
+    (since_ns,) = struct.unpack_from("<q", content, start)  # the writer's own start, of its clock
+    since_ns = told_ns - since_ns  # of the first message
+    content[start : start + 13] = struct.pack("<QhhB", told_ns, minutes - 60, 60, flags)
+    (tmp_path / "x.mf4").write_bytes(content)
+    found, log = drained(tmp_path / "x.mf4")
+    wanted_ns = told_ns + since_ns - (minutes * 60 * SECOND if flags == 3 else 0)
+    assert abs(found[0].t_ns - wanted_ns) <= 2000
+    assert log.note == note
+
+
+def test_the_given_mf4_in_local_time() -> None:
+    path = DATA / "strangers" / "second" / "18-python-can.mf4"
+    if not path.exists():
+        pytest.skip("the given files are not on this computer")
+    found, log = drained(path)
+    assert (len(found), found[0].t_ns, log.note) == (800, 1777881599_900959000, NO_ZONE)
 
 
 # What is no log

@@ -9,6 +9,8 @@ import pytest
 from log_forms import (
     CAPTURED,
     EPOCH_S,
+    block,
+    cooked,
     ebl,
     filetime,
     framed,
@@ -126,6 +128,38 @@ def test_packets_that_are_no_frame(bad: bytes, reason: str, tmp_path: Path) -> N
     path.write_bytes(pcap(CAPTURED[:3]) + struct.pack("<IIII", EPOCH_S, 0, len(bad), len(bad)) + bad)
     found, log = drained(path)
     assert (len(found), log.skipped, log.truncated) == (3, {reason: 1}, False)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("host", ["<", ">"])
+@pytest.mark.parametrize("link", [113, 276])
+def test_captures_of_all_interfaces(order: str, host: str, link: int, tmp_path: Path) -> None:
+    """Identifiers are in the file's byte order, or in that of libraries that turn them round."""
+    path = tmp_path / "x.pcap"
+    path.write_bytes(cooked(CAPTURED, link, order, host))
+    found, log = drained(path)
+    names: dict[str, str] = (
+        {"can0": "if0", "can1": "if1"} if link == 276 else dict.fromkeys(("can0", "can1"), "can0")
+    )
+    assert found == [replace(f, bus=names[f.bus]) for f in CAPTURED]
+    assert (log.form, log.truncated, log.skipped) == ("pcap", False, {})
+    in_blocks = pcapng(CAPTURED[:1]).replace(b"\xe3\0\0\0", struct.pack("<I", link))
+    cooked_packet = cooked(CAPTURED[:1], link, "<")[40:]
+    head = struct.pack(
+        "<IIIII", 0, *divmod(CAPTURED[0].t_ns, 1 << 32), len(cooked_packet), len(cooked_packet)
+    )
+    path.write_bytes(in_blocks[: in_blocks.rindex(b"\x06\0\0\0")] + block("<", 6, head + cooked_packet))
+    assert [f.can_id for f in frames(path)] == [CAPTURED[0].can_id]
+
+
+def test_what_else_all_interfaces_carry_is_counted(tmp_path: Path) -> None:
+    ethernet = struct.pack(">HHH8sH", 0, 1, 6, bytes(8), 0x0800) + bytes(40)
+    path = tmp_path / "x.pcap"
+    for packet, reason in ((ethernet, "other_packet"), (ethernet[:9], "short_packet")):
+        record = struct.pack("<IIII", EPOCH_S, 0, len(packet), len(packet)) + packet
+        path.write_bytes(cooked(CAPTURED[:3], 113) + record)
+        found, log = drained(path)
+        assert (len(found), log.skipped) == (3, {reason: 1})
 
 
 def test_a_capture_of_something_else_is_refused(tmp_path: Path) -> None:

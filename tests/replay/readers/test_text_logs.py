@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,9 @@ from nmea2000.input_formats import N2KFormat
 
 from tilth.cli import main
 from tilth.replay.readers.any_log import KINDS, frames, readable
-from tilth.replay.readers.log import ForeignLog
+from tilth.replay.readers.log import NO_DATE, NO_ZONE, ForeignLog
 from tilth.schemas import can_id
+from tilth.schemas.bus_name import BUS_NAME
 from tilth.schemas.decode import encode
 from tilth.schemas.flow import Frame, Word
 
@@ -58,6 +60,11 @@ LINES: tuple[tuple[str, Frame | str], ...] = (
     ("!PDGY,127250,2,3,255,485.564,Ai20AAAAAAE=$PDGY,000000,3,,5,485,1,0", "unreadable_line"),
     ("$PDGY,000000,3,,5,484,1,0", "gateway_message"),
     ("!PDGY,59904,255,FPAB", "gateway_message"),
+    ("1471172400153;A;2020-08-22T13:52:36.981Z,2,127250,0,255,2,a3,99",
+     frame(1598104356_981000000, 0x09F11200, "A399")),
+    ("1471172400153;N;$GPRMC,225446,A,4916.45,N,12311.12,W,000.5,054.7,191194,020.3,E*68", "other_event"),
+    ('1471172400153;I;{"updates":[]}', "other_event"),
+    ("1471172400153;A;hello", "unreadable_line"),
     ("0001-01-01T00:00:00Z,2,127250,0,255,1,00", "negative_time_stamp"),
     ("9999-12-31T23:59:59.999Z,2,127250,0,255,1,00", "time_stamp_after_2262"),
     ("0000-01-01T00:00:00Z,2,127250,0,255,1,00", "unreadable_line"),
@@ -72,6 +79,45 @@ def test_lines(line: str, wanted: Frame | str, tmp_path: Path) -> None:
     found, log = drained(path)
     assert found[1:] == ([wanted] if isinstance(wanted, Frame) else [])
     assert log.skipped == ({} if isinstance(wanted, Frame) else {wanted: 1})
+
+
+def test_a_log_of_signal_k_may_begin_with_what_is_no_frame(tmp_path: Path) -> None:
+    path = tmp_path / "skserver-raw_2016-07-16T12.log"
+    line = "1471172400153;A;2020-08-22T13:52:36.981Z,2,127250,0,255,2,a3,99"
+    path.write_text(f"1471172400100;N;$GPGGA,1,2*00\n{line}\n")
+    found, log = drained(path)
+    assert (len(found), log.form, log.skipped) == (1, "Signal K", {"other_event": 1})
+
+
+@pytest.mark.parametrize(
+    ("line", "note"),
+    [
+        ("2020-08-22T13:52:36.981Z,2,127250,0,255,1,a3", ""),
+        ("2020-08-22-13:52:36.981,2,127250,0,255,1,a3", NO_ZONE),
+        ("14:23:39.128 R 0DF20D4B 01", NO_DATE),
+        (" (2015-07-10 06:17:33.762905)  can1  18EEFF1C   [1]  FC", NO_ZONE),
+        (" (003.000125)  can0  18EEFF1C   [1]  05", NO_DATE),
+        ("(1436509053.762905) can1 18EEFF1C#FC", ""),
+    ],
+)
+def test_what_a_log_does_not_know_of_its_times_is_said(line: str, note: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(f"{line}\n" * 3)
+    assert drained(tmp_path / "x")[1].note == note
+
+
+@pytest.mark.parametrize("name", ["/dev/ttyUSB0@115200", "vcan:0", "Ω", "//", "-", 'a"b', "x" * 300, "can0"])
+def test_buses_have_names_that_a_machine_file_can_give(name: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(f"(1.0) {name} 123#00\n(1.0) {name}! 123#00\n(1.0) {name}? 123#00\n")
+    found = [f.bus for f in frames(tmp_path / "x")]
+    assert len(set(found)) == 3 and all(re.fullmatch(BUS_NAME, bus) for bus in found)
+    assert found[0] == name or not re.fullmatch(BUS_NAME, name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_in_utf_16_is_refused_by_name(encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes("\ufeff(1.0) can0 123#00\n".encode(encoding))
+    with pytest.raises(ForeignLog, match=r"UTF-16.*save it as UTF-8"):
+        list(frames(tmp_path / "x"))
 
 
 def test_stamps_since_the_line_before_add_up_and_those_since_the_first_do_not(tmp_path: Path) -> None:
