@@ -51,6 +51,7 @@ def _run(one: pb.RunListing) -> Fields:
         "machine": text(one.machine),
         "notes": [text(note) for note in one.notes[:20]],
         "state": text(one.state),
+        "simulated": one.simulated,
         "learned": _learned(one.learned) if one.HasField("learned") else [],
     }
     place = (one.latitude_deg, one.longitude_deg)

@@ -15,6 +15,7 @@ from tilth.logger.log.runs import stored_runs
 from tilth.replay.glance import FileState, Glance, glance
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.proto import tilth_pb2 as pb
 
 BESIDE: Final = frozenset({".json", ".csv", ".toml", ".txt", ".html", ".png"})  # in a folder no logs, mostly
@@ -122,6 +123,7 @@ def listing(run: CatalogueRun, prepared: Path | None = None) -> pb.RunListing:
     estimates = [one.estimate for one in found if one.estimate is not None]
     if estimates:
         row.learned.CopyFrom(estimates[-1])
+    row.simulated = bool(simulated_by(run.paths))
     row.machine = next((one.machine for one in glances.values() if one.machine), "")
     row.notes.extend(dict.fromkeys([*(one.note for one in glances.values() if one.note), *run.notes]))
     if any(one.state == FileState.BEING_WRITTEN for one in glances.values()):

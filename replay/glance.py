@@ -16,6 +16,7 @@ from mcap.records import Metadata
 from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, times_of, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
 from tilth.logger.log.recovery import is_being_written, is_ours
+from tilth.replay.simulated import mark_of
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -43,6 +44,7 @@ class Glance:
     events: Counter[str] = field(default_factory=Counter)  # by kind
     utc_minus_ns: int = 0
     note: str = ""
+    simulated: bool = False
     machine: str = ""  # its name
     run: str = ""  # its id and start: the logs of `tilth replay` share an id
     pose: pb.Pose | None = None  # the last
@@ -126,6 +128,7 @@ def _take_last(found: Glance, topic: str, data: bytes) -> None:
 
 
 def _metadata(found: Glance, record: Metadata) -> None:
+    found.simulated |= bool(mark_of({record.name: record.metadata}))
     if record.name == "clock":
         found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
     elif record.name == "run":

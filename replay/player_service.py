@@ -18,7 +18,7 @@ from typing import Final
 import zenoh
 from google.protobuf.message import DecodeError, Message
 
-from tilth.logger.zenoh.sink import ZenohSink
+from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.replay.player import PlayState, RunPlayer
 from tilth.replay.prepared import OpenedRun
 from tilth.replay.readers.log import LogError
@@ -26,7 +26,6 @@ from tilth.replay.recorded import Recorded
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.proto import tilth_pb2 as pb
 
-SUFFIX: Final = "replay"  # part of every key: no controller hears it
 TURN_S: Final = 0.02  # between two looks at what is due
 IDLE_S: Final = 0.25  # the same while nothing plays
 SAID_S: Final = 0.1  # between two states while it plays
@@ -110,7 +109,7 @@ class PlayerService:
     def _appear(self, machine: Machine) -> None:
         self._disappear()
         # A value of a run that is paused does not grow old.
-        sink = self._sink = ZenohSink(machine, SUFFIX, now_ns=lambda: 0, session=self._session)
+        sink = self._sink = ZenohSink(machine, SIMULATED_SUFFIX, now_ns=lambda: 0, session=self._session)
         key = f"{sink.base}/player"
         self._publisher = self._session.declare_publisher(key, encoding=_encoding(pb.PlayerState))
         self._queryable = self._session.declare_queryable(f"{key}/**", self._answer, complete=True)

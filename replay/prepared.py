@@ -17,6 +17,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.readers.rig import Say, bus_names, machine_in
 from tilth.replay.recorded import Progress, RecordedRun
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Zenoh
 
@@ -106,7 +107,8 @@ def prepare(
     unfinished.unlink(missing_ok=True)
     size = sum(path.stat().st_size for path in paths)
     try:
-        writer = LogWriter(unfinished, machine, text, RunPart(target.stem, 1, _first_ns(paths)))
+        run = RunPart(target.stem, 1, _first_ns(paths), simulated=simulated_by(paths))
+        writer = LogWriter(unfinished, machine, text, run)
         try:
             outputs = ReplayOutputs(writer, progress=lambda done: progress(min(done / max(size, 1), 1.0)))
             summary = replay(paths, machine, text, buses=buses, outputs=outputs, say=say)

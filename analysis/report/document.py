@@ -17,7 +17,7 @@ FORM: Final = 1  # of the JSON; grows when a key changes its meaning
 PLAIN, WARNING = "plain", "warning"
 HELD_OUT: Final = "held_out"  # mark of a cell
 _ILLEGIBLE: Final = re.compile(r"[^\t\n -~\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What XML and fonts do not take: control characters, and halves of characters as in names that are not UTF-8."""
+"""What XML and fonts do not take: control characters, halves of characters as in names that are no UTF-8."""
 _DIGITS: Final = 15  # of a number in JSON: binary fractions as people write them
 
 

@@ -13,6 +13,7 @@ from typing import Final
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 
@@ -73,7 +74,8 @@ def replayed(
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size
-    writer = LogWriter(unfinished, machine, machine_text, RunPart(path.stem, 1, _first_ns(path)))
+    run = RunPart(path.stem, 1, _first_ns(path), simulated=simulated_by([path]))
+    writer = LogWriter(unfinished, machine, machine_text, run)
     try:
         with contextlib.closing(writer):
             outputs = ReplayOutputs(writer, progress=lambda done: progress(done, size))

@@ -17,6 +17,7 @@ from tilth.schemas.machine import Machine
 
 STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
 # What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
+SIMULATED_SUFFIX = "replay"  # part of every key: no controller takes a simulation or a replay for a tractor
 _COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
 
 
