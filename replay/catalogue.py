@@ -68,17 +68,21 @@ def _add_file(found: list[CatalogueRun], path: Path) -> None:
     """Raises LogError."""
     with suppress(EmptyLog):
         open_log(path).file.close()
-    run = _run_id(path)
+    run, part = _run_part(path)
     for number, other in enumerate(found):
-        if _run_id(other.paths[0]) == run:
+        parts = [_run_part(one) for one in other.paths]
+        if parts[0][0] == run and (not run or (run, part) not in parts):  # a copy, or another replay, is none
             found[number] = replace(other, paths=(*other.paths, path))
             return
     found.append(CatalogueRun(_PART.sub("", path.stem), (path,)))
 
 
-def _run_id(path: Path) -> str:
+def _run_part(path: Path) -> tuple[str, str]:
     """Of one of Tilth's own logs; "" of any other."""
-    return glance(path).run if _is_mcap(path) else ""
+    if not _is_mcap(path):
+        return "", ""
+    found = glance(path)
+    return found.run, found.part
 
 
 def _is_mcap(path: Path) -> bool:

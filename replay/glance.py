@@ -47,6 +47,7 @@ class Glance:
     simulated: bool = False
     machine: str = ""  # its name
     run: str = ""  # its id and start: the logs of `tilth replay` share an id
+    part: str = ""  # of the run
     pose: pb.Pose | None = None  # the last
     estimate: pb.SoilTireEstimate | None = None  # the last that was recommended
 
@@ -133,6 +134,7 @@ def _metadata(found: Glance, record: Metadata) -> None:
         found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
     elif record.name == "run":
         found.note = record.metadata.get("note", "")
+        found.part = record.metadata.get("part", "")
         found.run = " ".join(record.metadata.get(key, "") for key in ("id", "started_utc")).strip()
     elif record.name == "machine":
         found.machine = record.metadata.get("name", "")

@@ -122,13 +122,21 @@ class PlayerService:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            playing = self._player is not None and self._player.state == PlayState.PLAYING
-            rows = self._take_orders(TURN_S if playing else IDLE_S)
-            with suppress(queue.Empty):
-                rows = self._take_opened(self._came.get_nowait())
-            if self._player is not None:
-                rows += self._player.due(self._clock()) or self._standing()
+            try:
+                rows = self._turn()
+            except Exception as error:  # a page must never see a run stand still without a word
+                rows = self._take_opened(_why(error, self._state.run))
             self._say(rows)
+
+    def _turn(self) -> list[Recorded]:
+        """What is to be published. Raises LostLog."""
+        playing = self._player is not None and self._player.state == PlayState.PLAYING
+        rows = self._take_orders(TURN_S if playing else IDLE_S)
+        with suppress(queue.Empty):
+            rows = self._take_opened(self._came.get_nowait())
+        if self._player is not None:
+            rows += self._player.due(self._clock()) or self._standing()
+        return rows
 
     def _standing(self) -> list[Recorded]:
         """What holds where a run stands, each second again: a network may drop what is published once."""
@@ -149,6 +157,9 @@ class PlayerService:
                     _reply(query, b"", pb.PlayerState)
                 except ValueError as error:
                     _refuse(query, str(error))
+                except LogError as error:
+                    _refuse(query, str(error))
+                    raise
                 order, query = self._orders.get_nowait()
         return rows
 
@@ -195,10 +206,8 @@ class PlayerService:
                 opened: OpenedRun | str = self._sources.open(name, progress)
             except Stopped:
                 return
-            except (LogError, MachineError) as error:
-                opened = str(error)
-            except OSError as error:
-                opened = f"{error.filename or name}: {(error.strerror or str(error)).lower()}"
+            except Exception as error:
+                opened = _why(error, name)
             if number == self._loading:
                 self._came.put(opened)
 
@@ -280,6 +289,15 @@ class PlayerService:
             _reply(query, listings.SerializeToString(), pb.RunListings)
         except OSError as error:
             _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
+
+
+def _why(error: Exception, run: str) -> str:
+    """Why a run cannot be played, or not any further."""
+    if isinstance(error, LogError | MachineError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or run}: {(error.strerror or str(error)).lower()}"
+    return f"{run}: cannot be played ({type(error).__name__}: {error})"
 
 
 def _encoding(message: type[Message]) -> zenoh.Encoding:

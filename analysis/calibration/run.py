@@ -29,8 +29,8 @@ from tilth.estimator.calibration.steering_response import SteeringResponse, resp
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
-from tilth.replay.wheel_by_way import find, reading_as
 from tilth.replay.simulated import SAID, simulated_by
+from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import plus_minus

@@ -1,9 +1,10 @@
 """A player on Zenoh: what is heard of it, and that it does what it is told. Real sessions over TCP."""
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -100,8 +101,8 @@ Start = Callable[..., Heard]
 def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
     with ExitStack() as stack:
 
-        def started(play: bool = True, slow: bool = False) -> Heard:
-            runs = {run.name: run for run in run_files([folder])}
+        def started(play: bool = True, slow: bool = False, more: Path | None = None) -> Heard:
+            runs = {run.name: run for run in run_files([folder, *([more] if more else [])])}
             opening = Opening(tmp_path, "tilth")
 
             def open_it(name: str, progress: Callable[[str, float], None]) -> Any:
@@ -249,3 +250,52 @@ def test_what_is_prepared_is_told_and_can_be_given_up(start: Start) -> None:
     assert heard.order("open", run=name_of(MACHINE.name)) == ""
     until(lambda: heard.state.state == PlayState.PREPARING and heard.state.share == 0.25)
     assert heard.state.text == "reading the run"
+
+
+def _truncated(path: Path) -> None:
+    os.truncate(path, 100)
+
+
+def _zeroed(path: Path) -> None:
+    path.write_bytes(bytes(path.stat().st_size))
+
+
+def _another_run(path: Path) -> None:
+    """One of the same length: its records may even stand where the others did."""
+    (other,) = write_run(path.parent / "new", 120.0, start_ns=START_NS + 7 * SECOND)
+    path.write_bytes(other.read_bytes())
+
+
+def _pulled_out(path: Path) -> None:
+    """What the kernel reads then ends in an error, here that it is a folder."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    for one in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if one.readlink() == path:
+                os.dup2(folder, int(one.name))
+    os.close(folder)
+
+
+@pytest.mark.parametrize("lose", [_truncated, _zeroed, _another_run, _pulled_out])
+@pytest.mark.parametrize("stands", [False, True])
+def test_a_log_that_is_lost_while_it_plays_ends_it_with_a_sentence(
+    lose: Callable[[Path], None], stands: bool, start: Start, tmp_path: Path
+) -> None:
+    (tmp_path / "new").mkdir()
+    (log,) = write_run(tmp_path, 120.0, start_ns=START_NS + 3600 * SECOND)
+    copy = log.rename(tmp_path / "lost.mcap")
+    heard = start(play=False, more=copy)
+    assert heard.order("open", run="lost") == ""
+    until(lambda: heard.state.state == PlayState.PLAYING)
+    if stands:
+        assert heard.order("pause") == ""
+    lose(copy)
+    for at_s in (100.0, 50.0, 110.0):
+        why = heard.order("rate", rate=100.0) or heard.order("seek", at_s=at_s)
+        if why:
+            break
+    until(lambda: heard.state.state == PlayState.FAILED)
+    lost = f"{copy}: changed since it was opened, or not there any more; open the run again"
+    assert heard.state.text == lost and why in (lost, "no run is open yet: choose one of the list")
+    assert heard.order("open", run=name_of(MACHINE.name)) == ""  # and it goes on
+    until(lambda: heard.state.state == PlayState.PLAYING)
