@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 
-from tilth.analysis.runs.kept import cache_folder
+from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.sensitivity.dask_batches import DaskProblem, on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
@@ -28,6 +28,7 @@ from tilth.cli import WrongUse
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
+from tilth.schemas.machine import Log
 
 FEWEST: Final = 100  # points
 
@@ -137,6 +138,14 @@ def _box(texts: list[str]) -> ParameterBox:
     return ParameterBox(tuple(ranges), lows, highs)
 
 
+def _check_room() -> None:
+    """Raises WrongUse, OSError."""
+    if not has_room(cache_folder(), Log()):
+        raise WrongUse(
+            f"{caches(cache_folder(), Log()).no_room()}; make room, or name another disk by XDG_CACHE_HOME"
+        )
+
+
 def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
     parts = on_dask(args.dask) if args.dask else here(args.workers or os.cpu_count() or 1)
@@ -150,6 +159,7 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
             )
             shown = bar(f"{entry['speed']:g} m/s")
             try:
+                _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
                 entry |= global_answer(plan, part)
                 if args.indices:

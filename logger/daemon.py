@@ -94,7 +94,7 @@ class Daemon:
         )
         outlets = Outlets(recording, display, self._events, clock)
         marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
-        run_report = RunReport(outlets, clock, self._report)
+        run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         sensors = Sensors(machine)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, marks, accepts, run_report, sensors, counts
