@@ -22,10 +22,12 @@ from tilth.logger.log.derived import reports_in
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.invocation import command, in_background
+from tilth.schemas.limiter import Limiter
 from tilth.schemas.proto import tilth_pb2 as pb
 
 LONGEST_S: Final = 3600.0  # of making one
 MOST_WAITING: Final = 4  # queries that are not answered yet
+EACH: Final = 2  # of them, of one client
 LARGEST: Final = 32 * 1024 * 1024  # bytes of a file that is sent
 WANTED_BYTES: Final = 50e6  # for one, and for what it keeps for the next one
 TOPIC: Final = "/report"
@@ -41,7 +43,8 @@ class RunReport:
         """report: kind and text of an event, from any thread. keep_free_bytes: of the disk, left alone."""
         self._keep_free_bytes = keep_free_bytes
         self._outlets, self._clock, self._report = outlets, clock, report
-        self._asked: deque[zenoh.Query] = deque()
+        self._asked: deque[tuple[zenoh.Query, str]] = deque()
+        self._limiter = Limiter(MOST_WAITING, EACH, "requests for a report", threading.Lock())
         self._states = deque([pb.ReportState()])  # to be published; first that there is none
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
@@ -49,25 +52,28 @@ class RunReport:
         self._ends = False
 
     @property
-    def answers(self) -> dict[str, Callable[[zenoh.Query], None]]:
-        """Key -> takes queries on it."""
+    def answers(self) -> dict[str, Callable[[zenoh.Query, str], None]]:
+        """Key -> takes queries on it, and who asks."""
         return {"report/make": self.make, "report/file": self.send}
 
-    def make(self, query: zenoh.Query) -> None:
+    def make(self, query: zenoh.Query, client: str) -> None:
         """Take a query on `report/make`; none by a wildcard. In a thread of Zenoh's."""
         if "*" in str(query.key_expr):
             return
-        if len(self._asked) >= MOST_WAITING:
-            query.reply_err(BUSY)
+        if refused := self._limiter.enter(client):
+            query.reply_err(refused)
             return
-        self._asked.append(query)
+        self._asked.append((query, client))
 
-    def send(self, query: zenoh.Query) -> None:
+    def send(self, query: zenoh.Query, client: str) -> None:
         """Answer a query on `report/file`. In a thread of Zenoh's."""
         if "*" in str(query.key_expr):
             return
         if self._last is None:
             query.reply_err("no report has been made in this run yet")
+            return
+        if refused := self._limiter.enter(client):
+            query.reply_err(refused)
             return
         try:
             if self._last.stat().st_size > LARGEST:
@@ -76,11 +82,15 @@ class RunReport:
                 query.reply(query.key_expr, self._last.read_bytes(), encoding=zenoh.Encoding.TEXT_HTML)
         except OSError as error:
             query.reply_err(f"{self._last}: {(error.strerror or str(error)).lower()}")
+        finally:
+            self._limiter.leave(client)
 
     def turn(self) -> None:
         """Begin what is asked for, publish how it goes."""
         while self._asked:
-            _answer(self._asked.popleft(), self._begin())
+            query, client = self._asked.popleft()
+            self._limiter.leave(client)
+            _answer(query, self._begin())
         while self._states:
             self._outlets.publish(TOPIC, self._states.popleft().SerializeToString())
 

@@ -23,6 +23,7 @@ from tilth.replay.player import PlayState, RunPlayer
 from tilth.replay.prepared import OpenedRun
 from tilth.replay.readers.log import LogError
 from tilth.replay.recorded import Recorded
+from tilth.schemas.limiter import Limiter, asked_by
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -32,6 +33,7 @@ SAID_S: Final = 0.1  # between two states while it plays
 QUIET_S: Final = 1.0  # the same while nothing changes
 LATEST_S: Final = 1e9
 MOST_ORDERS: Final = 100  # that wait; a slider that is drawn asks a few times a second
+MOST_LISTS: Final = 4  # that are made at a time; each looks into many logs
 
 
 class Stopped(Exception):
@@ -59,7 +61,9 @@ class PlayerService:
     ) -> None:
         """machine: under whose name it is there before a run is open. clock: seconds, never steps."""
         self._session, self._sources, self._clock = session, sources, clock
-        self._orders: queue.Queue[tuple[pb.PlayerOrder, zenoh.Query]] = queue.Queue(MOST_ORDERS)
+        self._orders: queue.SimpleQueue[tuple[pb.PlayerOrder, zenoh.Query, str]] = queue.SimpleQueue()
+        self._order_limiter = Limiter(MOST_ORDERS, MOST_ORDERS // 2, "orders", threading.Lock())
+        self._list_limiter = Limiter(MOST_LISTS, MOST_LISTS // 2, "lists of runs", threading.Lock())
         self._came: queue.SimpleQueue[OpenedRun | str] = queue.SimpleQueue()  # opened, or why not
         self._stop = threading.Event()
         self._loading = 0  # the last run that was asked for
@@ -150,8 +154,9 @@ class PlayerService:
         """What is to be published for those that wait, or come within that time."""
         rows: list[Recorded] = []
         with suppress(queue.Empty):
-            order, query = self._orders.get(timeout=wait_s)
+            order, query, client = self._orders.get(timeout=wait_s)
             while True:
+                self._order_limiter.leave(client)
                 try:
                     rows = self._obey(order) or rows
                     _reply(query, b"", pb.PlayerState)
@@ -160,7 +165,7 @@ class PlayerService:
                 except LogError as error:
                     _refuse(query, str(error))
                     raise
-                order, query = self._orders.get_nowait()
+                order, query, client = self._orders.get_nowait()
         return rows
 
     def _obey(self, order: pb.PlayerOrder) -> list[Recorded]:
@@ -262,7 +267,7 @@ class PlayerService:
             case "/order":
                 self._take_order(query)
             case "/runs":  # many logs are looked into: others who ask are not to wait for it
-                self._start_beside(self._list, query)
+                self._take_list(query)
             case "/overview":
                 _reply(query, self._overview, pb.Places)
             case "/places":
@@ -273,13 +278,23 @@ class PlayerService:
     def _take_order(self, query: zenoh.Query) -> None:
         try:
             order = pb.PlayerOrder.FromString(query.payload.to_bytes() if query.payload is not None else b"")
-            self._orders.put_nowait((order, query))
         except DecodeError:
             _refuse(query, "this is no tilth.PlayerOrder")
-        except queue.Full:
-            _refuse(query, "too many orders at a time; try again in a second")
+            return
+        client = asked_by(query, self._session)
+        if refused := self._order_limiter.enter(client):
+            _refuse(query, refused)
+        else:
+            self._orders.put((order, query, client))
 
-    def _list(self, query: zenoh.Query) -> None:
+    def _take_list(self, query: zenoh.Query) -> None:
+        client = asked_by(query, self._session)
+        if refused := self._list_limiter.enter(client):
+            _refuse(query, refused)
+        else:
+            self._start_beside(self._list, query, client)
+
+    def _list(self, query: zenoh.Query, client: str) -> None:
         listings = pb.RunListings()
         try:
             for row in self._sources.listings():
@@ -289,6 +304,8 @@ class PlayerService:
             _reply(query, listings.SerializeToString(), pb.RunListings)
         except OSError as error:
             _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
+        finally:
+            self._list_limiter.leave(client)
 
 
 def _why(error: Exception, run: str) -> str:

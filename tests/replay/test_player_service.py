@@ -1,6 +1,7 @@
 """A player on Zenoh: what is heard of it, and that it does what it is told. Real sessions over TCP."""
 
 import os
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,8 @@ from typing import Any
 import pytest
 import zenoh
 from client_daemon import until
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from logs import MACHINE
 from loopback import PATIENCE_S, session
 from recorded_run import MARKS, SECOND, START_NS, write_run
@@ -19,7 +22,7 @@ from recorded_run import MARKS, SECOND, START_NS, write_run
 from tilth.logger.zenoh.session import free_endpoint, open_session
 from tilth.replay.catalogue import listing, run_files
 from tilth.replay.player import PlayState
-from tilth.replay.player_service import PlayerService, Sources
+from tilth.replay.player_service import MOST_LISTS, PlayerService, Sources
 from tilth.replay.prepared import Opening
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.machine import Zenoh
@@ -101,7 +104,12 @@ Start = Callable[..., Heard]
 def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
     with ExitStack() as stack:
 
-        def started(play: bool = True, slow: bool = False, more: Path | None = None) -> Heard:
+        def started(
+            play: bool = True,
+            slow: bool = False,
+            more: Path | None = None,
+            hold: threading.Event | None = None,
+        ) -> Heard:
             runs = {run.name: run for run in run_files([folder, *([more] if more else [])])}
             opening = Opening(tmp_path, "tilth")
 
@@ -114,7 +122,13 @@ def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
                 return opening.open(runs[name], progress)
 
             rows = [listing(run) for run in runs.values()]
-            sources = Sources((*runs, "broken"), open_it, lambda: iter(rows))
+
+            def listings() -> Iterator[pb.RunListing]:
+                if hold is not None:
+                    hold.wait(PATIENCE_S)
+                return iter(rows)
+
+            sources = Sources((*runs, "broken"), open_it, listings)
             endpoint = free_endpoint("tcp/127.0.0.1:0")
             here = MACHINE.model_copy(update={"zenoh": Zenoh(listen=[endpoint])})
             own, _, _ = open_session(here)
@@ -299,3 +313,34 @@ def test_a_log_that_is_lost_while_it_plays_ends_it_with_a_sentence(
     assert heard.state.text == lost and why in (lost, "no run is open yet: choose one of the list")
     assert heard.order("open", run=name_of(MACHINE.name)) == ""  # and it goes on
     until(lambda: heard.state.state == PlayState.PLAYING)
+
+
+def test_a_flood_of_queries_starts_few_threads_and_each_is_answered(start: Start) -> None:
+    gate = threading.Event()
+    heard = start(play=False, hold=gate)
+    replies: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for _ in range(150):
+        heard.other.get(f"{BASE}/player/runs", lambda reply: replies.put(refused(reply)), timeout=PATIENCE_S)
+    said = [replies.get(timeout=PATIENCE_S) for _ in range(150 - MOST_LISTS // 2)]
+    beside = [thread for thread in threading.enumerate() if thread.name == "tilth.beside"]
+    assert len(beside) == MOST_LISTS // 2
+    assert all("too many lists of runs at a time from" in one for one in said)
+    gate.set()
+    assert [replies.get(timeout=PATIENCE_S) for _ in range(MOST_LISTS // 2)] == [""] * (MOST_LISTS // 2)
+    until(lambda: not any(thread.name == "tilth.beside" for thread in threading.enumerate()))
+    assert len(heard.ask("runs", pb.RunListings).rows) == 2
+
+
+def test_no_order_goes_without_an_answer(start: Start) -> None:
+    heard = start(play=False)
+    runs = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+    kinds = st.sampled_from(["open", "play", "pause", "seek", "rate", "x"]) | runs
+    orders = st.builds(pb.PlayerOrder, kind=kinds, run=runs, at_s=st.floats(), rate=st.floats())
+
+    @settings(max_examples=25, deadline=None)
+    @given(st.binary(max_size=40) | orders.map(lambda order: order.SerializeToString()))
+    def answered(payload: bytes) -> None:
+        (reply,) = heard.other.get(f"{BASE}/player/order", payload=payload, timeout=PATIENCE_S)
+        assert reply.ok is not None or refused(reply)
+
+    answered()
