@@ -64,9 +64,8 @@ class Daemon:
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
         folder learned, unless `fresh`, and keep it for later ones. note, simulated: for the log, as of
-        RunPart.
-        supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that is put
-        in here is logged, published and shown like what the daemon notices itself.
+        RunPart. supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that
+        is put in here is logged, published and shown like what the daemon notices itself.
 
         Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
@@ -82,16 +81,9 @@ class Daemon:
         if self._keeping is not None and not fresh:
             warmed = self._keeping.take_up(counts.started_ns)
         recording = Recording(
-            folder,
-            machine,
-            machine_text,
-            clock,
-            self._report,
-            fold.renew,
-            with_state=warmed,
-            note=note,
-            simulated=simulated,
-        )
+            folder, machine, machine_text, clock, self._report, fold.renew,
+            with_state=warmed, note=note, simulated=simulated,
+        )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
         marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
