@@ -281,6 +281,7 @@ def result(demo: Demo) -> dict[str, Any]:
         "poses": summary.poses,
         "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
         "truncated": False,
+        "simulated": True,
         **estimates_and_nuisances(summary.estimates),
         "truth": dict(demo.truth),
         "log": [str(path) for path in summary.log_files],
