@@ -33,7 +33,7 @@ from tilth.schemas.flow import Word
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.simulator.demo import SIMULATED, on_loopback
+from tilth.simulator.demo import on_loopback
 from tilth.simulator.prompted_driver import ARM, Bar, Person, PromptedDriver
 from tilth.simulator.scenario import Scenario, as_json
 from tilth.simulator.steering import ADDRESS, COMMAND
@@ -222,7 +222,7 @@ def drive_plan(
 
         while not summaries or (len(summaries) == 1 and not over()):
             made = run_daemon(
-                cab.machine, cab.text, log_folder=log_folder, prefix_suffix=SIMULATED, stop=stop
+                cab.machine, cab.text, log_folder=log_folder, simulated="bench/prompted_live.py", stop=stop
             )
             summaries.append(made)
         cab.driver.stopping = True

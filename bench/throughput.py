@@ -246,7 +246,7 @@ def _until_sent(
             state["answer"], state["end"] = child.answer(), time.monotonic() + SETTLE_S
         return state["answer"] is not None and time.monotonic() > state["end"]
 
-    summary = run_daemon(machine, text, log_folder=folder, stop=stop)
+    summary = run_daemon(machine, text, log_folder=folder, simulated="bench/throughput.py", stop=stop)
     sent, took_s = state["answer"]
     return summary, sent, took_s
 

@@ -20,7 +20,6 @@ from tilth.cli import WrongUse
 from tilth.logger.daemon import run_daemon
 from tilth.schemas.experiment import ExperimentPlan, PlanError, parse_plan
 from tilth.schemas.machine_toml import parse_machine
-from tilth.simulator.demo import SIMULATED
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
 from tilth.simulator.simulate import PACKAGED
@@ -55,7 +54,7 @@ def drive(plan: ExperimentPlan, path: Path, text: str, log: Path, arms: bool) ->
         print(f"  uv run tilth experiment {path} --connect {cab.endpoint}")
         print(f"  uv run tilth monitor --connect {cab.endpoint}", flush=True)
         summary = run_daemon(
-            cab.machine, cab.text, log_folder=log, prefix_suffix=SIMULATED,
+            cab.machine, cab.text, log_folder=log, simulated="bench/virtual_cab.py",
             stop=lambda: bool(stopping) or cab.over,
         )  # fmt: skip
         late = cab.stop()

@@ -11,6 +11,7 @@ import os
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures import BrokenExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
@@ -164,6 +165,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print(f"tilth {args.command}: stopped", file=sys.stderr)
+        return 1
+    except BrokenExecutor:
+        killed = "one of its processes was killed, most likely since memory ran out"
+        print(f"tilth {args.command}: {killed}; give fewer logs, or use another computer", file=sys.stderr)
         return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -14,6 +14,7 @@ from rich.table import Table
 from tilth.cli import WrongUse
 from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
+from tilth.logger.log.mcap_log import SIMULATED
 from tilth.logger.log.runs import Sidecar, StoredRun
 from tilth.replay.glance import FileState, Glance, glance
 from tilth.schemas.invocation import command
@@ -109,6 +110,7 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         "recording": states[FileState.BEING_WRITTEN] > 0,
         "no_log": [name for name, found in glances.items() if found.state == FileState.NO_LOG],
         "copied": sum(name in sidecar.copied for name in glances),
+        "simulated": any(found.simulated for found in glances.values()),
         "keep": sidecar.keep,
         "notes": [*dict.fromkeys(found.note for found in dated if found.note), *sidecar.notes],
     }
@@ -132,7 +134,11 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 def _state(row: dict[str, Any]) -> list[str]:
     missing = ", ".join(map(str, row["missing_parts"]))
-    state = ["recording"] * row["recording"] + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
+    state = (
+        [SIMULATED] * row["simulated"]
+        + ["recording"] * row["recording"]
+        + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
+    )
     state += [f"part {missing} missing"] if missing else []
     state += [f"{name} is no log of tilth" for name in row["no_log"]]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"

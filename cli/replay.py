@@ -21,21 +21,20 @@ from tilth.cli.unread import rejection_words, who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import why
-from tilth.logger.zenoh.sink import ZenohSink
+from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.replay.compare import Comparison
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.replay.offline import Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.replay.readers.rig import bus_names, machine_in
+from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import of_logarithm
-
-REPLAY = "replay"  # part of every key that a replay publishes on: no controller hears it
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -80,9 +79,12 @@ def run(args: argparse.Namespace) -> int:
         buses = _buses(args, machine)
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)
+            simulated = simulated_by(args.logs)
+            if simulated:
+                _say(SAID)
             summary = replay(args.logs, machine, text, buses=buses, outputs=outputs, say=_say)
     if args.json:
-        print(json.dumps(_as_json(summary, comparison)))
+        print(json.dumps({**_as_json(summary, comparison), "simulated": bool(simulated)}))
     else:
         _show(summary, comparison)
     return 1 if summary.faults or (comparison is not None and comparison.difference) else 0
@@ -141,8 +143,9 @@ def _outputs(
 
 
 def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
+    run = RunPart(REPLAY, 1, _first_ns(args.logs), simulated=simulated_by(args.logs))
     try:
-        writer = LogWriter(args.out, machine, text, RunPart(REPLAY, 1, _first_ns(args.logs)))
+        writer = LogWriter(args.out, machine, text, run)
     except FileExistsError:
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
     except OSError as error:
@@ -173,7 +176,7 @@ def _first_ns(logs: Sequence[Path]) -> int:
 
 def _zenoh(machine: Machine) -> ZenohSink:
     try:
-        sink = ZenohSink(machine, REPLAY)
+        sink = ZenohSink(machine, SIMULATED_SUFFIX)
     except zenoh.ZError as error:
         raise WrongUse(f"Zenoh cannot be started ({why(error)}); check [zenoh] in the machine file") from None
     _say(f"publishing under {sink.base}" + (f"; {sink.note}" if sink.note else ""))

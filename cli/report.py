@@ -171,7 +171,7 @@ def _write(
     from tilth.analysis.report.build import report_of  # matplotlib takes a second: wrong use is told before
     from tilth.analysis.report.document import as_json
     from tilth.analysis.report.gather import facts_of
-    from tilth.analysis.report.made import warnings_of
+    from tilth.analysis.report.made import SIMULATED, warnings_of
     from tilth.analysis.report.writing import json_text, write
 
     facts = [facts_of(one, given) for one, given in zip(runs, segments, strict=True)]
@@ -185,7 +185,8 @@ def _write(
         ) from None
     for one in facts:
         for text in warnings_of(one):
-            _say(f"{one['id']}: {text}")
+            if text != SIMULATED:  # said when the logs were opened
+                _say(f"{one['id']}: {text}")
     shown = [path for path in written if args.figures is None or path.parent != args.figures]
     _say(f"wrote {', '.join(map(str, shown))}" + (f", and figures in {args.figures}" if args.figures else ""))
     if args.json:

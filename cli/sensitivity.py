@@ -173,6 +173,7 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--from", str(args.log)] if args.log else []
         words += [] if args.indices else ["--no-indices"]
         words += ["--dask", args.dask] if args.dask else []
+        words += ["--dask-tls", *args.dask_tls] if args.dask_tls else []
     words += ["--input", args.input] if args.input != STEP else []
     return [*words, "--step", args.step, "--out", str(args.out)]
 

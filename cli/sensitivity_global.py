@@ -14,20 +14,21 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 
-from tilth.analysis.runs.kept import cache_folder
+from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
-from tilth.analysis.sensitivity.dask_batches import DaskProblem, on_dask
+from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
 from tilth.analysis.sensitivity.global_answer import global_answer, with_indices
 from tilth.analysis.sensitivity.global_page import outputs_with_indices, with_interval
 from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, here, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
 from tilth.cli import WrongUse
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
+from tilth.schemas.machine import Log
 
 FEWEST: Final = 100  # points
 
@@ -71,7 +72,13 @@ def add_global(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
-        help="with --global: on the workers of a Dask scheduler, such as tcp://host:8786",
+        help="with --global: on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786",
+    )
+    parser.add_argument(
+        "--dask-tls",
+        nargs=3,
+        metavar=("CA", "CERT", "KEY"),
+        help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
     )
     parser.add_argument(
         "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
@@ -96,6 +103,7 @@ def design_of(args: argparse.Namespace) -> Design | None:
         given = {
             "--points": args.points, "--box": args.box, "--from": args.log,
             "--no-indices": not args.indices, "--dask": args.dask,
+            "--dask-tls": args.dask_tls,
         }  # fmt: skip
         for option, value in given.items():
             if value:
@@ -137,9 +145,28 @@ def _box(texts: list[str]) -> ParameterBox:
     return ParameterBox(tuple(ranges), lows, highs)
 
 
+def _parts(args: argparse.Namespace) -> Parts:
+    """Who computes. Raises WrongUse."""
+    if not args.dask:
+        if args.dask_tls:
+            raise WrongUse("--dask-tls needs --dask tls://host:8786")
+        return here(args.workers or os.cpu_count() or 1)
+    if text := caution(args.dask):
+        _say(text)
+    return on_dask(args.dask, Certificates(*args.dask_tls) if args.dask_tls else None)
+
+
+def _check_room() -> None:
+    """Raises WrongUse, OSError."""
+    if not has_room(cache_folder(), Log()):
+        raise WrongUse(
+            f"{caches(cache_folder(), Log()).no_room()}; make room, or name another disk by XDG_CACHE_HOME"
+        )
+
+
 def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
-    parts = on_dask(args.dask) if args.dask else here(args.workers or os.cpu_count() or 1)
+    parts = _parts(args)
     answer["design"] = described(design)
     with ExitStack() as stack:
         bar = _bar(stack)
@@ -150,6 +177,7 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
             )
             shown = bar(f"{entry['speed']:g} m/s")
             try:
+                _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
                 entry |= global_answer(plan, part)
                 if args.indices:

@@ -20,6 +20,9 @@ from tilth.deploy.certificates import HostError, issue, new_authority
 DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
 PORT: Final = 7447
+MOST_SESSIONS: Final = 256
+"""That may be open at a time. Zenoh has no limit for each key: so many that one key does not take them all by
+mistake, and so few that the daemon has file handles left for its log."""
 DAYS: Final = 3 * 365
 # Keys that change something, not for readers.
 ORDERS: Final = ("mark", "accept", "report/make", "experiment/order", "calibration/order")
@@ -198,7 +201,7 @@ def _daemon_content(authority: tuple[bytes, bytes], register: Register) -> dict[
         "listen": {"endpoints": [f"tls/0.0.0.0:{register.port}"]},
         "connect": {"endpoints": []},
         "transport": {
-            "unicast": {"max_sessions": 64},
+            "unicast": {"max_sessions": MOST_SESSIONS},
             "link": {"tls": tls, "rx": {"max_message_size": _LARGEST}},
         },
         "metadata": {"tilth": {"role": DAEMON}},

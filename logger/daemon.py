@@ -32,7 +32,7 @@ from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh.liveness import Sensors
-from tilth.logger.zenoh.sink import ZenohSink
+from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import Event, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine import Machine
@@ -57,14 +57,15 @@ class Daemon:
         keep: bool = False,
         fresh: bool = False,
         note: str = "",
+        simulated: str = "",
         supervisor: Supervisor | None = None,
         opener: Opener = open_port,
         events: Events | None = None,
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
-        folder learned, unless `fresh`, and keep it for later ones. note: of the operator, for the log.
-        supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that is put
-        in here is logged, published and shown like what the daemon notices itself.
+        folder learned, unless `fresh`, and keep it for later ones. note, simulated: for the log, as of
+        RunPart. supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that
+        is put in here is logged, published and shown like what the daemon notices itself.
 
         Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
@@ -80,11 +81,12 @@ class Daemon:
         if self._keeping is not None and not fresh:
             warmed = self._keeping.take_up(counts.started_ns)
         recording = Recording(
-            folder, machine, machine_text, clock, self._report, fold.renew, with_state=warmed, note=note
-        )
+            folder, machine, machine_text, clock, self._report, fold.renew,
+            with_state=warmed, note=note, simulated=simulated,
+        )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
         marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
-        run_report = RunReport(outlets, clock, self._report)
+        run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         sensors = Sensors(machine)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, marks, accepts, run_report, sensors, counts
@@ -205,7 +207,7 @@ def run_daemon(
     *,
     log_folder: Path | None = None,
     zenoh: bool = True,
-    prefix_suffix: str = "",
+    simulated: str = "",
     seconds: float | None = None,
     status: Display | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -217,16 +219,17 @@ def run_daemon(
 ) -> RunSummary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 
-    log_folder: instead of the machine file's. zenoh: whether to publish; prefix_suffix: "replay" where the
-    buses carry a simulation. status: where to show, if anywhere. keep, fresh, note, supervisor, events:
-    as of Daemon. Raises MachineError as Daemon does.
+    log_folder: instead of the machine file's. zenoh: whether to publish. simulated: the command that drives
+    instead of a tractor, for the log; what is published is under the replay prefix then. status: where to
+    show, if anywhere. keep, fresh, note, supervisor, events: as of Daemon. Raises MachineError,
+    as Daemon does.
     """
     folder = Path(machine.log.folder) if log_folder is None else log_folder
-    suffix = prefix_suffix if zenoh else None
+    suffix = (SIMULATED_SUFFIX if simulated else "") if zenoh else None
     display = status or NoDisplay()
     daemon = Daemon(
         machine, machine_text, folder, suffix, display,
-        keep=keep, fresh=fresh, note=note, supervisor=supervisor, events=events,
+        keep=keep, fresh=fresh, note=note, simulated=simulated, supervisor=supervisor, events=events,
     )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.
     gc.collect()

@@ -5,6 +5,7 @@ begun, `report/file` with the HTML of the last one. How it goes is published on 
 only hands over: what may wait for a disk is done in a thread of its own.
 """
 
+import signal
 import subprocess
 import tempfile
 import threading
@@ -17,15 +18,18 @@ from typing import IO, Final
 import zenoh
 
 from tilth.logger.clock import Clock
+from tilth.logger.log.derived import reports_in
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.invocation import command, in_background
+from tilth.schemas.limiter import Limiter
 from tilth.schemas.proto import tilth_pb2 as pb
 
 LONGEST_S: Final = 3600.0  # of making one
 MOST_WAITING: Final = 4  # queries that are not answered yet
+EACH: Final = 2  # of them, of one client
 LARGEST: Final = 32 * 1024 * 1024  # bytes of a file that is sent
-FOLDER: Final = "reports"  # in the log's folder
+WANTED_BYTES: Final = 50e6  # for one, and for what it keeps for the next one
 TOPIC: Final = "/report"
 BUSY: Final = "a report is being made already; wait until it is ready"
 
@@ -33,10 +37,14 @@ BUSY: Final = "a report is being made already; wait until it is ready"
 class RunReport:
     """At most one at a time. `turn` it in the daemon's loop."""
 
-    def __init__(self, outlets: Outlets, clock: Clock, report: Callable[[str, str], None]) -> None:
-        """report: kind and text of an event, from any thread."""
+    def __init__(
+        self, outlets: Outlets, clock: Clock, report: Callable[[str, str], None], keep_free_bytes: float
+    ) -> None:
+        """report: kind and text of an event, from any thread. keep_free_bytes: of the disk, left alone."""
+        self._keep_free_bytes = keep_free_bytes
         self._outlets, self._clock, self._report = outlets, clock, report
-        self._asked: deque[zenoh.Query] = deque()
+        self._asked: deque[tuple[zenoh.Query, str]] = deque()
+        self._limiter = Limiter(MOST_WAITING, EACH, "requests for a report", threading.Lock())
         self._states = deque([pb.ReportState()])  # to be published; first that there is none
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
@@ -44,25 +52,28 @@ class RunReport:
         self._ends = False
 
     @property
-    def answers(self) -> dict[str, Callable[[zenoh.Query], None]]:
-        """Key -> takes queries on it."""
+    def answers(self) -> dict[str, Callable[[zenoh.Query, str], None]]:
+        """Key -> takes queries on it, and who asks."""
         return {"report/make": self.make, "report/file": self.send}
 
-    def make(self, query: zenoh.Query) -> None:
+    def make(self, query: zenoh.Query, client: str) -> None:
         """Take a query on `report/make`; none by a wildcard. In a thread of Zenoh's."""
         if "*" in str(query.key_expr):
             return
-        if len(self._asked) >= MOST_WAITING:
-            query.reply_err(BUSY)
+        if refused := self._limiter.enter(client):
+            query.reply_err(refused)
             return
-        self._asked.append(query)
+        self._asked.append((query, client))
 
-    def send(self, query: zenoh.Query) -> None:
+    def send(self, query: zenoh.Query, client: str) -> None:
         """Answer a query on `report/file`. In a thread of Zenoh's."""
         if "*" in str(query.key_expr):
             return
         if self._last is None:
             query.reply_err("no report has been made in this run yet")
+            return
+        if refused := self._limiter.enter(client):
+            query.reply_err(refused)
             return
         try:
             if self._last.stat().st_size > LARGEST:
@@ -71,11 +82,15 @@ class RunReport:
                 query.reply(query.key_expr, self._last.read_bytes(), encoding=zenoh.Encoding.TEXT_HTML)
         except OSError as error:
             query.reply_err(f"{self._last}: {(error.strerror or str(error)).lower()}")
+        finally:
+            self._limiter.leave(client)
 
     def turn(self) -> None:
         """Begin what is asked for, publish how it goes."""
         while self._asked:
-            _answer(self._asked.popleft(), self._begin())
+            query, client = self._asked.popleft()
+            self._limiter.leave(client)
+            _answer(query, self._begin())
         while self._states:
             self._outlets.publish(TOPIC, self._states.popleft().SerializeToString())
 
@@ -119,10 +134,13 @@ class RunReport:
 
     def _run(self, logs: Sequence[Path]) -> tuple[Path, str]:
         """The report's path, and why it is not there, "" where it is."""
-        folder = logs[0].parent / FOLDER
+        reports = reports_in(logs[0].parent, self._keep_free_bytes)
+        folder = reports.folder
         out = folder
         try:
             folder.mkdir(exist_ok=True)
+            if not reports.make_room(WANTED_BYTES):
+                return out, f"{reports.no_room()}; make room"
             out = _unused(folder, logs[0].stem.rpartition("_")[0])
             with tempfile.TemporaryFile() as said:
                 words = in_background("report", *map(str, logs), "--out", str(out))
@@ -136,7 +154,7 @@ class RunReport:
                     self._process.wait()
                     return out, f"it was not ready within {LONGEST_S / 60.0:.0f} minutes"
                 # An open log is cut off for who reads it: that is told in the report, and is no failure.
-                return out, "" if out.exists() else _why(_read(said), status)
+                return out, "" if out.exists() else _why(_read(said), status, logs)
         except OSError as error:
             return out, f"{error.filename or folder}: {(error.strerror or str(error)).lower()}"
         finally:
@@ -164,7 +182,16 @@ def _read(said: IO[bytes]) -> str:
     return said.read(65536).decode(errors="replace")
 
 
-def _why(said: str, status: int) -> str:
-    """The last line of what a command said."""
+def _why(said: str, status: int, logs: Sequence[Path]) -> str:
+    """What ended it, else the last line of what the command said."""
+    by = status - 128 if status > 128 else -status  # of who was started by a shell, or by itself
+    if by == signal.SIGKILL:
+        words = command("report", *map(str, logs), "--out", "REPORT.html")
+        return (
+            "it was killed, most likely since this computer has too little memory for it: make it on another "
+            f"one from the logs, with `{words}`"
+        )
+    if by > 0 and by in set(signal.Signals):
+        return f"it was ended by {signal.Signals(by).name}; try again"
     lines = [line for line in said.splitlines() if line.strip()]
     return lines[-1].removeprefix("tilth report: ")[:500] if lines else f"it ended with status {status}"

@@ -6,6 +6,7 @@ Threads of Zenoh fill it, the page's loop empties it.
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -150,7 +151,7 @@ class DaemonData:
     def _log(self, key: str, text: str) -> MarkAnswer:
         if not self.base:
             return MarkAnswer(False, f"no daemon has been heard yet: the {key} is not in the log")
-        for reply in self._session.get(f"{self.base}/{key}", payload=text.encode(), timeout=MARK_S):
+        for reply in self._replies(key, MARK_S, text.encode()):
             return (
                 MarkAnswer(True, "in the log") if reply.ok is not None else MarkAnswer(False, _refusal(reply))
             )
@@ -163,17 +164,13 @@ class DaemonData:
         thread."""
         if not self.base:
             return "no daemon has been heard yet"
-        for reply in self._session.get(f"{self.base}/report/make", timeout=ORDER_S):
+        for reply in self._replies("report/make", ORDER_S):
             return "" if reply.ok is not None else _refusal(reply)
         return "the daemon does not make it: it is an older one, or this page's key may not ask for it"
 
     def report_file(self) -> bytes:
         """The last report that was made, HTML. Not in the loop's own thread. Raises Refused."""
-        try:
-            replies = self._session.get(f"{self.base}/report/file", timeout=FILE_S) if self.base else ()
-        except zenoh.ZError:  # this page ends
-            replies = ()
-        for reply in replies:
+        for reply in self._replies("report/file", FILE_S):
             if reply.ok is None:
                 raise Refused(_refusal(reply))
             if len(reply.ok.payload) > LARGEST_REPORT:
@@ -186,8 +183,7 @@ class DaemonData:
         thread."""
         if not self.base:
             return "no player has been heard yet"
-        data = order.SerializeToString()
-        for reply in self._session.get(f"{self.base}/player/order", payload=data, timeout=ORDER_S):
+        for reply in self._replies("player/order", ORDER_S, order.SerializeToString()):
             return "" if reply.ok is not None else _refusal(reply)
         return f"the player did not answer within {ORDER_S:.0f} s"
 
@@ -204,23 +200,30 @@ class DaemonData:
     def _driver_orders(self, key: str, order: Message, to: str) -> str:
         if not self.base:
             return "no daemon has been heard yet"
-        data = order.SerializeToString()
-        for reply in self._session.get(f"{self.base}/{key}/order", payload=data, timeout=ORDER_S):
+        for reply in self._replies(f"{key}/order", ORDER_S, order.SerializeToString()):
             return "" if reply.ok is not None else _refusal(reply)
         return f"`{to}` does not answer: was it ended?"
 
     def ask_player(self, what: str, message: type[M]) -> M:
         """What a player says of its runs, on a key below `player`. Not in the loop's own thread. Raises
         Refused."""
-        try:
-            replies = self._session.get(f"{self.base}/player/{what}", timeout=LIST_S) if self.base else ()
-        except zenoh.ZError:  # this page ends
-            replies = ()
-        for reply in replies:
+        for reply in self._replies(f"player/{what}", LIST_S):
             if reply.ok is None:
                 raise Refused(_refusal(reply))
             return parse(message, reply.ok.payload.to_bytes(), str(reply.ok.encoding), most=LARGEST_LIST)
         raise Refused("the player does not answer")
+
+    def _replies(self, key: str, timeout_s: float, payload: bytes | None = None) -> Iterable[zenoh.Reply]:
+        """Of the daemon that is followed, which is told who asks: then it has a share of its own."""
+        who = zenoh.SourceInfo(self._session.id, 0)
+        try:
+            return (
+                self._session.get(f"{self.base}/{key}", payload=payload, timeout=timeout_s, source_info=who)
+                if self.base
+                else ()
+            )
+        except zenoh.ZError:  # this page ends
+            return ()
 
     def close(self) -> None:
         self._session.close()

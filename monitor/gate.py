@@ -15,10 +15,12 @@ from http import HTTPStatus
 from typing import Final
 
 from tilth.monitor.origin import Refusal, refusal
+from tilth.schemas.limiter import Limiter, of_address
 
 HEAD_S: Final = 5.0  # to say who asks
 HEAD_BYTES: Final = 16 * 1024
 VIEWERS: Final = 16
+EACH: Final = 8  # of them, of one computer
 _PIECE: Final = 65536
 
 
@@ -43,6 +45,7 @@ class Gate:
         let in and its origin, "" where it said none. Raises OSError."""
         self._behind, self._allowed, self._refused = behind, tuple(map(str.lower, allowed)), refused
         self._viewers: set[asyncio.Task[None]] = set()
+        self._limiter = Limiter(VIEWERS, EACH, "viewers")
         self._loop = asyncio.new_event_loop()
         try:
             self._server = self._loop.run_until_complete(
@@ -75,15 +78,19 @@ class Gate:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError):  # either side may go whenever it likes
+            client = of_address((writer.get_extra_info("peername") or [""])[0])
+            full = self._limiter.enter(client)
             try:
-                head = await self._head(reader, writer)
+                head = await self._head(full, reader, writer)
                 if head:
                     await self._connect(head, reader, writer)
             finally:
+                if not full:
+                    self._limiter.leave(client)
                 writer.close()
 
-    async def _head(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes:
-        """The request as far as it says who asks; b"" where it was refused."""
+    async def _head(self, full: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes:
+        """The request as far as it says who asks; b"" where it was refused. full: why there is no place."""
         head, origins = b"", list[str]()
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
@@ -92,8 +99,8 @@ class Gate:
             refused = refusal(list(map(str, fields.get_all("host", []))), origins, self._allowed)
         except (asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
             refused = Refusal(HTTPStatus.BAD_REQUEST, "not a request of a viewer")
-        if refused is None and len(self._viewers) > VIEWERS:
-            refused = Refusal(HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS} viewers are connected: close one")
+        if refused is None and full:
+            refused = Refusal(HTTPStatus.SERVICE_UNAVAILABLE, full)
         if refused is None:
             return head
         self._refused(refused, ", ".join(origins))

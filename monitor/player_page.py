@@ -13,6 +13,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 ORDERS: Final = frozenset({"open", "play", "pause", "seek", "rate"})
 MOST_RUNS: Final = 2000
 MOST_PLACES: Final = 1000
+LARGEST: Final = 1e12  # number that a page may send
 _ENCODING: Final = "application/protobuf;tilth.SoilTireEstimate"
 Fields = dict[str, Any]
 
@@ -20,12 +21,17 @@ Fields = dict[str, Any]
 def order_of(said: Fields) -> pb.PlayerOrder:
     """What a page has sent. Raises ValueError in a person's words."""
     kind, run = said.get("order"), said.get("run", "")
-    if kind not in ORDERS or not isinstance(run, str):
+    if not isinstance(kind, str) or kind not in ORDERS or not isinstance(run, str):
         raise ValueError("an order is open, play, pause, seek or rate")
-    numbers = [said.get(name, 0.0) for name in ("at_s", "rate")]
-    if not all(isinstance(one, int | float) and math.isfinite(one) for one in numbers):
-        raise ValueError("a time and a rate are numbers")
-    return pb.PlayerOrder(kind=kind, run=run[:200], at_s=numbers[0], rate=numbers[1])
+    at_s, rate = (_number(said.get(name, 0.0)) for name in ("at_s", "rate"))
+    return pb.PlayerOrder(kind=kind, run=run[:200], at_s=at_s, rate=rate)
+
+
+def _number(said: object) -> float:
+    """Raises ValueError."""
+    if isinstance(said, int | float) and not isinstance(said, bool) and abs(said) < LARGEST:
+        return float(said)
+    raise ValueError("a time and a rate are numbers")
 
 
 def runs_of(daemon_data: DaemonData) -> list[Fields]:
@@ -51,6 +57,7 @@ def _run(one: pb.RunListing) -> Fields:
         "machine": text(one.machine),
         "notes": [text(note) for note in one.notes[:20]],
         "state": text(one.state),
+        "simulated": one.simulated,
         "learned": _learned(one.learned) if one.HasField("learned") else [],
     }
     place = (one.latitude_deg, one.longitude_deg)

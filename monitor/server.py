@@ -30,11 +30,14 @@ from tilth.monitor.daemon_data import DaemonData, MarkAnswer
 from tilth.monitor.origin import refusal
 from tilth.monitor.player_page import order_of, places_of, runs_of
 from tilth.monitor.view import View
+from tilth.schemas.limiter import Limiter, of_address
 
 TURN_S: Final = 0.1
 IDLE_S: Final = 1.0  # where nothing is new: ages grow
 WAITING: Final = 50  # messages for a browser that does not take them: five seconds, then it has to come anew
-VIEWERS: Final = 16
+VIEWERS: Final = 16  # pages of other computers, and as many of this one
+ASKED: Final = 16  # requests that wait for a daemon, of other computers; they have threads of their own
+EACH: Final = 8  # of either, of one computer
 MARK_BYTES: Final = 1024  # as the daemon allows
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
@@ -72,17 +75,26 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
 )
 
+Said = str | tuple[int, str]
+"""What a browser is sent: a message, or at last a code and why the stream ends."""
+TOO_SLOW: Final = (1013, "too slow")
+GIVEN_WAY: Final = (4001, "another page has taken this one's place")
 Answer = Callable[[Request], Awaitable[Response]]
 T = TypeVar("T")
 
 
 class Viewers:
-    """The browsers that are there, each with what it has not yet taken."""
+    """The browsers that are there, each with what it has not yet taken.
+
+    Where no place is left, the oldest page of who has most of them makes room: nobody is locked out by pages
+    that are open somewhere and looked at by no one.
+    """
 
     def __init__(self, view: View, now_s: Callable[[], float] = time.monotonic) -> None:
         self._view = view
         self._now_s = now_s
-        self._queues: set[asyncio.Queue[str | None]] = set()
+        self._queues: dict[asyncio.Queue[Said], str] = {}  # and whose it is, the oldest first
+        self._limiter = Limiter(VIEWERS, EACH, "pages")
 
     async def run(self) -> None:
         """Turn by turn, until cancelled."""
@@ -100,35 +112,55 @@ class Viewers:
             try:
                 queue.put_nowait(text)
             except asyncio.QueueFull:
-                self._queues.discard(queue)
-                while not queue.empty():
-                    queue.get_nowait()
-                queue.put_nowait(None)
+                self._end(queue, TOO_SLOW)
+
+    def _end(self, queue: "asyncio.Queue[Said]", why: tuple[int, str]) -> None:
+        """The page's stream ends after what it is just sent."""
+        self._limiter.leave(self._queues.pop(queue))
+        while not queue.empty():
+            queue.get_nowait()
+        queue.put_nowait(why)
+
+    def _enter(self, client: str) -> str:
+        """Why there is no place for a page of that client; "" where there is one now."""
+        full = self._limiter.enter(client)
+        while full and (owner := self._limiter.in_the_way(client)) is not None:
+            self._end(next(queue for queue, whose in self._queues.items() if whose == owner), GIVEN_WAY)
+            full = self._limiter.enter(client)
+        return full
 
     async def serve(self, socket: WebSocket) -> None:
         """One browser, until it goes or is too slow."""
-        if len(self._queues) >= VIEWERS:
-            await socket.close(1013, f"{VIEWERS} pages are open already: close one")
+        client = _client_of(socket)
+        if full := self._enter(client):
+            await socket.send_denial_response(PlainTextResponse(f"{full}\n", 503))
             return
-        await socket.accept()
-        queue: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        queue: asyncio.Queue[Said] = asyncio.Queue(WAITING)
         queue.put_nowait(self._view.whole(self._now_s()))
-        self._queues.add(queue)
-        sending = asyncio.create_task(_send(socket, queue))
+        self._queues[queue] = client
+        sending: asyncio.Task[None] | None = None
         try:
+            await socket.accept()
+            sending = asyncio.create_task(_send(socket, queue))
             while (await socket.receive())["type"] != "websocket.disconnect":
                 pass  # a page has nothing to say here
         finally:
-            self._queues.discard(queue)
-            sending.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await sending
+            if queue in self._queues:
+                self._limiter.leave(self._queues.pop(queue))
+            if sending is not None:
+                sending.cancel()
+                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                    await sending
 
 
-async def _send(socket: WebSocket, queue: "asyncio.Queue[str | None]") -> None:
-    while (text := await queue.get()) is not None:
-        await socket.send_text(text)
-    await socket.close(1013, "too slow")
+async def _send(socket: WebSocket, queue: "asyncio.Queue[Said]") -> None:
+    while isinstance(said := await queue.get(), str):
+        await socket.send_text(said)
+    await socket.close(*said)
+
+
+def _client_of(connection: HTTPConnection) -> str:
+    return of_address(connection.client.host if connection.client else "")
 
 
 class Guard:
@@ -171,13 +203,36 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         yield
         turning.cancel()
 
+    asked = Asked()
     folder = resources.files("tilth.monitor") / "page"
     files = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
-    routes = [*files, *_orders(daemon_data), *_asked(daemon_data), WebSocketRoute("/live", viewers.serve)]
+    live = WebSocketRoute("/live", viewers.serve)
+    routes = [*files, *_orders(daemon_data, asked), *_asked(daemon_data, asked), live]
     return Guard(Starlette(routes=routes, lifespan=lifespan))
 
 
-def _orders(daemon_data: DaemonData) -> list[Route]:
+class Asked:
+    """Requests that wait for a daemon, each in a thread. Files wait for nothing, and are not among them."""
+
+    def __init__(self) -> None:
+        self._limiter = Limiter(ASKED, EACH, "requests")
+
+    def fairly(self, answer: Answer) -> Answer:
+        """The same, for as many at a time as there are places."""
+
+        async def limited(request: Request) -> Response:
+            client = _client_of(request)
+            if full := self._limiter.enter(client):
+                return JSONResponse({"noted": False, "done": False, "text": full}, 429)
+            try:
+                return await answer(request)
+            finally:
+                self._limiter.leave(client)
+
+        return limited
+
+
+def _orders(daemon_data: DaemonData, asked: Asked) -> list[Route]:
     """What a page sends: marks, and orders to whoever runs beside the daemon."""
     answers = {
         "/mark": _noted(daemon_data.mark),
@@ -187,10 +242,10 @@ def _orders(daemon_data: DaemonData) -> list[Route]:
         "/calibration": _ordered(_kind, daemon_data.calibration),
         "/report": _ordered(lambda sent: None, lambda _: daemon_data.make_report(), "a request for a report"),
     }
-    return [Route(path, answer, methods=["POST"]) for path, answer in answers.items()]
+    return [Route(path, asked.fairly(answer), methods=["POST"]) for path, answer in answers.items()]
 
 
-def _asked(daemon_data: DaemonData) -> list[Route]:
+def _asked(daemon_data: DaemonData, asked: Asked) -> list[Route]:
     """What a page asks for, beside its own files."""
 
     async def report_file(request: Request) -> Response:
@@ -201,10 +256,10 @@ def _asked(daemon_data: DaemonData) -> list[Route]:
         return Response(data, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
 
     told = [
-        Route(f"/player/{name}", _told(daemon_data, ask))
+        Route(f"/player/{name}", asked.fairly(_told(daemon_data, ask)))
         for name, ask in (("runs", runs_of), ("places", places_of))
     ]
-    return [Route("/report.html", report_file), *told]
+    return [Route("/report.html", asked.fairly(report_file)), *told]
 
 
 def _noted(ask: Callable[[str], MarkAnswer]) -> Answer:
@@ -235,7 +290,11 @@ def _ordered(
 
 
 def _kind(sent: dict[str, Any]) -> str:
-    return str(sent.get("kind", ""))
+    """Raises ValueError."""
+    kind = sent.get("kind", "")
+    if not isinstance(kind, str):
+        raise ValueError("the kind of an order is a word")
+    return kind
 
 
 def _file(path: str, data: bytes, kind: str) -> Route:
@@ -274,7 +333,18 @@ async def _json(request: Request, what: str) -> dict[str, Any]:
         found = None
     if not isinstance(found, dict):
         raise ValueError(f"{what} is sent as JSON with its text")
+    if not _is_unicode(found):
+        raise ValueError(f"a text in it is no Unicode: {what} with half a character cannot be sent on")
     return found
+
+
+def _is_unicode(found: dict[str, Any]) -> bool:
+    """Whether its texts can be sent: JSON can say halves of characters."""
+    try:
+        json.dumps(found, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        return False
+    return True
 
 
 async def _mark_text(request: Request) -> str:

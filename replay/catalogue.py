@@ -15,6 +15,7 @@ from tilth.logger.log.runs import stored_runs
 from tilth.replay.glance import FileState, Glance, glance
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.proto import tilth_pb2 as pb
 
 BESIDE: Final = frozenset({".json", ".csv", ".toml", ".txt", ".html", ".png"})  # in a folder no logs, mostly
@@ -67,17 +68,21 @@ def _add_file(found: list[CatalogueRun], path: Path) -> None:
     """Raises LogError."""
     with suppress(EmptyLog):
         open_log(path).file.close()
-    run = _run_id(path)
+    run, part = _run_part(path)
     for number, other in enumerate(found):
-        if _run_id(other.paths[0]) == run:
+        parts = [_run_part(one) for one in other.paths]
+        if parts[0][0] == run and (not run or (run, part) not in parts):  # a copy, or another replay, is none
             found[number] = replace(other, paths=(*other.paths, path))
             return
     found.append(CatalogueRun(_PART.sub("", path.stem), (path,)))
 
 
-def _run_id(path: Path) -> str:
+def _run_part(path: Path) -> tuple[str, str]:
     """Of one of Tilth's own logs; "" of any other."""
-    return glance(path).run if _is_mcap(path) else ""
+    if not _is_mcap(path):
+        return "", ""
+    found = glance(path)
+    return found.run, found.part
 
 
 def _is_mcap(path: Path) -> bool:
@@ -122,6 +127,7 @@ def listing(run: CatalogueRun, prepared: Path | None = None) -> pb.RunListing:
     estimates = [one.estimate for one in found if one.estimate is not None]
     if estimates:
         row.learned.CopyFrom(estimates[-1])
+    row.simulated = bool(simulated_by(run.paths))
     row.machine = next((one.machine for one in glances.values() if one.machine), "")
     row.notes.extend(dict.fromkeys([*(one.note for one in glances.values() if one.note), *run.notes]))
     if any(one.state == FileState.BEING_WRITTEN for one in glances.values()):

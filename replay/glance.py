@@ -16,6 +16,7 @@ from mcap.records import Metadata
 from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, times_of, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
 from tilth.logger.log.recovery import is_being_written, is_ours
+from tilth.replay.simulated import mark_of
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -43,8 +44,10 @@ class Glance:
     events: Counter[str] = field(default_factory=Counter)  # by kind
     utc_minus_ns: int = 0
     note: str = ""
+    simulated: bool = False
     machine: str = ""  # its name
     run: str = ""  # its id and start: the logs of `tilth replay` share an id
+    part: str = ""  # of the run
     pose: pb.Pose | None = None  # the last
     estimate: pb.SoilTireEstimate | None = None  # the last that was recommended
 
@@ -126,10 +129,12 @@ def _take_last(found: Glance, topic: str, data: bytes) -> None:
 
 
 def _metadata(found: Glance, record: Metadata) -> None:
+    found.simulated |= bool(mark_of({record.name: record.metadata}))
     if record.name == "clock":
         found.utc_minus_ns = int(record.metadata.get("utc_minus_t_ns", "0"))
     elif record.name == "run":
         found.note = record.metadata.get("note", "")
+        found.part = record.metadata.get("part", "")
         found.run = " ".join(record.metadata.get(key, "") for key in ("id", "started_utc")).strip()
     elif record.name == "machine":
         found.machine = record.metadata.get("name", "")

@@ -47,6 +47,7 @@ AWAITED: Final = (
     "{}: its beginning is damaged, where it is said which frames are of which bus. What follows counts once "
     "this file has ended."
 )
+LOST: Final = "{}: overwritten, or not there any more. What had been read of it counts."
 NO_MACHINE: Final = "{} does not count: it is damaged at its beginning, where its machine file stood."
 _INDEX_HEAD: Final = struct.Struct("<HI")  # channel id, bytes of its rows: of a message index
 
@@ -72,6 +73,7 @@ class GrowingLog:
         self._at = len(MAGIC)
         self._looked_at = 0  # bytes of the file, when all of them had been read
         self.finished = False
+        self.lost = False  # it is not the file any more that was read until now
         self.waits_for_end = False  # only the index at its end tells what the next chunk holds
 
     @property
@@ -85,10 +87,20 @@ class GrowingLog:
         return dict(self._log.skipped)
 
     def frames(self) -> Iterator[Frame]:
-        """Those that have been written since the last call. Raises OSError."""
+        """Those that have been written since the last call."""
+        try:
+            yield from self._new_frames()
+        except OSError:
+            self.lost = True
+            self._finish()
+
+    def _new_frames(self) -> Iterator[Frame]:
+        """Raises OSError."""
         if self.finished:
             return
         size = os.fstat(self._file.fileno()).st_size
+        if size < self._at:
+            raise OSError(f"shorter than what was read of it: {size} bytes")
         if size == self._looked_at:
             return
         self._log.size, self.waits_for_end = size, False
@@ -236,7 +248,9 @@ class FollowedLogs:
         """What does not count, in sentences."""
         found = list(self._notes)
         for one in self._files.values():
-            if one.log.waits_for_end:
+            if one.log.lost:
+                found.append(LOST.format(one.path.name))
+            elif one.log.waits_for_end:
                 found.append(AWAITED.format(one.path.name))
             elif count := sum(one.log.skipped.values()):
                 found.append(DAMAGED.format(one.path.name, count))

@@ -18,21 +18,22 @@ from typing import Final
 import zenoh
 from google.protobuf.message import DecodeError, Message
 
-from tilth.logger.zenoh.sink import ZenohSink
+from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.replay.player import PlayState, RunPlayer
 from tilth.replay.prepared import OpenedRun
 from tilth.replay.readers.log import LogError
 from tilth.replay.recorded import Recorded
+from tilth.schemas.limiter import Limiter, asked_by
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.proto import tilth_pb2 as pb
 
-SUFFIX: Final = "replay"  # part of every key: no controller hears it
 TURN_S: Final = 0.02  # between two looks at what is due
 IDLE_S: Final = 0.25  # the same while nothing plays
 SAID_S: Final = 0.1  # between two states while it plays
 QUIET_S: Final = 1.0  # the same while nothing changes
 LATEST_S: Final = 1e9
 MOST_ORDERS: Final = 100  # that wait; a slider that is drawn asks a few times a second
+MOST_LISTS: Final = 4  # that are made at a time; each looks into many logs
 
 
 class Stopped(Exception):
@@ -60,7 +61,9 @@ class PlayerService:
     ) -> None:
         """machine: under whose name it is there before a run is open. clock: seconds, never steps."""
         self._session, self._sources, self._clock = session, sources, clock
-        self._orders: queue.Queue[tuple[pb.PlayerOrder, zenoh.Query]] = queue.Queue(MOST_ORDERS)
+        self._orders: queue.SimpleQueue[tuple[pb.PlayerOrder, zenoh.Query, str]] = queue.SimpleQueue()
+        self._order_limiter = Limiter(MOST_ORDERS, MOST_ORDERS // 2, "orders", threading.Lock())
+        self._list_limiter = Limiter(MOST_LISTS, MOST_LISTS // 2, "lists of runs", threading.Lock())
         self._came: queue.SimpleQueue[OpenedRun | str] = queue.SimpleQueue()  # opened, or why not
         self._stop = threading.Event()
         self._loading = 0  # the last run that was asked for
@@ -110,7 +113,7 @@ class PlayerService:
     def _appear(self, machine: Machine) -> None:
         self._disappear()
         # A value of a run that is paused does not grow old.
-        sink = self._sink = ZenohSink(machine, SUFFIX, now_ns=lambda: 0, session=self._session)
+        sink = self._sink = ZenohSink(machine, SIMULATED_SUFFIX, now_ns=lambda: 0, session=self._session)
         key = f"{sink.base}/player"
         self._publisher = self._session.declare_publisher(key, encoding=_encoding(pb.PlayerState))
         self._queryable = self._session.declare_queryable(f"{key}/**", self._answer, complete=True)
@@ -123,13 +126,21 @@ class PlayerService:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            playing = self._player is not None and self._player.state == PlayState.PLAYING
-            rows = self._take_orders(TURN_S if playing else IDLE_S)
-            with suppress(queue.Empty):
-                rows = self._take_opened(self._came.get_nowait())
-            if self._player is not None:
-                rows += self._player.due(self._clock()) or self._standing()
+            try:
+                rows = self._turn()
+            except Exception as error:  # a page must never see a run stand still without a word
+                rows = self._take_opened(_why(error, self._state.run))
             self._say(rows)
+
+    def _turn(self) -> list[Recorded]:
+        """What is to be published. Raises LostLog."""
+        playing = self._player is not None and self._player.state == PlayState.PLAYING
+        rows = self._take_orders(TURN_S if playing else IDLE_S)
+        with suppress(queue.Empty):
+            rows = self._take_opened(self._came.get_nowait())
+        if self._player is not None:
+            rows += self._player.due(self._clock()) or self._standing()
+        return rows
 
     def _standing(self) -> list[Recorded]:
         """What holds where a run stands, each second again: a network may drop what is published once."""
@@ -143,14 +154,18 @@ class PlayerService:
         """What is to be published for those that wait, or come within that time."""
         rows: list[Recorded] = []
         with suppress(queue.Empty):
-            order, query = self._orders.get(timeout=wait_s)
+            order, query, client = self._orders.get(timeout=wait_s)
             while True:
+                self._order_limiter.leave(client)
                 try:
                     rows = self._obey(order) or rows
                     _reply(query, b"", pb.PlayerState)
                 except ValueError as error:
                     _refuse(query, str(error))
-                order, query = self._orders.get_nowait()
+                except LogError as error:
+                    _refuse(query, str(error))
+                    raise
+                order, query, client = self._orders.get_nowait()
         return rows
 
     def _obey(self, order: pb.PlayerOrder) -> list[Recorded]:
@@ -196,10 +211,8 @@ class PlayerService:
                 opened: OpenedRun | str = self._sources.open(name, progress)
             except Stopped:
                 return
-            except (LogError, MachineError) as error:
-                opened = str(error)
-            except OSError as error:
-                opened = f"{error.filename or name}: {(error.strerror or str(error)).lower()}"
+            except Exception as error:
+                opened = _why(error, name)
             if number == self._loading:
                 self._came.put(opened)
 
@@ -254,7 +267,7 @@ class PlayerService:
             case "/order":
                 self._take_order(query)
             case "/runs":  # many logs are looked into: others who ask are not to wait for it
-                self._start_beside(self._list, query)
+                self._take_list(query)
             case "/overview":
                 _reply(query, self._overview, pb.Places)
             case "/places":
@@ -265,13 +278,23 @@ class PlayerService:
     def _take_order(self, query: zenoh.Query) -> None:
         try:
             order = pb.PlayerOrder.FromString(query.payload.to_bytes() if query.payload is not None else b"")
-            self._orders.put_nowait((order, query))
         except DecodeError:
             _refuse(query, "this is no tilth.PlayerOrder")
-        except queue.Full:
-            _refuse(query, "too many orders at a time; try again in a second")
+            return
+        client = asked_by(query, self._session)
+        if refused := self._order_limiter.enter(client):
+            _refuse(query, refused)
+        else:
+            self._orders.put((order, query, client))
 
-    def _list(self, query: zenoh.Query) -> None:
+    def _take_list(self, query: zenoh.Query) -> None:
+        client = asked_by(query, self._session)
+        if refused := self._list_limiter.enter(client):
+            _refuse(query, refused)
+        else:
+            self._start_beside(self._list, query, client)
+
+    def _list(self, query: zenoh.Query, client: str) -> None:
         listings = pb.RunListings()
         try:
             for row in self._sources.listings():
@@ -281,6 +304,17 @@ class PlayerService:
             _reply(query, listings.SerializeToString(), pb.RunListings)
         except OSError as error:
             _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
+        finally:
+            self._list_limiter.leave(client)
+
+
+def _why(error: Exception, run: str) -> str:
+    """Why a run cannot be played, or not any further."""
+    if isinstance(error, LogError | MachineError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or run}: {(error.strerror or str(error)).lower()}"
+    return f"{run}: cannot be played ({type(error).__name__}: {error})"
 
 
 def _encoding(message: type[Message]) -> zenoh.Encoding:

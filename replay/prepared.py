@@ -3,23 +3,30 @@
 Its name comes from all that could make other results: the files, the machine file, this software's version.
 """
 
+import contextlib
 import hashlib
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from tilth.logger.log.derived import Derived
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
 from tilth.replay.catalogue import CatalogueRun, has_results
+from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.readers.rig import Say, bus_names, machine_in
 from tilth.replay.recorded import Progress, RecordedRun
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Zenoh
 
+MOST_BYTES: Final = 10e9  # of all that is kept
+_OURS: Final = re.compile(r".+_[0-9a-f]{16}(\.\d+)?\.\w+")
 REPLAYING: Final = "replaying the log, which holds frames only"
 READING: Final = "reading the run"
 
@@ -63,6 +70,8 @@ class Opening:
         MachineError, OSError."""
         target, paths = self.prepared(run), run.paths
         if target is not None:
+            with contextlib.suppress(OSError):
+                os.utime(target)  # it is in use
             if not target.exists():
                 self._prepare(run, target, lambda share: progress(REPLAYING, share))
             paths = (target,)
@@ -100,15 +109,23 @@ def prepare(
     buses: Mapping[str, str] | None = None,
     say: Say = lambda text: None,
 ) -> None:
-    """Write the target, whole or not at all. What `progress` raises ends it. Raises LogError, OSError."""
+    """Write the target, whole or not at all. What `progress` raises ends it.
+
+    Raises LogError, NoRoom where its disk is too full, OSError.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     unfinished = target.with_suffix(f".{os.getpid()}.part")
     unfinished.unlink(missing_ok=True)
     size = sum(path.stat().st_size for path in paths)
+    kept = Derived(target.parent, _OURS, MOST_BYTES, machine.log.keep_free_megabytes * 1e6)
+    room = room_for(kept, paths)
     try:
-        writer = LogWriter(unfinished, machine, text, RunPart(target.stem, 1, _first_ns(paths)))
+        run = RunPart(target.stem, 1, _first_ns(paths), simulated=simulated_by(paths))
+        writer = LogWriter(unfinished, machine, text, run)
         try:
-            outputs = ReplayOutputs(writer, progress=lambda done: progress(min(done / max(size, 1), 1.0)))
+            outputs = ReplayOutputs(
+                writer, progress=lambda done: progress(min(room(done) / max(size, 1), 1.0))
+            )
             summary = replay(paths, machine, text, buses=buses, outputs=outputs, say=say)
         finally:
             writer.close()

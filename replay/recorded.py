@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
 from tilth.replay.readers.any_log import MCAP, open_log
-from tilth.replay.readers.log import EmptyLog, ForeignLog
+from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.survey import messages_in
 from tilth.replay.turns import turns
 from tilth.schemas.channels import CHANNELS
@@ -29,9 +29,14 @@ STEP_NS: Final = 1_000_000_000  # further back than that is a step of the clock
 KEPT_CHUNKS: Final = 16  # unpacked ones
 MOST_ROWS: Final = 4000  # of one kind in the overview
 MOST_PLACES: Final = 600
+CHUNK_HEAD: Final = 28  # bytes of a chunk's times, size and checksum
 NO_PLACES: Final = frozenset({"heartbeat"})  # kinds of events that nobody wants to jump to
 
 Progress = Callable[[float], None]  # takes the share that is done
+
+
+class LostLog(LogError):
+    """A file that could be read has been changed since, or cannot be reached any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +64,7 @@ class _Chunk:
     file: BinaryIO
     topics: dict[int, str]  # of its file, by channel
     place: RecordPlace
+    head: bytes  # of its record, by which it is known again
     from_ns: int  # the place in the run at which it begins
     shift_ns: int  # which added to its log times gives places
 
@@ -117,13 +123,14 @@ class RecordedRun:
         return "; ".join(parts)
 
     def after(self, at_ns: int) -> Iterator[Recorded]:
-        """Every result later than that, in the order of the file."""
+        """Every result later than that, in the order of the file. Raises LostLog."""
         first = max(0, bisect_right(self._chunks, at_ns, key=lambda chunk: chunk.from_ns) - 1)
         for number in range(first, len(self._chunks)):
             yield from (row for row in self._rows(number) if row.at_ns > at_ns)
 
     def before(self, at_ns: int) -> list[Recorded]:
-        """The last result of each topic at that time or earlier; events are none, since they do not last."""
+        """The last result of each topic at that time or earlier; events are none, since they do not last.
+        Raises LostLog."""
         found = []
         for topic in STATES & self._holding.keys():
             numbers = self._holding[topic]
@@ -143,7 +150,7 @@ class RecordedRun:
         if number in self._kept:
             self._kept.move_to_end(number)
             return self._kept[number]
-        rows = self._kept[number] = list(_rows(self._chunks[number]))
+        rows = self._kept[number] = _rows(self._chunks[number])
         if len(self._kept) > KEPT_CHUNKS:
             self._kept.popitem(last=False)
         return rows
@@ -192,13 +199,14 @@ class RecordedRun:
 
     def _take_chunk(self, file: BinaryIO, topics: dict[int, str], place: RecordPlace) -> list[Recorded]:
         """Its results; where it has some it is remembered."""
-        messages = list(messages_in(unpacked(body_of(file, place)), topics, TOPICS))
+        body = body_of(file, place)
+        messages = list(messages_in(unpacked(body), topics, TOPICS))
         if not messages:
             return []
         t_ns = messages[0][1][0]
         if self._shift_ns is None or t_ns + self._shift_ns < self.length_ns - STEP_NS:
             self._shift_ns = self.length_ns - t_ns
-        chunk = _Chunk(file, topics, place, self.length_ns, self._shift_ns)
+        chunk = _Chunk(file, topics, place, body[:CHUNK_HEAD], self.length_ns, self._shift_ns)
         rows = list(_placed(chunk, messages))
         for topic in {row.topic for row in rows}:
             self._holding.setdefault(topic, []).append(len(self._chunks))
@@ -211,9 +219,17 @@ def _later(progress: Progress, done: float, per_byte: float) -> Progress:
     return lambda at: progress(done + at * per_byte)
 
 
-def _rows(chunk: _Chunk) -> Iterator[Recorded]:
-    data = unpacked(body_of(chunk.file, chunk.place))
-    return _placed(chunk, messages_in(data, chunk.topics, TOPICS))
+def _rows(chunk: _Chunk) -> list[Recorded]:
+    """Raises LostLog."""
+    try:
+        body = body_of(chunk.file, chunk.place)
+        if body[:CHUNK_HEAD] == chunk.head:
+            return list(_placed(chunk, messages_in(unpacked(body), chunk.topics, TOPICS)))
+    except DAMAGE:
+        pass
+    raise LostLog(
+        f"{chunk.file.name}: changed since it was opened, or not there any more; open the run again"
+    ) from None
 
 
 def _placed(chunk: _Chunk, messages: "Iterator[_Message] | Sequence[_Message]") -> Iterator[Recorded]:

@@ -40,8 +40,6 @@ SPATIAL: Final = Scenario(
     plant="spatial", ground=Ground(rms=0.01), soil=Soil(grip=0.7), roll_sensor=RollSensor(draw=True)
 )
 """Of `tilth demo --spatial`: the same drive over ground of 1 cm rms, with roll as real receivers tell it."""
-SAID: Final = "simulated"  # the note of a log whose tractor is none, for people and for reports
-SIMULATED: Final = "replay"  # part of every key: no controller takes a simulation for a tractor
 COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
@@ -117,8 +115,7 @@ def run_demo(
             machine,
             text,
             log_folder=log_folder,
-            prefix_suffix=SIMULATED,
-            note=SAID,
+            simulated="tilth demo",
             status=timed,
             stop=lambda: player.finished(stop() or (timed.over and not kept), timed.frames),
         )
@@ -285,6 +282,7 @@ def result(demo: Demo) -> dict[str, Any]:
         "poses": summary.poses,
         "duration_s": 0.0 if first is None or last is None else (last - first) * 1e-9,
         "truncated": False,
+        "simulated": True,
         **estimates_and_nuisances(summary.estimates),
         "truth": dict(demo.truth),
         "log": [str(path) for path in summary.log_files],

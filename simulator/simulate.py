@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
-from tilth.logger.log.mcap_log import LogWriter, RunPart, software
+from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart, software
+from tilth.replay.simulated import TRUTH
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
 from tilth.simulator.drive import drive
@@ -88,10 +89,10 @@ class Simulated:
 
 def _mcap(path: Path, source: SimulationInput) -> Writer:
     start_ns = source.scenario.utc_start_ns
-    run = RunPart(f"simulated-{source.seed}", 1, start_ns)
+    run = RunPart(f"simulated-{source.seed}", 1, start_ns, simulated="tilth simulate")
     writer = LogWriter(path, source.machine, source.machine_text, run)
     metadata = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
-    writer.metadata("simulated", metadata)
+    writer.metadata(SIMULATED, metadata)
     return writer
 
 
@@ -105,7 +106,7 @@ WRITERS: Final = {".mcap": _mcap, ".log": _candump}
 
 def files_of(log: Path) -> tuple[Path, Path, Path]:
     """Log, truth as JSON and truth as CSV."""
-    return log, log.with_name(log.name + ".truth.json"), log.with_name(log.name + ".truth.csv")
+    return log, log.with_name(log.name + TRUTH), log.with_name(log.name + ".truth.csv")
 
 
 def simulate_to(

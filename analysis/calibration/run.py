@@ -29,6 +29,7 @@ from tilth.estimator.calibration.steering_response import SteeringResponse, resp
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
 from tilth.replay.readers.rig import Say
+from tilth.replay.simulated import SAID, simulated_by
 from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
@@ -168,7 +169,7 @@ def calibrate_logs(
         found,
         judged,
         (*faults, *found.faults),
-        (*others, *_notes(heard)),
+        (*[f"{SAID.capitalize()}."] * bool(simulated_by(paths)), *others, *_notes(heard)),
         text,
         after,
         when,

@@ -22,6 +22,7 @@ def facts_of(run: Run) -> dict[str, Any]:
         "recorded_by": run.software.get("version", ""),
         "run": run.id,
         "note": run.note,
+        "simulated": bool(run.simulated),
         "start_ns": clock.start_ns,
         "utc_minus_ns": clock.utc_minus_ns,
         "duration_s": round(run.duration_s, 9),

@@ -31,6 +31,7 @@ Facts = Mapping[str, Any]
 ROW_GROUP_BYTES: Final = 4 << 20  # at least
 COLUMN_BYTES: Final = 1 << 16  # of a column, at least: each in each group costs a kilobyte until the end
 MAT_BYTES: Final = 2 << 30  # of a variable; the format can say 4 GiB, and readers stop at 2
+_ACTING: Final = (*"=+-@＝＋－＠\t\r\n", "'")  # with the wide forms of East Asian spreadsheets
 _MAT_RESERVED: Final = ("units", "texts", "meta")
 _MAT_WIDTH: Final = {DOUBLE: 8, WHOLE: 8, TRUTH: 8, TEXT: 4, DATA: 8, INSTANT: 0}  # bytes of a value
 
@@ -53,7 +54,11 @@ class TableFile(Protocol):
 
 
 class CsvFile:
-    """RFC 4180 in UTF-8: a header, CRLF, points in numbers, an empty cell for what is absent."""
+    """RFC 4180 in UTF-8: a header, CRLF, points in numbers, an empty cell for what is absent.
+
+    A text that a spreadsheet would take for a formula has an apostrophe before it, and so has one that begins
+    with an apostrophe: to read a text as it was, take one away.
+    """
 
     def __init__(self, path: Path, columns: Sequence[ExportColumn], facts: Facts) -> None:
         self._file = path.open("w", encoding="utf-8", newline="")
@@ -79,6 +84,7 @@ class CsvFile:
 
 
 def _quoted(text: str) -> str:
+    text = f"'{text}" if text.startswith(_ACTING) else text
     return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in '",\r\n') else text
 
 

@@ -26,13 +26,13 @@ from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_se
 from tilth.analysis.fit.side_by_side import side_by_side
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import Driven, driving, identity
-from tilth.analysis.runs.kept import cache_folder, key_of
+from tilth.analysis.runs.kept import cache_folder, has_room, key_of
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.estimator.methods import pem
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.logger.log.mcap_log import machine_sha256
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Log, Machine
 
 Kept = TypeVar("Kept", SegmentFit, Linearised)
 Progress = Callable[[int, int], None]  # segments done, of all
@@ -171,7 +171,7 @@ def fit_all(
     progress(len(found), len(wanted))
     open_ones = [k for k in range(len(wanted)) if k not in found]
     for k, fit in _fit_these(machine, wanted, open_ones, methods, jobs, cache):
-        _store(folder / names[k], fit)
+        _store(folder / names[k], fit, machine.log)
         found[k] = fit
         progress(len(found), len(wanted))
     fits = tuple(found[k] for k in range(len(wanted)))
@@ -184,7 +184,7 @@ def fit_all(
     if linearised is None:
         with side_by_side(len(told), jobs) as each:
             linearised = linearise(machine, [fits[k] for k in told], between, each)
-        _store(together, linearised)
+        _store(together, linearised, machine.log)
     return Fitted(tuple(wanted), fits, told, linearised, join(machine, linearised))
 
 
@@ -262,11 +262,13 @@ def _load(path: Path, kind: type[Kept]) -> Kept | None:
     return found if isinstance(found, kind) else None
 
 
-def _store(path: Path, found: Kept) -> None:
+def _store(path: Path, found: Kept, log: Log) -> None:
     """Raises nothing: a cache that cannot be written costs time, no result."""
     unfinished = path.with_suffix(f".{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if not has_room(path.parent, log):
+            return
         unfinished.write_bytes(pickle.dumps(found))
         unfinished.replace(path)
     except OSError:

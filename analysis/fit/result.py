@@ -25,11 +25,13 @@ Array = NDArray[np.float64]
 
 
 def as_json(fitted: Fitted) -> dict[str, Any]:
-    """{"runs": […], "joint": …, "agreement": …}; "joint" and "agreement" None where nothing was told."""
+    """{"runs": […], "joint": …, "agreement": …, "simulated": whether no tractor drove}; "joint" and
+    "agreement" None where nothing was told."""
     joint = fitted.joint
     return {
         "runs": [_run(one, fit) for one, fit in zip(fitted.wanted, fitted.fits, strict=True)],
         "joint": None if joint is None else _joint(joint),
+        "simulated": any(one.run.simulated for one in fitted.wanted),
         "agreement": None
         if joint is None
         else {

@@ -7,8 +7,10 @@ from tilth.analysis.report.document import WARNING, Part, ReportCell, ReportSect
 from tilth.analysis.report.glance import at_a_glance, contradicted
 from tilth.analysis.report.published import RECOMMENDED, values_table
 from tilth.analysis.report.wording import NOTHING, listed, many
+from tilth.replay.simulated import SAID
 from tilth.schemas.flow import PARAMETERS
 
+SIMULATED: Final = f"{SAID.capitalize()}."
 FAULTS: Final = ("fault", "gap", "clock_step", "stored_state", "disagreement")
 """Kinds of events that make results doubtful."""
 _SKIPPED: Final = {
@@ -41,7 +43,7 @@ def warnings_of(run: Mapping[str, Any]) -> list[str]:
     ]
     origin = run["origin"]
     if origin["simulated"]:
-        found.append("Simulated: no tractor drove this")
+        found.append(SIMULATED.rstrip("."))
     if not origin["whole"]:
         found.append(f"Cut off: {listed(origin['cut'])} has no end; what followed is missing")
     found += [f"{words} could not be read" for what, words in _SKIPPED.items() if what in run["skipped"]]

@@ -15,6 +15,7 @@ from tilth.analysis.report.document import (
     ReportSection,
     ReportTable,
     ReportText,
+    legible,
 )
 from tilth.analysis.report.figures import inline
 
@@ -25,7 +26,7 @@ _DEEPEST: Final = 6  # heading of HTML
 
 def escape(text: str) -> str:
     """For HTML; a number and its % stay on one line."""
-    return html.escape(text).replace(" %", "\u00a0%")
+    return html.escape(legible(text)).replace(" %", "\u00a0%")
 
 
 def page(report: DriveReport) -> str:

@@ -18,8 +18,9 @@ def outputs(out: Path, with_pdf: bool) -> list[Path]:
 
 
 def json_text(content: dict[str, Any]) -> str:
-    """As it stands in the file."""
-    return json.dumps(content, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
+    """As it stands in the file; halves of characters, as in names that are not UTF-8, escaped."""
+    text = json.dumps(content, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
+    return text.encode(errors="backslashreplace").decode()
 
 
 def write(

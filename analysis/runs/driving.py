@@ -12,7 +12,7 @@ from typing import Final
 
 import zstandard
 
-from tilth.analysis.runs.kept import Progress, cache_folder, key_of, no_progress
+from tilth.analysis.runs.kept import Progress, cache_folder, has_room, key_of, no_progress
 from tilth.analysis.runs.run import Run
 from tilth.estimator import fold
 from tilth.estimator.record.record import Segment
@@ -20,6 +20,7 @@ from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Frame, Pose
+from tilth.schemas.machine import Log
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 SHOWN_EVERY: Final = 8192  # frames between two looks at a progress bar
@@ -49,7 +50,7 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
     found = _loaded(kept, kept.stat().st_mtime_ns) if kept.exists() else None
     if found is None:
         found = tuple(_drive(run, progress))
-        _store(kept, found)
+        _store(kept, found, run.machine.log)
     return found
 
 
@@ -107,11 +108,13 @@ def _load(kept: Path) -> tuple[Driven, ...] | None:
     return found if isinstance(found, tuple) else None
 
 
-def _store(kept: Path, found: tuple[Driven, ...]) -> None:
+def _store(kept: Path, found: tuple[Driven, ...], log: Log) -> None:
     """Raises nothing: a cache that cannot be written costs time, no result."""
     unfinished = kept.with_suffix(".part")
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
+        if not has_room(kept.parent, log):
+            return
         with zstandard.open(unfinished, "wb", zstandard.ZstdCompressor(level=1)) as file:
             pickle.dump(found, file, pickle.HIGHEST_PROTOCOL)
         unfinished.replace(kept)

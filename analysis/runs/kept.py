@@ -6,20 +6,29 @@ The name of what is kept tells of what it was made: the log's bytes, the machine
 import contextlib
 import hashlib
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
+from tilth.logger.log.derived import Derived
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Log, Machine
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
 FORM: Final = 8  # of what is kept; grows when its meaning changes
+SMALL_BYTES: Final = 20e6
 _BLOCK: Final = 1 << 20
+
+
+MOST_BYTES: Final = 10e9  # of all that is kept
+_OURS: Final = re.compile(r"[0-9a-f]{32}(\.\d+)?\.\w+|sensitivity/[0-9a-f]{16}/\d+(\.npz|\.\d+\.unfinished)")
 
 
 def no_progress(done: int, of: int) -> None:
@@ -34,6 +43,16 @@ def cache_folder() -> Path:
     """Where things are kept unless a caller says otherwise."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if base else Path.home() / ".cache") / "tilth" / "analysis"
+
+
+def caches(folder: Path, log: Log) -> Derived:
+    """What is kept in a folder, which leaves as much of its disk free as the machine file says."""
+    return Derived(folder, _OURS, MOST_BYTES, log.keep_free_megabytes * 1e6)
+
+
+def has_room(folder: Path, log: Log) -> bool:
+    """Whether something small may be kept there; the oldest is removed for it. Raises OSError."""
+    return caches(folder, log).make_room(SMALL_BYTES)
 
 
 def sha256_of(path: Path) -> str:
@@ -62,21 +81,26 @@ def replayed(
 ) -> Path:
     """The log as a replay gives it, with frames and results, made now unless it is kept.
 
-    Raises LogError, OSError. An interrupted replay leaves nothing under the final name.
+    Raises LogError, NoRoom where its disk is too full, OSError. An interrupted replay leaves nothing under
+    the final name.
     """
     folder = cache or cache_folder()
     names = sorted(buses.items())
     kept = folder / f"{key_of(sha256_of(path), machine_sha256(machine, machine_text), names)}.mcap"
     if kept.exists():
+        with contextlib.suppress(OSError):  # it is in use
+            kept.touch()
         return kept
+    room = room_for(caches(folder, machine.log), [path])
     say(f"{path}: is replayed for its poses, once; they are kept")
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size
-    writer = LogWriter(unfinished, machine, machine_text, RunPart(path.stem, 1, _first_ns(path)))
+    run = RunPart(path.stem, 1, _first_ns(path), simulated=simulated_by([path]))
+    writer = LogWriter(unfinished, machine, machine_text, run)
     try:
         with contextlib.closing(writer):
-            outputs = ReplayOutputs(writer, progress=lambda done: progress(done, size))
+            outputs = ReplayOutputs(writer, progress=lambda done: progress(room(done), size))
             replay([path], machine, machine_text, buses=buses, outputs=outputs, say=say)
         unfinished.replace(kept)
     finally:

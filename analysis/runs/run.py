@@ -8,7 +8,6 @@ replayed first, and the replayed log is kept (kept.py).
 """
 
 import io
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,7 +19,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
+from tilth.analysis.runs.given_once import check_given_once
 from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
+from tilth.analysis.runs.log_file import DAEMON_RUN, LogFile
 from tilth.analysis.runs.reading import ChannelReader, RunClock, topics_of
 from tilth.analysis.runs.table import Table, joined
 from tilth.logger.log.mcap_file import DAMAGE, MAGIC, metadata_bodies
@@ -28,24 +29,13 @@ from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.replay.readers.rig import machine_in
+from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 MARK: Final = "mark"  # kind of the events that an operator makes
 RECOMMENDED: Final = "recommended"
-_UUID: Final = re.compile(r"[0-9a-f]{32}")  # by which the daemon tells its runs apart
-
-
-@dataclass(slots=True)
-class LogFile:
-    """What the head and the end of a file tell of it."""
-
-    path: Path
-    metadata: dict[str, dict[str, str]]
-    first_ns: int
-    last_ns: int
-    whole: bool
 
 
 @dataclass
@@ -93,6 +83,11 @@ class Run:
     def whole(self) -> bool:
         """Whether no file was cut off."""
         return all(file.whole for file in self.files)
+
+    @property
+    def simulated(self) -> str:
+        """What simulated it; "" where a tractor drove."""
+        return simulated_by(self.sources)
 
     @property
     def software(self) -> Mapping[str, str]:
@@ -186,13 +181,24 @@ def open_runs(
             empty = error
             say(str(error))
             continue
-        run = file.metadata.get("run", {})
-        own = file.path == path
-        key = f"{run.get('id', '')} {run.get('started_utc', '')}" if own and run.get("id") else str(path)
-        groups.setdefault(key, []).append((path, file))
+        groups.setdefault(_run_key(path, file, groups), []).append((path, file))
     if not groups:
         raise empty or EmptyLog("no log was given")
+    simulated = [path for files in groups.values() for path, _ in files if simulated_by([path])]
+    if simulated:
+        say(f"{', '.join(map(str, simulated))}: {SAID}")
+    check_given_once([pair for files in groups.values() for pair in files])
     return tuple(_run(files, machine) for files in groups.values())
+
+
+def _run_key(path: Path, file: LogFile, groups: Mapping[str, list[tuple[Path, LogFile]]]) -> str:
+    """By which the parts of a run are known to be of it. A log that a replay or `simulate` wrote is a run by
+    itself: their ids tell of a command, not of a start of the daemon."""
+    run = file.metadata.get("run", {})
+    key = f"{run.get('id', '')} {run.get('started_utc', '')}"
+    parts = [_part(other) for _, other in groups.get(key, ())]
+    is_part = bool(run.get("id")) and _part(file) not in parts
+    return key if is_part and file.path == path and REPLAY not in file.metadata else f"{path} {len(groups)}"
 
 
 def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None) -> Run:
@@ -207,7 +213,7 @@ def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None)
 
 def _name(path: Path, file: LogFile, said: str) -> str:
     """What a run is called: what its log says, if that is for people; else as its files are."""
-    if said and path == file.path and not _UUID.fullmatch(said):
+    if said and path == file.path and not DAEMON_RUN.fullmatch(said):
         return said
     return path.stem.removesuffix(f"_{_part(file):03d}")
 

@@ -5,16 +5,19 @@ result; after a while the same batch is asked of another worker too, and whichev
 """
 
 import re
+import ssl
 import time
 from asyncio import CancelledError
 from collections.abc import Generator, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
+from tilth.schemas.limiter import is_this_computer
 
 INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
@@ -26,13 +29,34 @@ GONE: Final = (OSError, TimeoutError, CancelledError)  # Dask's own errors of lo
 PACKAGES: Final = ("tilth", "numpy", "numba")
 
 
+class Certificates(NamedTuple):
+    """Files, PEM: of the authority that both ends trust, and of this end."""
+
+    ca: str
+    certificate: str
+    key: str
+
+
 class DaskProblem(Exception):
     """One sentence that says what to do."""
 
 
-def on_dask(address: str, *, hung_s: float = HUNG_S) -> Parts:
-    """address: of the scheduler, tcp://host:8786. Raises DaskProblem when it is used."""
-    return partial(_on_dask, address, hung_s)
+def on_dask(address: str, certificates: Certificates | None = None, *, hung_s: float = HUNG_S) -> Parts:
+    """address: of the scheduler, tcp://host:8786, or tls://host:8786 with certificates. Raises DaskProblem
+    when it is used."""
+    return partial(_on_dask, address, certificates, hung_s)
+
+
+def caution(address: str) -> str:
+    """What a person should know before that scheduler is used; "" where nothing is to be said."""
+    protocol, _, rest = address.partition("://")
+    host = rest.rpartition(":")[0].strip("[]")
+    if protocol == "tls" or host == "localhost" or is_this_computer(host):
+        return ""
+    return (
+        f"{address} is neither encrypted nor guarded: whoever reaches it runs what they like on all its "
+        "computers; use certificates (--dask-tls), or a network that is yours alone"
+    )
 
 
 def versions() -> dict[str, str]:
@@ -52,7 +76,7 @@ def check_versions(here: dict[str, str], workers: dict[str, dict[str, str]]) -> 
 
 
 def _on_dask(
-    address: str, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
+    address: str, certificates: Certificates | None, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
 ) -> Generator[tuple[int, bytes], None, None]:
     if not starts:
         return
@@ -62,12 +86,14 @@ def _on_dask(
         distributed: Any = import_module("distributed")
     except ImportError:
         raise DaskProblem(INSTALL) from None
+    security = _security(distributed, address, certificates)
     try:
-        client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
+        client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False, security=security)
     except (OSError, ValueError) as error:
         raise DaskProblem(
-            f"no Dask scheduler answers at {address} ({type(error).__name__}): `dask scheduler` starts one, "
-            "and `dask worker ADDRESS` each worker"
+            f"no Dask scheduler answers at {address} ({type(error).__name__}): `dask scheduler --host "
+            "127.0.0.1` starts one, and `dask worker ADDRESS` each worker"
+            + ("; do its certificates and these have one authority?" if certificates else "")
         ) from None
     try:
         _check(client, address)
@@ -79,6 +105,31 @@ def _on_dask(
         ) from None
     finally:
         client.close(timeout=2.0)
+
+
+def _security(distributed: Any, address: str, certificates: Certificates | None) -> Any:
+    """None without certificates. Raises DaskProblem."""
+    if (certificates is not None) != address.startswith("tls://"):
+        raise DaskProblem(
+            f"{address} and certificates do not fit: tls://host:8786 needs --dask-tls, and only that takes it"
+        )
+    if certificates is None:
+        return None
+    context = ssl.create_default_context()
+    try:
+        for path in certificates:
+            Path(path).open("rb").close()  # an error of the next ones names no file
+        context.load_verify_locations(certificates.ca)
+        context.load_cert_chain(certificates.certificate, certificates.key)
+    except OSError as error:  # of what is no PEM too
+        name = error.filename or ", ".join(certificates)
+        reason = (error.strerror or str(error)).lower()
+        wanted = "give CA, certificate and key, as PEM files"
+        raise DaskProblem(f"--dask-tls {name}: {reason}; {wanted}") from None
+    return distributed.Security(
+        require_encryption=True, tls_ca_file=certificates.ca,
+        tls_client_cert=certificates.certificate, tls_client_key=certificates.key,
+    )  # fmt: skip
 
 
 def _check(client: Any, address: str) -> None:

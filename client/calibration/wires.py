@@ -29,7 +29,7 @@ class CalibrationWires:
         self._status: pb.Status | None = None
         self._heard_s = time.monotonic()
         self._logs: dict[str, None] = {}
-        self._orders = OrderQueue(pb.CalibrationOrder, ORDERS)
+        self._orders = OrderQueue(pb.CalibrationOrder, ORDERS, session)
         self._link.hear(session.declare_subscriber(f"{base}/status"), self._take_status)
         self._link.hear(session.declare_queryable(f"{base}/calibration/order"), self._orders.take)
 

@@ -32,7 +32,7 @@ class PrompterWires:
     def __init__(self, session: zenoh.Session, base: str) -> None:
         self._session, self._base, self._link = session, base, Link(session)
         self._poses: deque[tuple[float, Seen]] = deque(maxlen=WAITING)  # one thread adds, another takes
-        self._orders = OrderQueue(pb.ExperimentOrder, ORDERS)
+        self._orders = OrderQueue(pb.ExperimentOrder, ORDERS, session)
         self._marked: queue.Queue[Marked] = queue.Queue()
         self._refused: Counter[str] = Counter()
         self._logs: dict[str, None] = {}

@@ -48,7 +48,7 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
-from tilth.simulator.demo import SIMULATED, DemoError, on_loopback
+from tilth.simulator.demo import DemoError, on_loopback
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import as_json
 from tilth.simulator.simulate import PACKAGED
@@ -108,7 +108,7 @@ def run_guidance(
         events = deque[tuple[str, str]]()  # the daemon tells them: in its log, on the page, in the terminal
         watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, events)
         summary = run_daemon(
-            machine, text, log_folder=log_folder, prefix_suffix=SIMULATED, status=display,
+            machine, text, log_folder=log_folder, simulated="tilth demo --guidance", status=display,
             stop=lambda: watching.over(stop()), events=events,
         )  # fmt: skip
     if not watching.end:

@@ -6,6 +6,7 @@ thread of Zenoh's; the daemon's loop logs it between two frames and hears from t
 of it.
 """
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,9 +16,11 @@ import zenoh
 
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.limiter import Limiter
 
 MOST_BYTES: Final = 1024  # of UTF-8
 MOST_WAITING: Final = 16  # not answered yet; a person is slower
+EACH: Final = 8  # of them, of one client
 KIND: Final = "mark"  # of the event, and the last part of the key
 
 
@@ -42,6 +45,7 @@ class MarkRequest:
 
     text: str
     answer: Callable[[Event, str], None]
+    client: str
 
 
 class Marks:
@@ -52,26 +56,25 @@ class Marks:
         self.refused = 0
         self._requests: deque[MarkRequest] = deque()
         self._settled: deque[tuple[MarkRequest, Event, str]] = deque()
-        self._at_disk = 0
+        self._limiter = Limiter(MOST_WAITING, EACH, words.many, threading.Lock())
 
-    def take(self, query: zenoh.Query) -> None:
-        """Take a query on the key itself; a query by a wildcard is not a mark."""
+    def take(self, query: zenoh.Query, client: str) -> None:
+        """Take a query on the key itself; a query by a wildcard is not a mark. client: who asks."""
         if "*" in str(query.key_expr):
             return
         try:
             text = text_of(query.payload, self._words)
-            if len(self._requests) + self._at_disk >= MOST_WAITING:
-                raise MarkRefused(f"too many {self._words.many} at a time; try again in a second")
+            if refused := self._limiter.enter(client):
+                raise MarkRefused(refused)
         except MarkRefused as refusal:
             self.refused += 1
             query.reply_err(str(refusal))
             return
-        self._requests.append(MarkRequest(text, _answerer(query)))
+        self._requests.append(MarkRequest(text, _answerer(query), client))
 
     def requests(self) -> Iterator[MarkRequest]:
         """Requests to log now."""
         while self._requests:
-            self._at_disk += 1
             yield self._requests.popleft()
 
     def settle(self, mark: MarkRequest, event: Event, refusal: str) -> None:
@@ -81,8 +84,9 @@ class Marks:
     def settled(self) -> Iterator[tuple[MarkRequest, Event, str]]:
         """Those to be answered now."""
         while self._settled:
-            self._at_disk -= 1
-            yield self._settled.popleft()
+            settled = self._settled.popleft()
+            self._limiter.leave(settled[0].client)
+            yield settled
 
 
 def text_of(payload: zenoh.ZBytes | None, words: OrderWords) -> str:

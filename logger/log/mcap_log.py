@@ -30,6 +30,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 CAN_TOPIC = "/can/"
 SNAPSHOT_TOPIC = "/snapshot"
+SIMULATED = "simulated"  # key of the metadata record "run"; absent where a tractor drove
 PACKAGES = (
     "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
     "scipy", "pyproj", "pydantic",
@@ -57,6 +58,7 @@ class RunPart:
     part: int  # from 1
     started_ns: int  # t_ns of the run's start
     note: str = ""  # what the operator says of it
+    simulated: str = ""  # what drove instead of a tractor: a command
 
 
 def machine_sha256(machine: Machine, machine_text: str) -> str:
@@ -108,7 +110,8 @@ class LogWriter:
         self.metadata("machine", _machine_metadata(machine, machine_text))
         self.metadata("tilth", software())
         run_metadata = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
-        self.metadata("run", run_metadata | ({"note": run.note} if run.note else {}))
+        told = {"note": run.note, SIMULATED: run.simulated}
+        self.metadata("run", run_metadata | {key: text for key, text in told.items() if text})
 
     def frame(self, frame: Frame) -> None:
         """Log a raw frame."""

@@ -1,8 +1,9 @@
-"""Makes room on a disk that fills: deletes the oldest run that nobody wants any more."""
+"""Makes room on a disk that fills: deletes the oldest reports, then the oldest run that nobody wants."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+from tilth.logger.log.derived import reports_in
 from tilth.logger.log.runs import delete, may_go, stored_runs
 from tilth.schemas.machine import Log
 
@@ -34,15 +35,21 @@ class Room:
 
     def is_wanted(self, free_bytes: float | None, t_ns: int) -> bool:
         """Whether `make` should be called now."""
-        ahead = max(2 * self._log.rotate_megabytes * 1e6, 2 * LEAST_BYTES)
-        low = free_bytes is not None and free_bytes < self.keep_free_bytes + ahead
-        wanted = low and self._log.when_full == "delete_oldest" and t_ns - self._made_ns >= AGAIN_NS
+        low = free_bytes is not None and free_bytes < self._wanted_bytes
+        wanted = low and t_ns - self._made_ns >= AGAIN_NS
         if wanted:
             self._made_ns = t_ns
         return wanted
 
+    @property
+    def _wanted_bytes(self) -> float:
+        """Free, before it gets tight."""
+        return self.keep_free_bytes + max(2 * self._log.rotate_megabytes * 1e6, 2 * LEAST_BYTES)
+
     def make(self, current: str, utc_ns: int | None) -> None:
         """In the disk's thread. current: the run that stays; utc_ns: now, as far as it is known."""
+        if reports_in(self._folder, self._wanted_bytes).make_room() or self._log.when_full != "delete_oldest":
+            return
         for run in stored_runs(self._folder):
             if run.name != current and may_go(run, utc_ns, self._log.expire_days):
                 size = delete(run)

@@ -17,12 +17,13 @@ Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class RunFiles:
-    def __init__(self, folder: Path, machine_name: str, note: str, clock: Clock) -> None:
-        """note: what the operator says of the run."""
+    def __init__(self, folder: Path, machine_name: str, note: str, clock: Clock, simulated: str) -> None:
+        """note, simulated: as of RunPart."""
         self.folder = folder
         self._machine_name = machine_name
         self._note = note
         self._clock = clock
+        self._simulated = simulated
         self.begin_run()
 
     def begin_run(self) -> None:
@@ -54,7 +55,7 @@ class RunFiles:
         part = len(self._spools) + 1
         spool = Spool(disk, self.folder / file_name(self.name, part))
         self._spools.append(spool)
-        return spool, RunPart(self.run_id, part, self._started_ns, self._note)
+        return spool, RunPart(self.run_id, part, self._started_ns, self._note, self._simulated)
 
     def rename(self) -> None:
         """Give the files the run's name, where it has another one by now."""

@@ -44,10 +44,11 @@ class Recording:
         *,
         with_state: bool = False,
         note: str = "",
+        simulated: str = "",
     ) -> None:
         """renew: gives the fold's state as text and makes the fold go on from just that text. It is called
         before each file that does not begin where the fold did, so that the file replays alone; before the
-        first only `with_state`. note: what the operator says of the run.
+        first only `with_state`. note, simulated: as of RunPart.
         """
         self.counts = RecordedCounts()
         self._machine = machine
@@ -58,7 +59,7 @@ class Recording:
         self._states = RecorderStates(report)
         self._disk = Disk(folder)
         self._room = Room(folder, machine.log, report)
-        self._run = RunFiles(folder, machine.name, note, clock)
+        self._run = RunFiles(folder, machine.name, note, clock, simulated)
         self._file: OpenFile | None = None  # the one that is written
         self._retained: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_RETAINED)
         self._now_ns = clock.t_ns()  # of the last tick

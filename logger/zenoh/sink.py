@@ -7,16 +7,19 @@ Values are dropped rather than waited for: nothing here may cost a frame.
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 
 import zenoh
 
 from tilth.logger.zenoh.session import open_session
 from tilth.schemas.channels import CHANNEL, CHANNELS
+from tilth.schemas.limiter import asked_by
 from tilth.schemas.machine import Machine
 
 STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
 # What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
+SIMULATED_SUFFIX = "replay"  # part of every key: no controller takes a simulation or a replay for a tractor
 _COMPUTED = frozenset(channel.topic for channel in CHANNELS if channel.identical)
 
 
@@ -28,12 +31,13 @@ class ZenohSink:
         machine: Machine,
         prefix_suffix: str = "",
         now_ns: Callable[[], int] = time.monotonic_ns,
-        answers: Mapping[str, Callable[[zenoh.Query], None]] = MappingProxyType({}),
+        answers: Mapping[str, Callable[[zenoh.Query, str], None]] = MappingProxyType({}),
         session: zenoh.Session | None = None,
     ) -> None:
         """prefix_suffix: "replay" for what a replay or simulation publishes: no controller hears that.
 
-        now_ns: the clock that tells a value's age. answers: key -> takes queries on it, such as `mark`.
+        now_ns: the clock that tells a value's age. answers: key -> takes queries on it, such as `mark`,
+        and who asks.
         session: one that is there, and stays open. Raises zenoh.ZError where no session can be had.
         """
         self.base = "/".join(part for part in (machine.zenoh.prefix, machine.name, prefix_suffix) if part)
@@ -55,7 +59,7 @@ class ZenohSink:
         self.put("/rig", CHANNEL["/rig"].encode(machine))
         self._queryable = self._session.declare_queryable(f"{self.base}/**", self._answer, complete=True)
         for key, take in answers.items():
-            self._session.declare_queryable(f"{self.base}/{key}", take, complete=True)
+            self._session.declare_queryable(f"{self.base}/{key}", partial(self._asked, take), complete=True)
         self._token = self._session.liveliness().declare_token(f"{self.base}/alive")
 
     @property
@@ -88,6 +92,9 @@ class ZenohSink:
                 publisher.undeclare()
         except zenoh.ZError:
             self.failures += 1
+
+    def _asked(self, take: Callable[[zenoh.Query, str], None], query: zenoh.Query) -> None:
+        take(query, asked_by(query, self._session))
 
     def _answer(self, query: zenoh.Query) -> None:
         # Runs in a thread of Zenoh's: takes a copy, changes nothing.

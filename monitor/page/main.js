@@ -124,7 +124,10 @@ const playing = ({ state, rate }) => (state === "playing" ? `${rate} ×` : state
 
 function showProblems(status) {
   const lost = connected !== undefined && !reached();
-  const lines = lost ? ["The page's own server does not answer: is `tilth monitor` running? Trying again."] : [...heard.notes];
+  const gone = gaveWay
+    ? "Too many pages are open, and another one has taken this one's place. Touch the page to go on here."
+    : "The page's own server does not answer: is `tilth monitor` running? Trying again.";
+  const lines = lost ? [gone] : [...heard.notes];
   if (live("status")) lines.push(...(status.problems ?? []).map(capital));
   const box = byId("problems");
   box.dataset.state = live("status") && status.recording ? "warn" : "bad";
@@ -248,7 +251,8 @@ function showEvents(events) {
 }
 
 // The stream: again and again, for as long as the page is open.
-let wait_ms = 250, stream, triedAt = 0;
+let wait_ms = 250, stream, triedAt = 0, gaveWay = false;
+const GIVEN_WAY = 4001; // the server's code where a page makes room for another one
 
 function connect() {
   triedAt = performance.now();
@@ -261,10 +265,15 @@ function connect() {
   stream.onclose = again;
 }
 
-function again() {
+function again(event) {
   stream = undefined;
   connected = false;
+  gaveWay = event?.code === GIVEN_WAY;
   show();
+  if (gaveWay) { // it does not push out another one before somebody looks at it
+    addEventListener("pointerdown", connect, { once: true });
+    return;
+  }
   setTimeout(connect, wait_ms);
   wait_ms = Math.min(2 * wait_ms, 2000);
 }

@@ -52,7 +52,7 @@ export class Runs {
     if (run.name === this.run) row.setAttribute("aria-current", "true");
     const name = element("th", "", run.name);
     name.scope = "row";
-    const notes = [...run.notes.map((note) => `“${note}”`), run.state].filter(Boolean).join("; ");
+    const notes = [...run.notes.map((note) => `“${note}”`), run.simulated ? "simulated" : "", run.state].filter(Boolean).join("; ");
     row.append(first, name, element("td", "", run.began.replace("T", " ").replace("Z", "") || "not known"), element("td", "", run.length_s ? duration(run.length_s) : "–"), element("td", "", place(run)), element("td", "", learned(run.learned)), element("td", "", notes));
     return row;
   }

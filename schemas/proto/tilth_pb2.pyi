@@ -587,7 +587,7 @@ class Places(_message.Message):
     def __init__(self, run: _Optional[str] = ..., rows: _Optional[_Iterable[_Union[Place, _Mapping]]] = ...) -> None: ...
 
 class RunListing(_message.Message):
-    __slots__ = ("name", "began", "length_s", "latitude_deg", "longitude_deg", "learned", "machine", "notes", "state")
+    __slots__ = ("name", "began", "length_s", "latitude_deg", "longitude_deg", "learned", "machine", "notes", "state", "simulated")
     NAME_FIELD_NUMBER: _ClassVar[int]
     BEGAN_FIELD_NUMBER: _ClassVar[int]
     LENGTH_S_FIELD_NUMBER: _ClassVar[int]
@@ -597,6 +597,7 @@ class RunListing(_message.Message):
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    SIMULATED_FIELD_NUMBER: _ClassVar[int]
     name: str
     began: str
     length_s: float
@@ -606,7 +607,8 @@ class RunListing(_message.Message):
     machine: str
     notes: _containers.RepeatedScalarFieldContainer[str]
     state: str
-    def __init__(self, name: _Optional[str] = ..., began: _Optional[str] = ..., length_s: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., learned: _Optional[_Union[SoilTireEstimate, _Mapping]] = ..., machine: _Optional[str] = ..., notes: _Optional[_Iterable[str]] = ..., state: _Optional[str] = ...) -> None: ...
+    simulated: bool
+    def __init__(self, name: _Optional[str] = ..., began: _Optional[str] = ..., length_s: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., learned: _Optional[_Union[SoilTireEstimate, _Mapping]] = ..., machine: _Optional[str] = ..., notes: _Optional[_Iterable[str]] = ..., state: _Optional[str] = ..., simulated: _Optional[bool] = ...) -> None: ...
 
 class RunListings(_message.Message):
     __slots__ = ("rows",)

@@ -17,14 +17,18 @@ from turned import turning
 from tilth.cli.background import FIRST_TO_END, NICE
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
+from tilth.logger.log.derived import REPORTS as FOLDER
 from tilth.logger.log.recovery import finish
-from tilth.logger.run_report import BUSY, FOLDER
+from tilth.logger.run_report import BUSY
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytestmark = pytest.mark.long
 
 
+DIES = (
+    "import os, sys; print('no driving with steering was found', file=sys.stderr); os.kill(os.getpid(), {})"
+)
 BASE = "tilth/jd7930-parker500"
 
 
@@ -114,6 +118,12 @@ def reasons(path: Path, folder: Path) -> list[str]:
         (["/nowhere/python"], "/nowhere/python: no such file or directory"),
         ([sys.executable, "-c", "import sys; sys.exit(3)"], "it ended with status 3"),
         ([sys.executable, "-c", "raise SystemExit('tilth report: no room')"], "no room"),
+        (
+            [sys.executable, "-c", DIES.format(9)],
+            "killed, most likely since this computer has too little memory",
+        ),
+        (["sh", "-c", f'"{sys.executable}" -c "{DIES.format(9)}"; exit $?'], "it was killed, most likely"),
+        ([sys.executable, "-c", DIES.format(15)], "it was ended by SIGTERM"),
     ],
 )
 def test_programs_that_make_no_report(

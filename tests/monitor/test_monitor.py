@@ -1,6 +1,7 @@
 """The page's server as browsers and strangers meet it, over real sockets. In a browser: test_page.py."""
 
 import base64
+import http.client
 import ipaddress
 import json
 import math
@@ -17,11 +18,11 @@ from urllib.parse import urlsplit
 import pytest
 import zenoh
 from client_daemon import until
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from loopback import PATIENCE_S, free_port, session
 from stage import Monitor, Stage
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
 from tilth.cli import main
@@ -30,7 +31,7 @@ from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.history import MOST, RECENT_S, History
 from tilth.monitor.json_safe import plain
 from tilth.monitor.origin import refusal
-from tilth.monitor.server import FILES, VIEWERS
+from tilth.monitor.server import FILES, GIVEN_WAY, VIEWERS
 from tilth.monitor.view import WAIT_S, View
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -231,10 +232,14 @@ def test_browsers_that_go_in_mid_stream_and_those_too_many(monitor: Monitor) -> 
             live.recv()
             live.socket.shutdown(socket.SHUT_RDWR)
     with ExitStack() as several:
-        for _ in range(VIEWERS):
-            assert "whole" in json.loads(several.enter_context(monitor.live()).recv(timeout=PATIENCE_S))
-        with pytest.raises(InvalidStatus, match="403"), monitor.live():
-            pass
+        pages = [several.enter_context(monitor.live()) for _ in range(VIEWERS + 1)]
+        assert "whole" in json.loads(pages[-1].recv(timeout=PATIENCE_S))  # the driver's, opened last
+        with pytest.raises(ConnectionClosed) as closed:
+            while True:
+                pages[0].recv(timeout=PATIENCE_S)
+        last = closed.value.rcvd
+        assert last is not None and (last.code, last.reason) == GIVEN_WAY
+        assert monitor.mark("the driver's") == {"noted": True, "text": "in the log"}
     with monitor.live() as live:
         live.send("anything")
         hear(live, lambda s: True)
@@ -359,3 +364,52 @@ def test_a_message_becomes_what_json_can_hold() -> None:
     assert len(result["problems"]) == 64 and len(result["problems"][0]) == 500
     assert "disk_free_bytes" not in result
     assert plain(pb.Pose())["flags"] == []
+
+
+LEAVES = (
+    st.none() | st.booleans() | st.floats() | st.integers() | st.integers(-(10**4000), 10**4000)
+    | st.text(st.characters(exclude_categories=()), max_size=20)
+    | st.sampled_from(["open", "play", "pause", "seek", "rate", "arm", "skip", "a" * 2000, "\ud800", "\0"])
+)  # fmt: skip
+NAMES = st.sampled_from(["text", "order", "run", "at_s", "rate", "kind"])
+ANYTHING = st.recursive(
+    LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner), max_leaves=5
+)
+BODIES = (
+    st.dictionaries(NAMES, ANYTHING, max_size=4).map(lambda one: json.dumps(one).encode())
+    | ANYTHING.map(lambda one: json.dumps(one).encode())
+    | st.binary(max_size=60)
+    | st.sampled_from(
+        [b'{"a":' * 1500, b'{"rate": ' + b"9" * 4000 + b"}", b'{"text": "\\ud800"}', b'{"rate": 1e999}']
+    )
+)
+POSTS = ("/mark", "/accept", "/player", "/experiment", "/calibration", "/report")
+
+
+@settings(max_examples=120, deadline=None)
+@given(path=st.sampled_from(POSTS), body=BODIES)
+@example("/mark", b'{"text": "\\ud800"}')
+@example("/accept", b'{"text": "\\ud800"}')
+@example("/player", b'{"order": "open", "run": "\\udfff"}')
+@example("/player", b'{"order": "rate", "rate": ' + b"7" * 4000 + b"}")
+@example("/experiment", b'{"kind": "\\ud800"}')
+@example("/experiment", b'{"kind": ' + b"7" * 4000 + b"}")
+@example("/calibration", b'{"kind": {"a": []}}')
+def test_nothing_that_is_sent_is_a_fault_of_the_server(monitor: Monitor, path: str, body: bytes) -> None:
+    status, text, _ = monitor.ask(path, body, content_type="application/json")
+    said = json.loads(text)
+    assert status in (200, 400) and isinstance(said["text"], str)
+    assert status == 200 or said["text"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    path=st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="#"), max_size=30),
+    method=st.sampled_from(["GET", "POST", "PUT", "HEAD", "DELETE", "OPTIONS"]),
+    kind=st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=20),
+)
+def test_no_address_is_a_fault_of_the_server(monitor: Monitor, path: str, method: str, kind: str) -> None:
+    host, _, port = monitor.address.rpartition(":")
+    with closing(http.client.HTTPConnection(host, int(port), timeout=PATIENCE_S)) as connection:
+        connection.request(method, f"/{path}", b"{}", {"content-type": kind})
+        assert connection.getresponse().status < 500

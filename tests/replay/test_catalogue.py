@@ -93,3 +93,15 @@ def test_a_run_without_an_estimate_is_listed(tmp_path: Path) -> None:
     (run,) = run_files([tmp_path])
     row = listing(run)
     assert run.name == "frames" and not row.HasField("learned") and not row.HasField("latitude_deg")
+
+
+def test_two_replays_of_a_log_and_a_copy_of_a_part_are_runs_of_their_own(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.mcap" for name in ("one", "two")]
+    for path in paths:
+        LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("replay", 1, START_NS)).close()
+    first, second = write_run(tmp_path, 10.0, parts=2)
+    (tmp_path / "copy.mcap").write_bytes(first.read_bytes())
+    found = run_files([*paths, first, second, tmp_path / "copy.mcap"])
+    assert [run.paths for run in found] == [
+        (paths[0],), (paths[1],), (first, second), (tmp_path / "copy.mcap",)
+    ]  # fmt: skip

@@ -1,6 +1,7 @@
 """A log that is still being written gives each frame once, wherever its end is at the moment."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from paths import ROOT
 
 from tilth.cli import main
 from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
-from tilth.replay.growing import FollowedLogs, GrowingLog, opening_machine
+from tilth.replay.growing import LOST, FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.can_id import split
@@ -285,3 +286,16 @@ def test_a_part_without_its_machine_file_is_named(log: Path, tmp_path: Path) -> 
         f"{path.name} does not count: it is damaged at its beginning, where its machine file stood."
     ]
     followed.close()
+
+
+@pytest.mark.parametrize("lose", [lambda path: os.truncate(path, 300), lambda path: path.write_bytes(b"x")])
+def test_a_log_that_is_overwritten_is_named_and_costs_nothing_before(
+    lose: Callable[[Path], object], log: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / f"{RUNS[0]}_001.mcap"
+    path.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    logs = FollowedLogs(MACHINE, [], {}, path)
+    before = len(list(logs.measurements()))
+    lose(path)
+    assert before > 100 and list(logs.measurements()) == []
+    assert logs.notes == [LOST.format(path.name)]

@@ -1,9 +1,11 @@
 """A player on Zenoh: what is heard of it, and that it does what it is told. Real sessions over TCP."""
 
+import os
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,8 @@ from typing import Any
 import pytest
 import zenoh
 from client_daemon import until
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from logs import MACHINE
 from loopback import PATIENCE_S, session
 from recorded_run import MARKS, SECOND, START_NS, write_run
@@ -18,7 +22,7 @@ from recorded_run import MARKS, SECOND, START_NS, write_run
 from tilth.logger.zenoh.session import free_endpoint, open_session
 from tilth.replay.catalogue import listing, run_files
 from tilth.replay.player import PlayState
-from tilth.replay.player_service import PlayerService, Sources
+from tilth.replay.player_service import MOST_LISTS, PlayerService, Sources
 from tilth.replay.prepared import Opening
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.machine import Zenoh
@@ -100,8 +104,13 @@ Start = Callable[..., Heard]
 def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
     with ExitStack() as stack:
 
-        def started(play: bool = True, slow: bool = False) -> Heard:
-            runs = {run.name: run for run in run_files([folder])}
+        def started(
+            play: bool = True,
+            slow: bool = False,
+            more: Path | None = None,
+            hold: threading.Event | None = None,
+        ) -> Heard:
+            runs = {run.name: run for run in run_files([folder, *([more] if more else [])])}
             opening = Opening(tmp_path, "tilth")
 
             def open_it(name: str, progress: Callable[[str, float], None]) -> Any:
@@ -113,7 +122,13 @@ def start(folder: Path, tmp_path: Path) -> Iterator[Start]:
                 return opening.open(runs[name], progress)
 
             rows = [listing(run) for run in runs.values()]
-            sources = Sources((*runs, "broken"), open_it, lambda: iter(rows))
+
+            def listings() -> Iterator[pb.RunListing]:
+                if hold is not None:
+                    hold.wait(PATIENCE_S)
+                return iter(rows)
+
+            sources = Sources((*runs, "broken"), open_it, listings)
             endpoint = free_endpoint("tcp/127.0.0.1:0")
             here = MACHINE.model_copy(update={"zenoh": Zenoh(listen=[endpoint])})
             own, _, _ = open_session(here)
@@ -249,3 +264,83 @@ def test_what_is_prepared_is_told_and_can_be_given_up(start: Start) -> None:
     assert heard.order("open", run=name_of(MACHINE.name)) == ""
     until(lambda: heard.state.state == PlayState.PREPARING and heard.state.share == 0.25)
     assert heard.state.text == "reading the run"
+
+
+def _truncated(path: Path) -> None:
+    os.truncate(path, 100)
+
+
+def _zeroed(path: Path) -> None:
+    path.write_bytes(bytes(path.stat().st_size))
+
+
+def _another_run(path: Path) -> None:
+    """One of the same length: its records may even stand where the others did."""
+    (other,) = write_run(path.parent / "new", 120.0, start_ns=START_NS + 7 * SECOND)
+    path.write_bytes(other.read_bytes())
+
+
+def _pulled_out(path: Path) -> None:
+    """What the kernel reads then ends in an error, here that it is a folder."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    for one in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if one.readlink() == path:
+                os.dup2(folder, int(one.name))
+    os.close(folder)
+
+
+@pytest.mark.parametrize("lose", [_truncated, _zeroed, _another_run, _pulled_out])
+@pytest.mark.parametrize("stands", [False, True])
+def test_a_log_that_is_lost_while_it_plays_ends_it_with_a_sentence(
+    lose: Callable[[Path], None], stands: bool, start: Start, tmp_path: Path
+) -> None:
+    (tmp_path / "new").mkdir()
+    (log,) = write_run(tmp_path, 120.0, start_ns=START_NS + 3600 * SECOND)
+    copy = log.rename(tmp_path / "lost.mcap")
+    heard = start(play=False, more=copy)
+    assert heard.order("open", run="lost") == ""
+    until(lambda: heard.state.state == PlayState.PLAYING)
+    if stands:
+        assert heard.order("pause") == ""
+    lose(copy)
+    for at_s in (100.0, 50.0, 110.0):
+        why = heard.order("rate", rate=100.0) or heard.order("seek", at_s=at_s)
+        if why:
+            break
+    until(lambda: heard.state.state == PlayState.FAILED)
+    lost = f"{copy}: changed since it was opened, or not there any more; open the run again"
+    assert heard.state.text == lost and why in (lost, "no run is open yet: choose one of the list")
+    assert heard.order("open", run=name_of(MACHINE.name)) == ""  # and it goes on
+    until(lambda: heard.state.state == PlayState.PLAYING)
+
+
+def test_a_flood_of_queries_starts_few_threads_and_each_is_answered(start: Start) -> None:
+    gate = threading.Event()
+    heard = start(play=False, hold=gate)
+    replies: queue.SimpleQueue[str] = queue.SimpleQueue()
+    for _ in range(150):
+        heard.other.get(f"{BASE}/player/runs", lambda reply: replies.put(refused(reply)), timeout=PATIENCE_S)
+    said = [replies.get(timeout=PATIENCE_S) for _ in range(150 - MOST_LISTS // 2)]
+    beside = [thread for thread in threading.enumerate() if thread.name == "tilth.beside"]
+    assert len(beside) == MOST_LISTS // 2
+    assert all("too many lists of runs at a time from" in one for one in said)
+    gate.set()
+    assert [replies.get(timeout=PATIENCE_S) for _ in range(MOST_LISTS // 2)] == [""] * (MOST_LISTS // 2)
+    until(lambda: not any(thread.name == "tilth.beside" for thread in threading.enumerate()))
+    assert len(heard.ask("runs", pb.RunListings).rows) == 2
+
+
+def test_no_order_goes_without_an_answer(start: Start) -> None:
+    heard = start(play=False)
+    runs = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+    kinds = st.sampled_from(["open", "play", "pause", "seek", "rate", "x"]) | runs
+    orders = st.builds(pb.PlayerOrder, kind=kinds, run=runs, at_s=st.floats(), rate=st.floats())
+
+    @settings(max_examples=25, deadline=None)
+    @given(st.binary(max_size=40) | orders.map(lambda order: order.SerializeToString()))
+    def answered(payload: bytes) -> None:
+        (reply,) = heard.other.get(f"{BASE}/player/order", payload=payload, timeout=PATIENCE_S)
+        assert reply.ok is not None or refused(reply)
+
+    answered()

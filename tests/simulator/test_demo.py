@@ -26,6 +26,7 @@ from tilth.estimator.fold import initial, step
 from tilth.logger.clock import Clock
 from tilth.logger.run_summary import RunSummary
 from tilth.replay.readers.any_log import frames
+from tilth.replay.simulated import simulated_by
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Attitude, Estimate, Frame, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
@@ -90,6 +91,7 @@ def test_no_frame_is_lost(short: dict[str, Any], machine: Machine) -> None:
     assert short["frames"] == pytest.approx(len(list(simulate(machine, 1, 4.0))), abs=80)
     assert short["frames_lost"] == 0
     (log,) = short["log"]
+    assert short["simulated"] is True and simulated_by([Path(log)]) == "tilth demo"
     read = list(frames(Path(log)))
     # Sent in real time, never faster; a busy computer may take the last ones late.
     assert (read[-1].rx_ns - read[0].rx_ns) * 1e-9 > 3.9

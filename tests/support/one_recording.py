@@ -19,7 +19,7 @@ from tilth.schemas.flow import Frame
 class Recorder:
     """A recording and its fold, fed with frames as the daemon feeds them."""
 
-    def __init__(self, folder: Path, log: str = "") -> None:
+    def __init__(self, folder: Path, log: str = "", simulated: str = "") -> None:
         self.machine, self.text = rig(folder, udp_bus("can0", 1), log=log)
         self.events: list[str] = []
         self.taken: list[Frame] = []
@@ -28,7 +28,9 @@ class Recorder:
         self._began_ns = self.clock.t_ns()
         self._later_ns = 0  # by how much the frames are later than they were, for what was waited
         self.fold = GuardedFold(self.machine)
-        self.recording = Recording(folder, self.machine, self.text, self.clock, self._report, self.fold.renew)
+        self.recording = Recording(
+            folder, self.machine, self.text, self.clock, self._report, self.fold.renew, simulated=simulated
+        )
 
     def _report(self, kind: str, text: str) -> None:
         self.events.append(f"{kind}: {text}")

@@ -217,7 +217,7 @@ def main() -> None:
     orders = dict(ORDERS)
     noted: deque[str] = deque()
 
-    def mark(query: zenoh.Query) -> None:
+    def mark(query: zenoh.Query, client: str) -> None:
         if "*" in str(query.key_expr):
             return
         if orders["refusal"]:
@@ -227,7 +227,7 @@ def main() -> None:
         noted.append(query.payload.to_string())
         query.reply(query.key_expr, b"")
 
-    def accept(query: zenoh.Query) -> None:
+    def accept(query: zenoh.Query, client: str) -> None:
         name = query.payload.to_string() if query.payload is not None else ""
         if name not in orders["moved"]:
             query.reply_err(f"{name} has not been found moved")

@@ -13,6 +13,8 @@ import pandas
 import polars
 import pyarrow.parquet
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from scipy.io import loadmat
 
 from tilth.analysis.export import files
@@ -137,6 +139,27 @@ def test_csv_is_that_of_rfc_4180(tmp_path: Path) -> None:
         assert row["ready"] == str(wanted["ready"]).lower() and row["text"] == wanted["text"]
         assert bytes.fromhex(row["data"]) == wanted["data"]
         assert (pandas.Timestamp(row["utc"]) if row["utc"] else None) == wanted["utc"]
+
+
+@settings(max_examples=60)
+@example(
+    ["=cmd|' /C calc'!A0", "+1", "-1", "@SUM(1)", "\t=1", "\r=1", "\n=1", "＝1", "'quoted", "''", "", "a=b"]
+)
+@given(st.lists(st.text(max_size=12), min_size=1, max_size=8))
+def test_no_text_in_csv_is_a_formula_and_each_can_be_read_back(
+    texts: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("csv") / "a.csv"
+    columns = (ExportColumn("x_m", DOUBLE, "m"), ExportColumn("text", TEXT))
+    x = -1.5 - np.arange(len(texts))
+    file = CsvFile(path, columns, FACTS)
+    file.write(ExportRows(columns, (x, np.array(texts, object)), (None, None)))
+    file.close()
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream, strict=True))
+    assert [float(row["x_m"]) for row in rows] == x.tolist()
+    assert not any(row["text"].startswith(tuple("=+-@＝＋－＠\t\r\n")) for row in rows)
+    assert [row["text"].removeprefix("'") for row in rows] == texts
 
 
 def test_mat_in_scipy(tmp_path: Path) -> None:

@@ -1,21 +1,33 @@
 """The PDF: it opens, has its pages and its words, and is the same each time."""
 
+import json
 import re
 import sys
 import zlib
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from report_parts import everything
 from report_run import WRITTEN
 
 from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import (
+    HELD_OUT,
+    WARNING,
     DriveReport,
+    ReportCell,
+    ReportFigure,
     ReportSection,
+    ReportTable,
     ReportText,
+    as_json,
 )
-from tilth.analysis.report.paper import NoTypst, paper, require_typst, source
+from tilth.analysis.report.page import page
+from tilth.analysis.report.paper import NoTypst, content, paper, require_typst
+from tilth.analysis.report.writing import json_text
 
 
 def pages(pdf: bytes) -> int:
@@ -39,13 +51,45 @@ def test_a_pdf_with_pages_the_same_each_time(facts: dict[str, Any]) -> None:
     assert b"CreationDate" not in made
 
 
-@pytest.mark.parametrize(
-    "text", [WRITTEN, '#panic("x")', '$ _a_ *b* @c <d> \\ " [ ]', "#{", "line\nline\ttab"]
-)
-def test_no_sign_acts(text: str) -> None:
-    report = DriveReport(text, (ReportSection("s", text, (ReportText(text),)),), {})
+ANY = st.text(st.characters(exclude_categories=()), max_size=40)
+"""Control characters and halves of characters too, as a mark or the name of a file may have them."""
+
+
+@settings(max_examples=25)
+@example(WRITTEN)
+@example('\\b" + read("id_rsa") ), //')
+@example("\b")
+@example('#panic("x") $ _a_ *b* @c <d> \\ " [ ] #{')
+@example("line\nline\ttab\r\0\x1b[31m")
+@example("\ud800 \udcff \uffff")
+@given(ANY)
+def test_no_text_acts(text: str) -> None:
+    """Wherever it stands: in a title, a paragraph, a warning, a table, a caption, below a figure."""
+    cells = tuple((ReportCell(text), ReportCell(text, 1.0, mark=HELD_OUT)) for _ in range(2))
+    matrix = {"names": ["C_af", "C_ar"], "matrix": [[1.0, 0.5], [0.5, 1.0]]}
+    parts = (
+        ReportText(text),
+        ReportText(text, WARNING),
+        ReportTable("t", text, (text, text), cells),
+        ReportFigure("f", "correlation", text, text, matrix),
+    )
+    report = DriveReport(text, (ReportSection("s", text, parts),), {})
     assert paper(report).startswith(b"%PDF-")
-    assert "#panic(" not in re.sub(r'"(?:[^"\\]|\\.)*"', "", source(report))
+    page(report).encode()
+    assert json.loads(json_text(as_json(report)).encode())["title"] == text
+
+
+def test_a_mark_reads_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands in the PDF is the mark, as it was written."""
+    monkeypatch.chdir(tmp_path)
+    Path("id_rsa").write_text("SECRET" * 40)
+    mark = '\\b" + read( `id_rsa`.text ) ), //'
+    report = DriveReport("t", (ReportSection("s", "s", (ReportText(mark),)),), {})
+    (shown,) = [part["text"] for part in content(report)["parts"] if part["kind"] == "plain"]
+    assert shown == mark
+    inside = paper(report)
+    Path("id_rsa").unlink()
+    assert paper(report) == inside
 
 
 def test_without_typst_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,8 @@ from recorded import MARKS, SECONDS, cut, frames, marked, recorded
 
 import tilth.analysis
 from tilth.analysis.runs.kept import cache_folder
-from tilth.analysis.runs.run import LogFile, _name
+from tilth.analysis.runs.log_file import LogFile
+from tilth.analysis.runs.run import _name
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.log import EmptyLog, LogError
 from tilth.schemas.flow import Frame

@@ -1,6 +1,7 @@
 """Marks of an operator: on the disk before anybody is told, refused with a reason otherwise."""
 
 import calendar
+import queue
 import shutil
 import time
 from collections.abc import Iterator
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from loopback import PATIENCE_S, free_port, machine_text, records_of, rig, session, udp_bus, until
 from turned import turning
 
@@ -15,8 +18,10 @@ from tilth.cli import main
 from tilth.logger.clock import LEAST_TIMES
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
+from tilth.logger.log.marks import EACH
 from tilth.logger.log.recovery import finish
 from tilth.logger.run_parts import all_rejected
+from tilth.schemas.limiter import LOCAL
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEY = "tilth/jd7930-parker500/mark"
@@ -26,6 +31,22 @@ KEY = "tilth/jd7930-parker500/mark"
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
     with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """One for many queries."""
+    folder = tmp_path_factory.mktemp("listening")
+    machine, text = rig(folder, udp_bus("can0", free_port()))
+    with turning(Daemon(machine, text, folder / "logs", "", NoDisplay())) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def other(listening: Daemon) -> Iterator[zenoh.Session]:
+    assert listening.parts.outlets.sink is not None
+    with session(listening.parts.outlets.sink.endpoints) as one:
         yield one
 
 
@@ -151,3 +172,24 @@ def test_the_command_in_a_simulation(tmp_path: Path) -> None:
     with turning(Daemon(machine, text, tmp_path / "logs", "replay", NoDisplay())):
         assert main(["mark", "stone", "--endpoint", machine.zenoh.listen[0]]) == 0
     assert noted(tmp_path / "logs", tmp_path) == ["stone"]
+
+
+@settings(max_examples=40, deadline=None)
+@given(key=st.sampled_from(["mark", "accept", "report/file"]), payload=st.binary(max_size=1100))
+@example("mark", b"\xed\xa0\x80")
+@example("accept", b"")
+def test_every_query_is_answered(listening: Daemon, other: zenoh.Session, key: str, payload: bytes) -> None:
+    (reply,) = other.get(KEY.replace("mark", key), payload=payload, timeout=PATIENCE_S)
+    assert reply.ok is not None or (reply.err is not None and reply.err.payload.to_string())
+
+
+def test_who_asks_too_often_is_refused_until_that_is_answered(
+    listening: Daemon, other: zenoh.Session
+) -> None:
+    replies: queue.SimpleQueue[zenoh.Reply] = queue.SimpleQueue()
+    for number in range(200):
+        other.get(KEY, replies.put, payload=f"flood {number}", timeout=PATIENCE_S)
+    said = [replies.get(timeout=PATIENCE_S) for _ in range(200)]
+    refused = {reply.err.payload.to_string() for reply in said if reply.err is not None}
+    assert refused <= {f"too many marks at a time from {LOCAL}, {EACH} are the most; try again soon"}
+    assert any(reply.ok for reply in said) and ask(other, KEY, "when it is over")[0].ok
