@@ -14,16 +14,15 @@ from typing import Final
 import numpy as np
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.layout import ChannelLayout, TableColumn, layout_of
 from tilth.analysis.runs.table import TEXTS, Table, Values, joined
 from tilth.estimator.compiled import kernel
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, summarised, unpacked
-from tilth.replay.readers.log import OpenLog
-from tilth.replay.readers.mcap_reader import framed
+from tilth.logger.log.mcap_summary import topics_of
+from tilth.replay.readers.log import Gap, OpenLog
+from tilth.replay.readers.mcap_reader import LogRecords
 from tilth.schemas import message_columns as wire
 from tilth.schemas.message_columns import WireColumns
 
@@ -117,7 +116,7 @@ class ChannelReader:
         the channel stands which of the wanted topics it is."""
         before = 0
         for path in self.paths:
-            topics = topics_of(path)
+            topics: dict[int, str] = {}
             for data in chunks(path, self.skipped, partial(_from, heard, before)):
                 numbers = np.frombuffer(data, np.uint8)
                 places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
@@ -231,24 +230,17 @@ def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _no
     """The records of each chunk of a file. heard: takes how many of its bytes were read. Raises OSError."""
     with path.open("rb") as file:
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
-        for opcode, body in framed(log):
-            try:
-                yield unpacked(body) if opcode == Opcode.CHUNK else HEAD.pack(opcode, len(body)) + body
-            except DAMAGE:
-                skipped["damaged_chunk"] += 1
+        records = LogRecords(log)
+        yield records.definitions
+        for data in records:
+            if not isinstance(data, Gap):
+                yield data
             heard(log.position())
+        skipped.update(log.skipped)
         skipped["cut"] += log.truncated
 
 
-def topics_of(path: Path) -> dict[int, str]:
-    """Channel -> topic, by the index of a finished file; {} of another."""
-    found: dict[int, str] = {}
+def indexed_topics(path: Path) -> dict[int, str]:
+    """Channel -> topic, by the index of a finished file; {} of another. Raises OSError."""
     with path.open("rb") as file:
-        try:
-            for opcode, body in summarised(file, path.stat().st_size):
-                if opcode == Opcode.CHANNEL:
-                    channel = Channel.read(ReadDataStream(io.BytesIO(body)))
-                    found[channel.id] = channel.topic
-        except DAMAGE:
-            return {}
-    return found
+        return topics_of(file, path.stat().st_size)

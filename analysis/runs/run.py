@@ -21,9 +21,10 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
-from tilth.analysis.runs.reading import ChannelReader, RunClock, topics_of
+from tilth.analysis.runs.reading import ChannelReader, RunClock, indexed_topics
 from tilth.analysis.runs.table import Table, joined
-from tilth.logger.log.mcap_file import DAMAGE, MAGIC, metadata_bodies
+from tilth.logger.log.mcap_file import DAMAGE, MAGIC
+from tilth.logger.log.mcap_summary import metadata_bodies
 from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog
@@ -242,7 +243,7 @@ def is_mcap(path: Path) -> bool:
 
 def holds_poses(path: Path) -> bool:
     """Whether poses were recorded in one of Tilth's own logs, as far as it is whole. Raises OSError."""
-    topics = topics_of(path)
+    topics = indexed_topics(path)
     if topics:
         return "/pose" in topics.values()
     reader = ChannelReader([path], RunClock(0))
@@ -254,7 +255,7 @@ def _read_file(path: Path) -> LogFile:
     found = brief(path)
     if found.state is FileState.NO_LOG:
         raise ForeignLog(f"{path}: no log of tilth")
-    whole = found.state is FileState.WHOLE
+    whole = found.state in (FileState.WHOLE, FileState.DAMAGED)
     return LogFile(path, _metadata(path), found.first_ns, found.last_ns, whole)
 
 
