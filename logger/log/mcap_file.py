@@ -240,7 +240,7 @@ def checksum(file: BinaryIO, start: int, end: int) -> int:
 def names_tilth(header: bytes) -> bool:
     """Whether the body of a file's header names this software. It has no checksum: one letter may be wrong."""
     library = Header.read(ReadDataStream(io.BytesIO(header))).library
-    return sum(a == b for a, b in zip(library, "tilth", strict=False)) >= 4
+    return sum(map(str.__eq__, library, "tilth")) >= 4
 
 
 def is_magic(file: BinaryIO, at: int) -> bool:

@@ -32,12 +32,14 @@ class Channels:
         self.schemas: dict[int, str] = {}
         self.buses: dict[int, str] = {}  # channel -> bus
         self.others: dict[int, str] = {}  # channel -> topic, of snapshots and of the results asked for
+        self.known: set[int] = set()
         self.defined: set[int] = set()  # channels of schemas that are known
 
     def add(self, channel: Channel) -> None:
         """Take a channel; a file appended to another gives its own numbers."""
         self.buses.pop(channel.id, None)
         self.others.pop(channel.id, None)
+        self.known.add(channel.id)
         if channel.schema_id in self.schemas:
             self.defined.add(channel.id)
         is_frame = self.schemas.get(channel.schema_id) == CanFrame.DESCRIPTOR.full_name
@@ -79,6 +81,8 @@ class Channels:
                     keep(Frame(t_ns, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data))
             elif channel in self.others:
                 keep(self._other(self.others[channel], t_ns, data[start + 31 : stop]))
+            elif channel not in self.known:  # in a cut log, what is damaged may have defined it
+                self.log.skip("undefined_channel")
             start = stop
         return found
 
