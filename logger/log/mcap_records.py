@@ -293,7 +293,7 @@ class McapRecords:
         ranks = self._ranks()
         if ranks:
             order = _filled([ranks.get(place.start) for place in chunks])
-        elif self.is_tilths and not self._may_run_back:
+        elif self.is_tilths and not self._may_run_back and not (self._walk.ended and self._summary.believed):
             order = _filled([self._first_ns(place) for place in chunks])
         else:
             return
