@@ -1,6 +1,6 @@
 """One channel of Tilth's own logs as tables, chunk by chunk: what is read and kept is what is asked for.
 
-A log that was cut off is read as far as it is whole; damaged chunks are left out. Both are counted.
+A log that was cut off is read as far as it is whole; what is damaged is left out. Both are counted.
 """
 
 import io
@@ -54,6 +54,8 @@ class ChannelReader:
     paths: Sequence[Path]
     clock: RunClock
     skipped: Counter[str] = field(default_factory=Counter)
+    say: Callable[[str], None] = lambda text: None  # takes what is damaged, once
+    _said: set[str] = field(default_factory=set)
     _ahead: dict[str, Table] = field(default_factory=dict)
 
     def table(self, topic: str) -> Table:
@@ -117,7 +119,7 @@ class ChannelReader:
         before = 0
         for path in self.paths:
             topics: dict[int, str] = {}
-            for data in chunks(path, self.skipped, partial(_from, heard, before)):
+            for data in chunks(path, self.skipped, partial(_from, heard, before), self._tell):
                 numbers = np.frombuffer(data, np.uint8)
                 places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
                 defined = places[: _definitions_of(numbers, places)]
@@ -134,6 +136,11 @@ class ChannelReader:
                     places[:count, 0] = which[places[:count, 0]]
                     yield data, places[:count]
             before += path.stat().st_size
+
+    def _tell(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self.say(text)
 
     def _table(self, topic: str, data: bytes, places: NDArray[np.int64]) -> Table:
         layout = layout_of(topic)
@@ -226,8 +233,14 @@ def _from(heard: Callable[[int], None], before: int, read: int) -> None:
     heard(before + read)
 
 
-def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _nobody) -> Iterator[bytes]:
-    """The records of each chunk of a file. heard: takes how many of its bytes were read. Raises OSError."""
+def chunks(
+    path: Path,
+    skipped: Counter[str],
+    heard: Callable[[int], None] = _nobody,
+    say: Callable[[str], None] = lambda text: None,
+) -> Iterator[bytes]:
+    """The records of each chunk of a file. heard: takes how many of its bytes were read. say: takes what is
+    damaged. Raises OSError."""
     with path.open("rb") as file:
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
         records = LogRecords(log)
@@ -236,6 +249,8 @@ def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _no
             if not isinstance(data, Gap):
                 yield data
             heard(log.position())
+        for text in log.told_damage():
+            say(f"{path}: {text}")
         skipped.update(log.skipped)
         skipped["cut"] += log.truncated
 

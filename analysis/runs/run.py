@@ -63,6 +63,7 @@ class Run:
     machine: Machine
     machine_text: str
     note: str = ""
+    say: Say = silent  # takes sentences about what cannot be read
     reader: ChannelReader = field(init=False)
 
     def __post_init__(self) -> None:
@@ -71,6 +72,7 @@ class Run:
         self.reader = ChannelReader(
             [file.path for file in self.files],
             RunClock(self.start_ns, int(ahead) if ahead.lstrip("-").isdecimal() else self._dated()),
+            say=self.say,
         )
 
     def _dated(self) -> int | None:
@@ -193,16 +195,16 @@ def open_runs(
         groups.setdefault(key, []).append((path, file))
     if not groups:
         raise empty or EmptyLog("no log was given")
-    return tuple(_run(files, machine) for files in groups.values())
+    return tuple(_run(files, machine, say) for files in groups.values())
 
 
-def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None) -> Run:
+def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None, say: Say) -> Run:
     files.sort(key=lambda pair: _part(pair[1]))
     found = machine or machine_in([file.path for _, file in files])
     run = files[0][1].metadata.get("run", {})
     return Run(
         _name(*files[0], run.get("id", "")),
-        tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""),
+        tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""), say,
     )  # fmt: skip
 
 

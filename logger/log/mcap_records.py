@@ -358,7 +358,8 @@ class McapRecords:
         entries, ranks = self._summary.chunks, self._ranks()
         if not entries or not self._summary.believed:
             return
-        missing = sorted(set(range(len(entries))) - set(ranks.values()))
+        there = {entries[rank].key for rank in ranks.values()}  # a file that is appended to itself has two
+        missing = [rank for rank, entry in enumerate(entries) if entry.key not in there]
         if not ranks and any(place.opcode == Opcode.CHUNK for place in self._places):
             self.faults.append(Fault(FaultKind.INDEX, self.tail, self.tail))  # of another file
             return

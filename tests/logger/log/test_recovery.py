@@ -68,7 +68,7 @@ def test_a_cut_at_any_byte_leaves_a_file_that_can_be_finished(
         # The chunks are those that were there, to the byte, and what was cut of the next one is kept.
         written, end = path.read_bytes(), next((end for end in reversed(ends) if end <= size), 0)
         assert written[:end] == content[:end]
-        assert size > ends[-1] or content[_last_record(content[:size]) : size] in written
+        assert size > ends[-1] or content[_last_record(content[:size]) : size].rstrip(b"\0") in written
         again = finish(path)
         assert again.was_whole and again.messages == done.messages
 
