@@ -13,13 +13,16 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "recover",
         help="finish log files that a power cut left unfinished",
-        description="Finish log files that a power cut or a full disk has left unfinished: then any reader of "
-        "MCAP opens them. Nothing is taken out of them; one that is whole, or damaged in its middle, is not "
-        "touched. The daemon does so at its start.",
+        description="Finish log files that a power cut or a full disk has left unfinished: then any reader "
+        "of MCAP opens them. Nothing is taken out of them; one that is whole, or damaged in its middle, is "
+        "not touched. The daemon does so at its start.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument(
-        "--out", type=Path, metavar="NEW.mcap", help="leave FILE as it is, and write here what can be read of it"
+        "--out",
+        type=Path,
+        metavar="NEW.mcap",
+        help="leave FILE as it is, and write here what can be read of it",
     )
 
 
@@ -32,7 +35,9 @@ def run(args: argparse.Namespace) -> int:
         try:
             print(_words(finish(path)) if args.out is None else _written(rescue(path, args.out), args.out))
         except FileExistsError as error:
-            raise WrongUse(f"--out {error.filename}: exists; nothing is overwritten, give another name") from None
+            raise WrongUse(
+                f"--out {error.filename}: exists; nothing is overwritten, give another name"
+            ) from None
         except NoLog as error:
             print(f"tilth recover: {error}", file=sys.stderr)
             status = 1

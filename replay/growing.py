@@ -97,7 +97,10 @@ class GrowingLog:
             found = None if place is None else self._records(place)
             if place is not None and found is not None:
                 self._at = place.end
-                if place.opcode in (Opcode.DATA_END, Opcode.FOOTER):  # what follows tells where things are, and no frame
+                if place.opcode in (
+                    Opcode.DATA_END,
+                    Opcode.FOOTER,
+                ):  # what follows tells where things are, and no frame
                     self._finish()
                 yield from (record for record in found if isinstance(record, Frame))
             elif self.waits_for_end or not self._pass_over(place, size):
@@ -307,7 +310,9 @@ class FollowedLogs:
                 return
             if key in self._looked or any(path.samefile(one) for one in self._given):
                 return
-            if any(one.path == path for one in self._files.values()):  # finished: its copy has taken its place
+            if any(
+                one.path == path for one in self._files.values()
+            ):  # finished: its copy has taken its place
                 self._looked.add(key)
                 return
             text = opening_machine(path)

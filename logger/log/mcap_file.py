@@ -2,8 +2,8 @@
 
 Not mcap.stream_reader.StreamReader: that takes a record that runs past the end of a cut file for a whole one,
 and gives up everything behind a fault. Here a fault costs what it lies in: what follows is found by the next
-record that is whole, a chunk also by the length within it. mcap_records.py puts them in order, mcap_summary.py
-reads what stands at the end of a whole file.
+record that is whole, a chunk also by the length within it. mcap_records.py puts them in order;
+mcap_summary.py reads what stands at the end of a whole file.
 """
 
 import io
@@ -238,7 +238,7 @@ def checksum(file: BinaryIO, start: int, end: int) -> int:
 
 
 def names_tilth(header: bytes) -> bool:
-    """Whether the body of a file's header names this software. It has no checksum: one letter may be wrong."""
+    """Whether the body of a file's header names this software. Without a checksum one letter may be wrong."""
     library = Header.read(ReadDataStream(io.BytesIO(header))).library
     return sum(map(str.__eq__, library, "tilth")) >= 4
 
@@ -256,7 +256,7 @@ def mended(file: BinaryIO, start: int, size: int) -> RecordPlace | None:
     seen = file.read(_SEEN)
     if len(seen) < _SEEN or not int.from_bytes(seen[33:37], "little"):  # no checksum
         return None
-    opcode, length = HEAD.unpack_from(seen)
+    _, length = HEAD.unpack_from(seen)
     for its in (_chunk_length(seen[HEAD.size :]), length):
         end = start + HEAD.size + its
         if its >= _CHUNK_LEAST and end <= size:
@@ -338,7 +338,7 @@ class Walk:
             at, here = here.end, following
 
     def _wrong_until(self, place: RecordPlace) -> int:
-        """Where the next record begins, if this one, behind which none is, is not what was written; else 0."""
+        """Where the next record begins, if this one, with none behind it, is not what was written; else 0."""
         file, size = self._file, self._size
         if place.opcode != Opcode.CHUNK and place.end == size:
             return 0

@@ -165,9 +165,7 @@ class IndexedCopy:
         return len(data)
 
     @staticmethod
-    def _define(
-        opcode: int, body: bytes, schemas: dict[int, Schema], channels: dict[int, Channel]
-    ) -> None:
+    def _define(opcode: int, body: bytes, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
         stream = ReadDataStream(io.BytesIO(body))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)

@@ -7,12 +7,12 @@ times) shows in another place than that at which they were written are put back,
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from enum import StrEnum
 from itertools import chain, pairwise
 from typing import BinaryIO, Final, NamedTuple
 
 from mcap.opcode import Opcode
 
+from tilth.logger.log.mcap_fault import Fault, FaultKind
 from tilth.logger.log.mcap_file import (
     DAMAGE,
     HEAD,
@@ -32,65 +32,8 @@ from tilth.logger.log.mcap_file import (
 _REPLAY: Final = b"\x06\0\0\0replay"  # how metadata begin of a log whose times may run back: others' may
 TILTH: Final = b"\x05\0\0\0tilth"  # the same, of a log of Tilth's
 _NS: Final = 1e-9
-_DAYS_S: Final = 1e6
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEXES: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX)
-
-
-class FaultKind(StrEnum):
-    """What is wrong with a place of a file."""
-
-    HOLE = "hole"  # nothing can be read there
-    CHUNK = "chunk"  # its checksum is wrong
-    HEAD = "head"  # of a chunk whose messages can be read
-    DOUBLED = "doubled"
-    MOVED = "moved"  # stands where it was not written
-    APPENDED = "appended"  # another file begins
-    INDEX = "index"
-    CHANGED = "changed"  # by the checksum of the whole
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """`from_s`, `until_s`: between which times of the log, s after its first message, messages are missing."""
-
-    kind: FaultKind
-    start: int
-    end: int
-    costs: bool = False  # messages
-    from_s: float | None = None
-    until_s: float | None = None
-    from_ns: int = 0  # the same as from_s, as log time
-
-    def __str__(self) -> str:
-        at = f"at byte {self.start:,}"
-        match self.kind:
-            case FaultKind.HEAD:
-                return f"damaged {at}: the head of a chunk, whose messages are read"
-            case FaultKind.DOUBLED:
-                return f"a part of it stands there twice, again {at}; it is used once"
-            case FaultKind.MOVED:
-                return f"a part of it stands in the wrong place, {at}; it is read where it belongs"
-            case FaultKind.APPENDED:
-                return f"another file begins in it, {at}, which is read as well"
-            case FaultKind.INDEX:
-                return f"its index is damaged or not its own, {at}; it is read without"
-            case FaultKind.CHANGED:
-                return "its checksum is wrong: metadata or indexes of messages were changed"
-        if not self.costs:
-            return f"damaged {at}: {self.end - self.start:,} bytes cannot be read; no message was in them"
-        size = f"{self.end - self.start:,} bytes cannot be read" if self.end > self.start else "a part is missing"
-        return f"damaged {at}: {size}{self._span()}; all else is read"
-
-    def _span(self) -> str:
-        if self.from_s is None:
-            return ", before the first message that can" if self.until_s is not None else ""
-        if self.until_s is None:
-            return f", of what followed {self.from_s:.2f} s after its begin"
-        lost_s = self.until_s - self.from_s
-        if not 0 <= lost_s < _DAYS_S:  # a head of a chunk was changed, which has no checksum
-            return ""
-        return f", {lost_s:.2f} s of the log from {self.from_s:.2f} s after its begin on"
 
 
 class _Entry(NamedTuple):
@@ -306,9 +249,7 @@ class McapRecords:
             if now is not one
         ]
         following = iter(in_order)
-        self._places = [
-            next(following) if place.opcode == Opcode.CHUNK else place for place in self._places
-        ]
+        self._places = [next(following) if place.opcode == Opcode.CHUNK else place for place in self._places]
 
     def _first_ns(self, place: RecordPlace) -> int | None:
         """Log time of a chunk's first message; None where it is damaged. Its head has no checksum."""
@@ -394,10 +335,8 @@ def _free(place: RecordPlace) -> RecordPlace:
     return RecordPlace(HOLE, place.start, place.end, mended=True)
 
 
-def _with_holes(
-    places: list[RecordPlace], ranks: dict[int, int], missing: list[int]
-) -> list[RecordPlace]:
-    """A HOLE where chunks are missing, and others marked as free of messages. missing: their ranks, sorted."""
+def _with_holes(places: list[RecordPlace], ranks: dict[int, int], missing: list[int]) -> list[RecordPlace]:
+    """A HOLE where chunks are missing, and others marked as free of messages. missing: ranks, sorted."""
     found: list[RecordPlace] = []
     waiting: list[RecordPlace] = []  # of holes and other records since the last chunk
     last, end = -1, len(MAGIC)

@@ -21,7 +21,16 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from tilth.logger.log.disk import sync_folder
-from tilth.logger.log.mcap_file import HEAD, HOLE, MAGIC, UNREADABLE, body_of, is_finished, names_tilth, place_at
+from tilth.logger.log.mcap_file import (
+    HEAD,
+    HOLE,
+    MAGIC,
+    UNREADABLE,
+    body_of,
+    is_finished,
+    names_tilth,
+    place_at,
+)
 from tilth.logger.log.mcap_index import IndexedCopy
 from tilth.logger.log.mcap_records import TILTH, McapRecords
 from tilth.schemas.invocation import command
@@ -261,7 +270,7 @@ def _copied(path: Path, file: BinaryIO, size: int, to: Path, kept: int) -> Finis
 
 
 def _begun(path: Path) -> Finished:
-    """Finish a file of which nothing reached the disk, in place: there is nothing to be lost, and the recorder
+    """Finish a file of which nothing reached the disk, in place: there is nothing to lose, and the recorder
     that may have made it just now goes on with it."""
     with path.open("r+b") as out:
         out.truncate()

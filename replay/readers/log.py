@@ -85,7 +85,8 @@ def stamp_fault(t_ns: int) -> str:
 
 @dataclass(slots=True)
 class OpenLog:
-    """A log opened for reading; `truncated`, `skipped`, `note` and `damage` are complete once `records` is used up.
+    """A log opened for reading; `truncated`, `skipped`, `note` and `damage` are complete once `records` is
+    used up.
 
     Records come in the order of the file, which is the order in which they were processed, and are never
     sorted, whatever their stamps say.

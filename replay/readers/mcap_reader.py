@@ -1,4 +1,4 @@
-"""Reads MCAP logs: frames, snapshots and the results logged live, in file order; damage costs what it lies in.
+"""Reads MCAP logs: frames, snapshots and the results logged live, in file order. Damage costs only itself.
 
 Chunks are taken apart by `Channels.records`, at a fraction of what `iter_messages` costs. Where arrays of raw
 frames are enough, `arrays.read_frames` takes a fraction of that (bench/replay_speed.py).

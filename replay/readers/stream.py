@@ -91,10 +91,11 @@ def _members(log: OpenLog) -> Iterator[bytes]:
             except zlib.error:
                 yield from _up_to_damage(before, piece)
                 log.skip("damaged_gzip")
-                member, piece = _next_member(log, piece[1:])
-                if member is None:
+                piece = _next_member(log, piece[1:])
+                if not piece:
                     log.truncated = True
                     return
+                member = zlib.decompressobj(_GZIP)
                 yield _BROKEN
                 continue
             if found:
@@ -104,9 +105,9 @@ def _members(log: OpenLog) -> Iterator[bytes]:
         log.truncated = True
 
 
-def _next_member(log: OpenLog, rest: bytes) -> "tuple[zlib._Decompress | None, bytes]":
-    """A new decompressor, and the bytes from the beginning of the next member on that can be unpacked; None
-    where there is none. rest: what was read behind the damage."""
+def _next_member(log: OpenLog, rest: bytes) -> bytes:
+    """What is read from the beginning of the next member on that can be unpacked; b"" where there is none.
+    rest: what was read behind the damage."""
     while True:
         at = rest.find(_MEMBER)
         if at >= 0 and len(rest) - at < CHUNK and (more := log.file.read(CHUNK)):
@@ -114,13 +115,13 @@ def _next_member(log: OpenLog, rest: bytes) -> "tuple[zlib._Decompress | None, b
         elif at >= 0:
             with contextlib.suppress(zlib.error):
                 zlib.decompressobj(_GZIP).decompress(rest[at : at + CHUNK])
-                return zlib.decompressobj(_GZIP), rest[at:]
+                return rest[at:]
             rest = rest[at + 1 :]
         else:
             rest = rest[-len(_MEMBER) + 1 :] if rest else b""
             more = log.file.read(CHUNK)
             if not more:
-                return None, b""
+                return b""
             rest += more
 
 

@@ -1,11 +1,11 @@
-"""Damage anywhere in a log costs what it lies in: a hundred random places for each kind, through the reader."""
+"""Damage anywhere in a log costs what it lies in: a hundred places for each kind, through the reader."""
 
-import random
 import struct
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from logs import record, some_frames, write_mcap
 from mcap.opcode import Opcode
@@ -21,7 +21,7 @@ from tilth.schemas.flow import Frame
 
 ROWS = some_frames(2000)
 PLACES = 100
-Damage = Callable[[bytes, random.Random], bytes]
+Damage = Callable[[bytes, np.random.Generator], bytes]
 
 
 @pytest.fixture(scope="module")
@@ -41,31 +41,31 @@ def chunks_of(content: bytes, path: Path) -> list[RecordPlace]:
         return [place for place in walk(file, len(content)) if place.opcode == Opcode.CHUNK]
 
 
-def flipped(content: bytes, rng: random.Random) -> bytes:
-    at = rng.randrange(17, len(content))
-    return content[:at] + bytes([content[at] ^ rng.randrange(1, 256)]) + content[at + 1 :]
+def flipped(content: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(17, len(content)))
+    return content[:at] + bytes([content[at] ^ int(rng.integers(1, 256))]) + content[at + 1 :]
 
 
-def zeroed(content: bytes, rng: random.Random) -> bytes:
-    count = rng.choice((40, 400, 2000))
-    at = rng.randrange(17, len(content) - count)
+def zeroed(content: bytes, rng: np.random.Generator) -> bytes:
+    count = int(rng.choice((40, 400, 2000)))
+    at = int(rng.integers(17, len(content) - count))
     return content[:at] + bytes(count) + content[at + count :]
 
 
-def removed(content: bytes, rng: random.Random) -> bytes:
-    at = rng.randrange(17, len(content) - 1000)
-    return content[:at] + content[at + rng.choice((1, 9, 300, 1000)) :]
+def removed(content: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(17, len(content) - 1000))
+    return content[:at] + content[at + int(rng.choice((1, 9, 300, 1000))) :]
 
 
-def inserted(content: bytes, rng: random.Random) -> bytes:
-    at = rng.randrange(17, len(content))
-    return content[:at] + rng.randbytes(rng.choice((1, 9, 300, 3000))) + content[at:]
+def inserted(content: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(17, len(content)))
+    return content[:at] + rng.bytes(int(rng.choice((1, 9, 300, 3000)))) + content[at:]
 
 
 @pytest.mark.parametrize("damage", [flipped, zeroed, removed, inserted])
 def test_what_lies_behind_is_read(damage: Damage, log: bytes, tmp_path: Path) -> None:
-    """At most the frames of the chunks that are hit are lost; each loss is a Gap, and `verify` is not good."""
-    rng, path = random.Random(5), tmp_path / "x.mcap"
+    """At most the frames of the chunks that are hit are lost; a loss is a Gap, and `verify` is not good."""
+    rng, path = np.random.default_rng(5), tmp_path / "x.mcap"
     each = len(ROWS) / len(chunks_of(log, path))
     for _ in range(PLACES):
         path.write_bytes(damage(log, rng))
@@ -83,19 +83,20 @@ def test_what_lies_behind_is_read(damage: Damage, log: bytes, tmp_path: Path) ->
         assert not found.good
 
 
-def rearranged(content: bytes, chunks: list[RecordPlace], rng: random.Random, how: str) -> bytes:
+def rearranged(content: bytes, chunks: list[RecordPlace], rng: np.random.Generator, how: str) -> bytes:
     """Chunks doubled or exchanged, alone or with what indexes them, one taken out, or its length wrong."""
     spans = [(one.start, one.end) for one in chunks[:-1]]
     if how.endswith("with its index"):
         spans = [(one.start, following.start) for one, following in pairwise(chunks)]
-    (a, b), (c, d) = sorted(rng.sample(spans, 2))
+    first, second = sorted(rng.choice(len(spans), 2, replace=False).tolist())
+    (a, b), (c, d) = spans[first], spans[second]
     if how.startswith("doubled"):
         return content[:d] + content[a:b] + content[d:]
     if how.startswith("exchanged"):
         return content[:a] + content[c:d] + content[b:c] + content[a:b] + content[d:]
     if how.startswith("gone"):
         return content[:a] + content[b:]
-    length = max(0, b - a - HEAD.size + rng.choice((-5, 7, 3000, 1 << 30, 1 << 62)))
+    length = max(0, b - a - HEAD.size + int(rng.choice((-5, 7, 3000, 1 << 30, 1 << 62))))
     return content[:a] + HEAD.pack(Opcode.CHUNK, length) + content[a + HEAD.size :]
 
 
@@ -106,7 +107,7 @@ def rearranged(content: bytes, chunks: list[RecordPlace], rng: random.Random, ho
 def test_chunks_that_are_whole_are_all_used_once(
     how: str, finished: bool, log: bytes, tmp_path: Path
 ) -> None:
-    rng, path = random.Random(7), tmp_path / "x.mcap"
+    rng, path = np.random.default_rng(7), tmp_path / "x.mcap"
     chunks = chunks_of(log, path)
     end = len(log) if finished else log.rindex(struct.pack("<BQ", Opcode.DATA_END, 4))
     for _ in range(PLACES // 4):
@@ -117,7 +118,7 @@ def test_chunks_that_are_whole_are_all_used_once(
 
 
 def test_a_chunk_that_is_gone_is_missed_by_the_index(log: bytes, tmp_path: Path) -> None:
-    rng, path = random.Random(9), tmp_path / "x.mcap"
+    rng, path = np.random.default_rng(9), tmp_path / "x.mcap"
     path.write_bytes(rearranged(log, chunks_of(log, path), rng, "gone with its index"))
     opened = open_log(path)
     (gap,) = (row for row in opened.records if isinstance(row, Gap))
@@ -147,9 +148,9 @@ def test_two_files_in_one(log: bytes, other: bytes, tmp_path: Path) -> None:
 
 
 def test_a_log_that_grows_is_cut_not_damaged(log: bytes, tmp_path: Path) -> None:
-    rng, path = random.Random(11), tmp_path / "x.mcap"
+    rng, path = np.random.default_rng(11), tmp_path / "x.mcap"
     end = log.rindex(struct.pack("<BQ", Opcode.DATA_END, 4))
-    for size in sorted(rng.sample(range(3000, end), 40)):
+    for size in sorted(rng.integers(3000, end, 40).tolist()):
         path.write_bytes(log[:size])
         opened = open_log(path)
         rows = list(opened.records)
@@ -202,4 +203,6 @@ def test_analysis_says_it_once(drive: list[Path], tmp_path: Path) -> None:
     said: list[str] = []
     (run,) = open_runs(drive, say=said.append, cache=tmp_path)
     assert run.poses.rows and run.measurements("position").rows and run.whole
-    assert run.reader.skipped["damaged_chunk"] and len([text for text in said if "damaged at byte" in text]) == 1
+    assert (
+        run.reader.skipped["damaged_chunk"] and len([text for text in said if "damaged at byte" in text]) == 1
+    )

@@ -64,6 +64,22 @@ def test_gzip_cut_or_damaged_anywhere_gives_what_is_there_and_says_it(
     assert read(path, packed + gzip.compress(b"", mtime=0) + bytes(9))[:2] == (wanted, False)
 
 
+@given(st.integers(0, 2**20))
+@settings(derandomize=True, max_examples=40, deadline=None)
+def test_behind_damaged_gzip_the_next_member_is_read(
+    tmp_path_factory: pytest.TempPathFactory, drawn: int
+) -> None:
+    wanted = rows(60)
+    member = gzip.compress(text_of(wanted), mtime=0)
+    at = 10 + drawn % (len(member) - 10)
+    damaged = bytearray(member)
+    damaged[at] ^= 0x55
+    path = tmp_path_factory.getbasetemp() / "members.log.gz"
+    found, truncated, counted = read(path, member + bytes(damaged) + member)
+    assert found[:60] == wanted and found[-60:] == wanted
+    assert not truncated and counted["damaged_gzip"] == 1
+
+
 def test_an_object_of_no_length_ends_a_blf(tmp_path: Path) -> None:
     """python-can alone would read it for ever."""
     content, wanted = whole()["blf"]
