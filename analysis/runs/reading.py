@@ -119,7 +119,7 @@ class ChannelReader:
         before = 0
         for path in self.paths:
             topics: dict[int, str] = {}
-            for data in chunks(path, self.skipped, partial(_from, heard, before), self._tell):
+            for data in chunks(path, self.skipped, partial(_from, heard, before), self.tell):
                 numbers = np.frombuffer(data, np.uint8)
                 places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
                 defined = places[: _definitions_of(numbers, places)]
@@ -137,7 +137,8 @@ class ChannelReader:
                     yield data, places[:count]
             before += path.stat().st_size
 
-    def _tell(self, text: str) -> None:
+    def tell(self, text: str) -> None:
+        """Say what is damaged, once."""
         if text not in self._said:
             self._said.add(text)
             self.say(text)

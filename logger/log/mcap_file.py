@@ -10,7 +10,7 @@ import io
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
 
@@ -291,7 +291,11 @@ class Walk:
     The file may be moved between two records. Raises OSError.
     """
 
-    def __init__(self, file: BinaryIO, size: int, start: int = len(MAGIC)) -> None:
+    def __init__(
+        self, file: BinaryIO, size: int, start: int = len(MAGIC), behind: Mapping[int, int] | None = None
+    ) -> None:
+        """behind: end of a chunk -> where what indexes its messages ends, which is passed over then."""
+        self._behind = behind or {}
         self._file, self._size, self._start = file, size, start
         self.ended = self.closed = False
         self.tail = size
@@ -325,7 +329,10 @@ class Walk:
                 self.ended, self.closed = at == size, True
                 here = place_at(file, at, size)
                 continue
-            following = place_at(file, here.end, size)
+            after = self._behind.get(here.end, here.end)
+            following = place_at(file, after, size)
+            if following is None and after > here.end:
+                after, following = here.end, place_at(file, here.end, size)
             if following is None and not here.mended and (until := self._wrong_until(here)):
                 if until == size:
                     self.tail = at
@@ -335,7 +342,7 @@ class Walk:
                 here = place_at(file, at, size)
                 continue
             yield here
-            at, here = here.end, following
+            at, here = after, following
 
     def _wrong_until(self, place: RecordPlace) -> int:
         """Where the next record begins, if this one, with none behind it, is not what was written; else 0."""

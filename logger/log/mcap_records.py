@@ -28,6 +28,7 @@ from tilth.logger.log.mcap_file import (
     names_tilth,
     unpacked,
 )
+from tilth.logger.log.mcap_summary import message_indexes
 
 _REPLAY: Final = b"\x06\0\0\0replay"  # how metadata begin of a log whose times may run back: others' may
 TILTH: Final = b"\x05\0\0\0tilth"  # the same, of a log of Tilth's
@@ -71,7 +72,7 @@ class McapRecords:
         self.covered = 0  # bytes that an earlier recovery has kept without being able to read them
         self.lost: Fault | None = None  # what the last HOLE has cost
         self._file, self._size, self._every_byte = file, size, every_byte
-        self._walk = Walk(file, size)
+        self._walk = Walk(file, size, behind=None if every_byte else message_indexes(file, size))
         self._summary = _Summary()
         self._data_end: RecordPlace | None = None
         self._wanted = {Opcode.CHUNK, Opcode.MESSAGE, *_DEFINITIONS, HOLE, *others}

@@ -62,6 +62,15 @@ def times_of(file: BinaryIO, size: int) -> tuple[int, int] | None:
     return None
 
 
+def message_indexes(file: BinaryIO, size: int) -> dict[int, int]:
+    """Where those of each chunk begin and end, of a whole file; {} of another. Raises OSError."""
+    found = {}
+    for _, body in summarised(file, size, (Opcode.CHUNK_INDEX,)):
+        start, length, offsets = struct.unpack_from("<QQI", body, 16)
+        found[start + length] = start + length + int.from_bytes(body[36 + offsets : 44 + offsets], "little")
+    return found
+
+
 def topics_of(file: BinaryIO, size: int) -> dict[int, str]:
     """Channel -> topic, of a whole file; {} of another. Raises OSError."""
     found: dict[int, str] = {}
